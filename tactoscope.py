@@ -9,9 +9,9 @@
     frame.pose.matrix, frame.notes, frame.metrics
     touches.with_(steps=8)[5].touch       # computes only what differs
 
-Lengths are mm, times s, angles rad; a name says its unit. A sensor's frame is its camera frame: x right, y down, z out
-along the optical axis. "No value" is NaN, never 0. Arrays are read-only. Whatever a user can mend is a `TouchError`,
-one sentence with what is wrong, where, and what to try.
+Lengths are mm, times s, angles rad; a name says its unit. A sensor's frame is its camera frame: x
+right, y down, z out along the optical axis. "No value" is NaN, never 0. Arrays are read-only.
+Whatever a user can mend is a `TouchError`, one sentence with what is wrong, where, and what to try.
 
 The `tactoscope` command starts here as well (`main`).
 """
@@ -49,16 +49,48 @@ if TYPE_CHECKING:
     from pipeline.translation.translated_frame import TranslatedFrame
 
 __all__ = [
-    "Calibration", "DepthMap", "Fallback", "GeneratedTouch", "Method", "NoParams", "ObjectPose", "Recording",
-    "RecordingFormat", "Refinement", "SensorSpec", "Skipped", "Stream", "TactileFrame", "TouchError", "TrackRecord",
-    "TranslatedFrame", "Translation", "Truth", "align", "calibrate", "depth", "load_mesh",
-    "load_sensor", "main", "make_depth_map", "make_recording", "open", "open_recording", "register_format",
-    "save_alignment", "save_calibration", "setting", "simulate", "track", "train",
-]  # fmt: skip
+    "Calibration",
+    "DepthMap",
+    "Fallback",
+    "GeneratedTouch",
+    "Method",
+    "NoParams",
+    "ObjectPose",
+    "Recording",
+    "RecordingFormat",
+    "Refinement",
+    "SensorSpec",
+    "Skipped",
+    "Stream",
+    "TactileFrame",
+    "TouchError",
+    "TrackRecord",
+    "TranslatedFrame",
+    "Translation",
+    "Truth",
+    "align",
+    "calibrate",
+    "depth",
+    "load_mesh",
+    "load_sensor",
+    "main",
+    "make_depth_map",
+    "make_recording",
+    "open",
+    "open_recording",
+    "register_format",
+    "save_alignment",
+    "save_calibration",
+    "setting",
+    "simulate",
+    "track",
+    "train",
+]
 
 PathLike: TypeAlias = "str | os.PathLike[str]"
 
-# Name -> module that defines it: imported on first use, so that `import tactoscope` loads no library.
+# Name -> module that defines it: imported on first use, so that `import tactoscope` loads no
+# library.
 _HOMES = {
     "Calibration": "pipeline.calibration.calibration_table",
     "DepthMap": "pipeline.core.values.results",
@@ -121,48 +153,61 @@ def open(  # noqa: A001 - `ts.open` reads as it should
     """Open touches of one sensor, to be translated to another.
 
     Args:
-        recording: File or folder of any known format; a `Recording`; or images of one sensor: (n, rows, cols, 3) uint8
+        recording: File or folder of any known format; a `Recording`; or images of one sensor: (n,
+        rows, cols, 3) uint8
             RGB of a gel, (n, rows, cols) depth in mm of a bubble.
-        target: Sensor to translate to: its name (`gelslim`, `digit`, `gelsight_mini`, `soft_bubble`, ...) or a TOML
+        target: Sensor to translate to: its name (`gelslim`, `digit`, `gelsight_mini`,
+        `soft_bubble`, ...) or a TOML
             file of your own.
-        source: Sensor that made the recording, by name or TOML file; "" = as the recording says. Images need it.
-        stream: Name of the stream to read, where one sensor has several; "" = the first.
-        route: `t2d2` (touch to depth to touch) or `t2t` (touch to touch).
-        methods: Stage -> name of its method, or a `Method` of your own; the route names those of other stages.
-        weights: Stage -> weights file of its network; shipped ones otherwise.
-        reference: Image without contact, a file or, for images, (rows, cols, 3) uint8 or (rows, cols) mm; None = the
+        source: Sensor that made the recording, by name or TOML file; "" = as the recording says.
+        Images need it. stream: Name of the stream to read, where one sensor has several; "" = the
+        first. route: `t2d2` (touch to depth to touch) or `t2t` (touch to touch). methods: Stage ->
+        name of its method, or a `Method` of your own; the route names those of other stages.
+        weights: Stage -> weights file of its network; shipped ones otherwise. reference: Image
+        without contact, a file or, for images, (rows, cols, 3) uint8 or (rows, cols) mm; None = the
             recording's own.
         calibration: Calibration file of the source; None = the built-in table of its kind.
-        alignment: Alignment of the two sensors, a TOML file; None = the recording's, else that of the descriptions.
-        mesh: Mesh of the touched object, for its pose; None = the recording's.
+        alignment: Alignment of the two sensors, a TOML file; None = the recording's, else that of
+        the descriptions. mesh: Mesh of the touched object, for its pose; None = the recording's.
 
     Returns:
-        The translation: `len()`, `[i]`, a loop, `with_(method=..., steps=8)`; it closes at the end of a `with` block.
+        The translation: `len()`, `[i]`, a loop, `with_(method=..., steps=8)`; it closes at the end
+        of a `with` block.
 
     Raises:
-        TouchError: A file cannot be read, or a sensor, stage or method is not known; the sentence says what to try.
+        TouchError: A file cannot be read, or a sensor, stage or method is not known; the sentence
+        says what to try.
     """
     from pipeline.core.errors import SettingProblem
     from pipeline.translation.translate import Request, open_translation
 
     is_file = isinstance(recording, (str, os.PathLike))
-    own = {stage: method for stage, method in (methods or {}).items() if not isinstance(method, str)}
-    at_hand, path = None, Path(os.fspath(recording)) if is_file else Path("arrays")
+    own = {
+        stage: method for stage, method in (methods or {}).items() if not isinstance(method, str)
+    }
+    at_hand = None
+    path = Path(os.fspath(recording)) if is_file else Path("arrays")
     if not is_file:
         at_hand = _make_recording(recording, source, reference)
         path = at_hand.path
     elif not (reference is None or isinstance(reference, (str, os.PathLike))):
-        raise SettingProblem("the reference of a file is a file; give its path, or give the images as arrays as well")
+        raise SettingProblem(
+            "the reference of a file is a file; give its path, or give the images as arrays as well"
+        )
     request = Request(
         recording=path,
         target=target,
         source=source,
         stream=stream,
         route=route,
-        methods=tuple((stage, name) for stage, name in (methods or {}).items() if isinstance(name, str)),
+        methods=tuple(
+            (stage, name) for stage, name in (methods or {}).items() if isinstance(name, str)
+        ),
         weights=tuple((stage, Path(file)) for stage, file in (weights or {}).items()),
         refuses_unusable_weights=True,
-        reference=Path(reference) if is_file and isinstance(reference, (str, os.PathLike)) else None,
+        reference=Path(reference)
+        if is_file and isinstance(reference, (str, os.PathLike))
+        else None,
         calibration=None if calibration is None else Path(calibration),
         alignment=None if alignment is None else Path(alignment),
         mesh=None if mesh is None else Path(mesh),
@@ -173,7 +218,9 @@ def open(  # noqa: A001 - `ts.open` reads as it should
     return translation
 
 
-def _make_recording(images: Recording | ArrayLike | Sequence[ArrayLike], sensor: str, reference: object) -> Recording:
+def _make_recording(
+    images: Recording | ArrayLike | Sequence[ArrayLike], sensor: str, reference: object
+) -> Recording:
     from pipeline.core.errors import SettingProblem
     from pipeline.core.values.frames import Recording
     from pipeline.io.in_memory import make_recording
@@ -182,7 +229,9 @@ def _make_recording(images: Recording | ArrayLike | Sequence[ArrayLike], sensor:
     if isinstance(images, Recording):
         return images
     if not sensor:
-        raise SettingProblem("arrays do not say which sensor made them; give source, such as source='digit'")
+        raise SettingProblem(
+            "arrays do not say which sensor made them; give source, such as source='digit'"
+        )
     return make_recording(images, cast("Any", reference), load_sensor(sensor))
 
 
@@ -198,16 +247,15 @@ def depth(
     """Measure the depth of one tactile image.
 
     Args:
-        image: (rows, cols, 3) uint8 RGB of a gel, or (rows, cols) depth in mm of a bubble, NaN = no value.
-        reference: The same sensor without contact, of the same shape and type.
-        sensor: The sensor that made both: its name, or a TOML file of your own.
-        method: Method of the stage `depth`; "" = the one for this kind of sensor.
-        calibration: Calibration file of the sensor; None = the built-in table of its kind.
-        settings: Parameters of the method.
+        image: (rows, cols, 3) uint8 RGB of a gel, or (rows, cols) depth in mm of a bubble, NaN = no
+        value. reference: The same sensor without contact, of the same shape and type. sensor: The
+        sensor that made both: its name, or a TOML file of your own. method: Method of the stage
+        `depth`; "" = the one for this kind of sensor. calibration: Calibration file of the sensor;
+        None = the built-in table of its kind. settings: Parameters of the method.
 
     Returns:
-        `indentation_mm` (0 untouched, positive toward the camera), `depth_mm` and `contact`, each (rows, cols) in the
-        sensor's camera frame, and `notes`: sentences about what may be wrong.
+        `indentation_mm` (0 untouched, positive toward the camera), `depth_mm` and `contact`, each
+        (rows, cols) in the sensor's camera frame, and `notes`: sentences about what may be wrong.
 
     Raises:
         TouchError: Shapes, types or names are wrong.
@@ -222,11 +270,10 @@ def simulate(
     """Simulate touches that several sensors record at once, with their truth.
 
     Args:
-        shape: Name of a shape, as `tactoscope simulate --help` lists them, or a mesh file.
-        sensors: The sensors, by name or TOML file.
-        n: Number of touches.
-        seed: The same seed gives the same frames.
-        sequence: `grid` (single touches at poses of a grid), or a motion: `press`, `slide`, `twist`, `release`, `all`.
+        shape: Name of a shape, as `tactoscope simulate --help` lists them, or a mesh file. sensors:
+        The sensors, by name or TOML file. n: Number of touches. seed: The same seed gives the same
+        frames. sequence: `grid` (single touches at poses of a grid), or a motion: `press`, `slide`,
+        `twist`, `release`, `all`.
 
     Returns:
         A recording for `ts.open`; a touch is simulated when it is first read.
@@ -235,12 +282,21 @@ def simulate(
         TouchError: There is no such shape, sensor or sequence, or the mesh cannot be used.
     """
     from pipeline.core.errors import SettingProblem
-    from pipeline.physics.simulation.datasets import PoseSequence, SimulationPlan, make_plans, make_recording
+    from pipeline.physics.simulation.datasets import (
+        PoseSequence,
+        SimulationPlan,
+        make_plans,
+        make_recording,
+    )
 
     if sequence not in get_args(PoseSequence):
-        raise SettingProblem(f"no sequence {sequence!r}; there are {', '.join(get_args(PoseSequence))}")
+        raise SettingProblem(
+            f"no sequence {sequence!r}; there are {', '.join(get_args(PoseSequence))}"
+        )
     kind = cast("PoseSequence", sequence)
-    plan = SimulationPlan(sensors=tuple(sensors), object_source="", n_poses=n, seed=seed, sequence=kind)
+    plan = SimulationPlan(
+        sensors=tuple(sensors), object_source="", n_poses=n, seed=seed, sequence=kind
+    )
     first, *others = make_plans((os.fspath(shape),), plan)
     if others:
         raise SettingProblem(f"{shape!r} is a group of {1 + len(others)} shapes; give one of them")
@@ -255,8 +311,9 @@ def align(touches: Translation, frames: Iterable[int] | None = None) -> Refineme
         frames: Numbers of the frames to use; None = all.
 
     Returns:
-        `alignment`, to be used by `touches.with_alignment(...)`; `std`, its predicted standard deviation (3 degrees,
-        3 mm); `weak_directions` that the touches do not determine, which are left as they were.
+        `alignment`, to be used by `touches.with_alignment(...)`; `std`, its predicted standard
+        deviation (3 degrees, 3 mm); `weak_directions` that the touches do not determine, which are
+        left as they were.
 
     Raises:
         SettingProblem: No frame has contact on both sensors.
@@ -267,17 +324,28 @@ def align(touches: Translation, frames: Iterable[int] | None = None) -> Refineme
 
 
 def save_alignment(touches: Translation, path: PathLike) -> None:
-    """Write the alignment of two sensors as a TOML file, for `ts.open(..., alignment=path)`; raises FileProblem."""
+    """Write the alignment of two sensors as a TOML file, for `ts.open(..., alignment=path)`.
+
+    Raises FileProblem.
+    """
     from pipeline.sensors.alignment_files import AlignmentFile
     from pipeline.sensors.alignment_files import save_alignment as save
 
     origin = f"in use on {touches.recording.path.name}"
     names = touches.source.name, touches.target.name
-    save(Path(path), AlignmentFile(alignment=touches.alignment, source=names[0], target=names[1], origin=origin))
+    save(
+        Path(path),
+        AlignmentFile(alignment=touches.alignment, source=names[0], target=names[1], origin=origin),
+    )
 
 
 def calibrate(
-    images: Sequence[ArrayLike], reference: ArrayLike, sensor: str, diameter_mm: float, *, pixel_mm: float | None = None
+    images: Sequence[ArrayLike],
+    reference: ArrayLike,
+    sensor: str,
+    diameter_mm: float,
+    *,
+    pixel_mm: float | None = None,
 ) -> Calibration:
     """Fit the calibration table of a gel to presses of a ball.
 
@@ -289,8 +357,8 @@ def calibrate(
         pixel_mm: Width of a pixel on the gel; None = the sensor description's.
 
     Returns:
-        The table, with the residual of each press; write it by `save_calibration(table, path)`, use it by
-        `touches.with_calibration(table)`.
+        The table, with the residual of each press; write it by `save_calibration(table, path)`, use
+        it by `touches.with_calibration(table)`.
 
     Raises:
         TouchError: The presses cannot be used.
@@ -307,17 +375,20 @@ def calibrate(
     return calibrate_sensor(presses, rest, spec, diameter_mm, pixel_mm=pixel_mm)
 
 
-def track(touches: Translation, stage: str = "depth", frames: Iterable[int] | None = None) -> TrackRecord:
-    """Follow a touched object through a recording without its mesh, and fuse what was touched into a surface.
+def track(
+    touches: Translation, stage: str = "depth", frames: Iterable[int] | None = None
+) -> TrackRecord:
+    """Follow a touched object through a recording without its mesh, and fuse what was touched into
+    a surface.
 
     Args:
-        touches: An opened translation.
-        stage: Membrane to follow: `depth` (the source's) or `touch_depth` (of the generated touches).
-        frames: Numbers of the frames in order; None = all.
+        touches: An opened translation. stage: Membrane to follow: `depth` (the source's) or
+        `touch_depth` (of the generated touches). frames: Numbers of the frames in order; None =
+        all.
 
     Returns:
-        `rows`, one a frame with its state and motion; `patch`, the fused surface; `error`, the drift where true poses
-        are known.
+        `rows`, one a frame with its state and motion; `patch`, the fused surface; `error`, the
+        drift where true poses are known.
 
     Raises:
         TouchError: No frame can be read.
@@ -361,38 +432,59 @@ def train(
     from pipeline.lab.training.export import export_run
     from pipeline.lab.training.loop import TrainingRun
     from pipeline.lab.training.loop import train as train_run
-    from pipeline.lab.training.recipe import list_shipped_recipes, load_recipe, override_pairs, override_training
+    from pipeline.lab.training.recipe import (
+        list_shipped_recipes,
+        load_recipe,
+        override_pairs,
+        override_training,
+    )
     from pipeline.lab.training.task import TASKS
 
     known = sorted({task.subcommand for task in TASKS.values()})
     if what not in known:
-        raise SettingProblem(f"nothing called {what!r} can be trained; there are {', '.join(known)}")
+        raise SettingProblem(
+            f"nothing called {what!r} can be trained; there are {', '.join(known)}"
+        )
     if pairs is None and not recipe:
-        raise SettingProblem(f"give pairs to train {what} on, or a recipe: {', '.join(list_shipped_recipes(what))}")
-    chosen, folder = load_recipe(recipe or f"{what}_pairs", what), Path(out)
+        raise SettingProblem(
+            f"give pairs to train {what} on, or a recipe: {', '.join(list_shipped_recipes(what))}"
+        )
+    chosen = load_recipe(recipe or f"{what}_pairs", what)
+    folder = Path(out)
     if pairs is not None:
         chosen = override_pairs(chosen, os.fspath(pairs), hold_out)
     if steps is not None:
         chosen = override_training(chosen, steps=steps)
     train_run(
-        TrainingRun(recipe=chosen, folder=folder, max_minutes=minutes, n_workers=workers, command="tactoscope.train")
+        TrainingRun(
+            recipe=chosen,
+            folder=folder,
+            max_minutes=minutes,
+            n_workers=workers,
+            command="tactoscope.train",
+        )
     )
     weights = folder / "weights.safetensors"
     export_run(folder, weights)
     return weights
 
 
-_PACKAGES = ("app", "widgets", "pipeline")  # common names: another package of one may come first on the import path
+# common names: another package of one may come first on the import path
+_PACKAGES = ("app", "widgets", "pipeline")
 
 
 def main() -> None:
-    """Run the `tactoscope` command; exits with 2 and a message if another package shadows one of this project's."""
+    """Run the `tactoscope` command.
+
+    Exits with 2 and a message if another package shadows one of this project's.
+    """
     here = Path(__file__).resolve().parent
     for name in _PACKAGES:
         found = _find_location(importlib.util.find_spec(name))
         if found != here / name:
             sys.stderr.write(
-                f"tactoscope: another package named {name!r} shadows this project's; remove it from PYTHONPATH, or "
+                f"tactoscope: another package named {name!r} shadows this project's; remove it "
+                "from PYTHONPATH, or "
                 f"install Tactoscope in its own environment: '{found}'\n"
             )
             sys.exit(2)

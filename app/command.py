@@ -5,7 +5,12 @@ import sys
 from pathlib import Path
 
 from pipeline.cli.main import build_app, run_app
-from pipeline.cli.translation_options import DEFAULT_OPTIONS, RecordingPath, TargetName, TranslationOptions
+from pipeline.cli.translation_options import (
+    DEFAULT_OPTIONS,
+    RecordingPath,
+    TargetName,
+    TranslationOptions,
+)
 from pipeline.core.errors import SettingProblem
 
 _DISPLAY_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
@@ -32,8 +37,12 @@ def view(
         frame: First frame to show.
         tour: Show every frame, write a screenshot and every stage to this folder, and close.
     """
-    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in _DISPLAY_VARIABLES):
-        raise SettingProblem("no display for the window; run it under xvfb-run, or use `tactoscope translate`")
+    if sys.platform.startswith("linux") and not any(
+        os.environ.get(name) for name in _DISPLAY_VARIABLES
+    ):
+        raise SettingProblem(
+            "no display for the window; run it under xvfb-run, or use `tactoscope translate`"
+        )
     from app.main import open_window
     from app.session.sample import SAMPLE_RECORDING
 

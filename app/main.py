@@ -24,16 +24,20 @@ if TYPE_CHECKING:
     from pipeline.translation.translate import Request
 
 _SHOW_TIMEOUT_S = 1.0  # for the window to be on screen; a minimised one never is
-# Thresholds of the garbage collector. Loading Qt, VTK and numba creates millions of lasting objects; with Python's
-# defaults, collecting takes a tenth of the time to the first touch.
+# Thresholds of the garbage collector. Loading Qt, VTK and numba creates millions of lasting
+# objects; with Python's defaults, collecting takes a tenth of the time to the first touch.
 _GC_THRESHOLDS = 50_000, 20, 50
 
 
-def open_window(request: Request | None, *, frame: int | None = None, tour: Path | None = None) -> int:
-    """Show the window until it is closed, or run the `tour` and close; returns the exit code of the process.
+def open_window(
+    request: Request | None, *, frame: int | None = None, tour: Path | None = None
+) -> int:
+    """Show the window until it is closed, or run the `tour` and close.
 
-    Without a request it shows the welcome page, or the sample if a frame or a tour is requested. `app.shell.tour`
-    says what a tour writes.
+    Returns the exit code of the process.
+
+    Without a request it shows the welcome page, or the sample if a frame or a tour is requested.
+    `app.shell.tour` says what a tour writes.
     """
     prepare_environment()
     from app.document.preload import PreloadController
@@ -47,15 +51,19 @@ def open_window(request: Request | None, *, frame: int | None = None, tour: Path
         session = Session(recording=SAMPLE_RECORDING if opens_sample else None, frame=first)
     else:
         fields = {name: getattr(request, name) for name in REQUEST_FIELDS}
-        methods, weights = dict(request.methods), dict(request.weights)
-        session = Session(**fields, offsets=request.offsets, methods=methods, weights=weights, frame=first)
+        methods = dict(request.methods)
+        weights = dict(request.weights)
+        session = Session(
+            **fields, offsets=request.offsets, methods=methods, weights=weights, frame=first
+        )
     controller = show_window(session, restore=tour is None)
     shutdown = ShutdownHandler(controller)
     if tour is None:
         PreloadController(controller)
     try:
         if tour is None:
-            code = application.exec() if controller.window.isVisible() else 0  # closed while it was made: no end
+            # closed while it was made: no end
+            code = application.exec() if controller.window.isVisible() else 0
         else:
             from app.shell.tour import run_tour
 
@@ -95,18 +103,25 @@ def make_application() -> QApplication:
         return existing
     application = QApplication([sys.argv[0]])
     QLocale.setDefault(QLocale.c())  # figures have a decimal point everywhere
-    locale.setlocale(locale.LC_NUMERIC, "C")  # Qt sets the user's: a C library would then read 0,5 and not 0.5
+    # Qt sets the user's: a C library would then read 0,5 and not 0.5
+    locale.setlocale(locale.LC_NUMERIC, "C")
     application.setApplicationName("Tactoscope")
     return application
 
 
 def show_window(
-    session: Session, *, with_scene: bool = True, catalogue: Catalogue | None = None, restore: bool = False
+    session: Session,
+    *,
+    with_scene: bool = True,
+    catalogue: Catalogue | None = None,
+    restore: bool = False,
 ) -> SessionController:
-    """Show a window on `session`; it is on screen before the recording is read and OpenGL is loaded.
+    """Show a window on `session`.
 
-    `catalogue` defaults to the built-in stages, methods and routes. `restore` uses the saved theme and geometry, and
-    offers the session of a window that did not close normally.
+    It is on screen before the recording is read and OpenGL is loaded.
+
+    `catalogue` defaults to the built-in stages, methods and routes. `restore` uses the saved theme
+    and geometry, and offers the session of a window that did not close normally.
     """
     from PyQt6.QtCore import QTimer
     from PyQt6.QtWidgets import QApplication
@@ -127,7 +142,10 @@ def show_window(
     apply_theme(theme)
     catalogue = catalogue or BUILT_IN
     with_steps = frozenset(stage.name for stage in catalogue.stages if stage.has_steps)
-    window = MainWindow([("source", "Source"), *((stage.name, stage.title) for stage in catalogue.stages)], with_steps)
+    window = MainWindow(
+        [("source", "Source"), *((stage.name, stage.title) for stage in catalogue.stages)],
+        with_steps,
+    )
     controller = SessionController(window, catalogue)
     autosave = connect(controller, theme)
     if restore:
@@ -137,7 +155,9 @@ def show_window(
     _wait_until_exposed(window)
     if with_scene:
         QTimer.singleShot(0, controller.views.scene.open)
-    if session.recording is not None and (is_rollout_folder(session.recording) or is_track_folder(session.recording)):
+    if session.recording is not None and (
+        is_rollout_folder(session.recording) or is_track_folder(session.recording)
+    ):
         controller.open_path(session.recording)
     elif session.recording is not None:
         controller.saved_session = session  # what the command line asks for is no change
@@ -150,10 +170,13 @@ def show_window(
 
 
 def _wait_until_exposed(window: MainWindow) -> None:
-    """Paint the window before recording, kernels and OpenGL load, which hold the interpreter lock."""
+    """Paint the window before recording, kernels and OpenGL load, which hold the interpreter
+    lock.
+    """
     from PyQt6.QtWidgets import QApplication
 
-    end_s, handle = time.monotonic() + _SHOW_TIMEOUT_S, window.windowHandle()
+    end_s = time.monotonic() + _SHOW_TIMEOUT_S
+    handle = window.windowHandle()
     while handle is not None and not handle.isExposed() and time.monotonic() < end_s:
         QApplication.processEvents()
         time.sleep(0.002)

@@ -1,8 +1,8 @@
 """Orderly shutdown: windows are destroyed before PyQt's own cleanup, and signals save the session.
 
-At exit PyQt destroys remaining windows while it iterates over its table of wrapped objects. Event filters and paint
-events written in Python then create new objects, the table is resized during the iteration, and the process crashes.
-Therefore no window may be left by then.
+At exit PyQt destroys remaining windows while it iterates over its table of wrapped objects. Event
+filters and paint events written in Python then create new objects, the table is resized during the
+iteration, and the process crashes. Therefore no window may be left by then.
 """
 
 from __future__ import annotations
@@ -37,8 +37,11 @@ def destroy_windows_at_exit() -> None:
 def _destroy_windows() -> None:
     if QApplication.instance() is None:
         return
-    # Plots share their menus with widgets of their own: what they are in is destroyed first, and takes them with it.
-    for widget in sorted(QApplication.topLevelWidgets(), key=lambda widget: not isinstance(widget, QMainWindow)):
+    # Plots share their menus with widgets of their own: what they are in is destroyed first, and
+    # takes them with it.
+    for widget in sorted(
+        QApplication.topLevelWidgets(), key=lambda widget: not isinstance(widget, QMainWindow)
+    ):
         if not sip.isdeleted(widget):  # destroyed with its parent
             sip.delete(widget)
 
@@ -53,15 +56,20 @@ class ShutdownHandler(QObject):
         super().__init__(controller)
         self._controller = controller
         self.code = 0  # exit code of the process once a signal ends it
-        # Python runs signal handlers only when it runs; a byte in a socket makes Qt call into Python.
+        # Python runs signal handlers only when it runs; a byte in a socket makes Qt call into
+        # Python.
         self._receiver, self._sender = socket.socketpair()
         for end in (self._receiver, self._sender):
             end.setblocking(False)
-        self._notifier = QSocketNotifier(sip.voidptr(self._receiver.fileno()), QSocketNotifier.Type.Read, self)
+        self._notifier = QSocketNotifier(
+            sip.voidptr(self._receiver.fileno()), QSocketNotifier.Type.Read, self
+        )
         self._notifier.activated.connect(self._shut_down)
         self._fd = signal.set_wakeup_fd(self._sender.fileno(), warn_on_full_buffer=False)
         handlers = {kind: signal.getsignal(kind) for kind in _SIGNALS}
-        self._old_handlers = {kind: handler for kind, handler in handlers.items() if handler is not signal.SIG_IGN}
+        self._old_handlers = {
+            kind: handler for kind, handler in handlers.items() if handler is not signal.SIG_IGN
+        }
         for kind in self._old_handlers:
             signal.signal(kind, self._record_signal)
 

@@ -1,11 +1,13 @@
-"""Does the alignment answer while a handle is dragged, and how near does refining come to the exact transform?
+"""Does the alignment answer while a handle is dragged, and how near does refining come to the exact
+transform?
 
     python -m benchmarks.alignment
 
-A drag is one small edit, adapt, project and score, on the sample recording with its exact depth; the target's side is
-made ready once a frame. Quarter is every fourth pixel of both images. The error of a drag is the median difference in
-depth that is left under the exact alignment. Refining begins from two places 3 mm and 5 degrees off; rows tell the
-worst of them, at the contact. "Exact" uses the simulator's depth and contact, "measured" those of the depth stage.
+A drag is one small edit, adapt, project and score, on the sample recording with its exact depth;
+the target's side is made ready once a frame. Quarter is every fourth pixel of both images. The
+error of a drag is the median difference in depth that is left under the exact alignment. Refining
+begins from two places 3 mm and 5 degrees off; rows tell the worst of them, at the contact. "Exact"
+uses the simulator's depth and contact, "measured" those of the depth stage.
 """
 
 from __future__ import annotations
@@ -18,7 +20,13 @@ import numpy as np
 
 from benchmarks.harness.results import BenchmarkResult, Measurement, PlotPoint
 from benchmarks.harness.text_report import print_result
-from benchmarks.harness.timing import Requirement, Timing, build_measurement, summarize_times, time_in_turns
+from benchmarks.harness.timing import (
+    Requirement,
+    Timing,
+    build_measurement,
+    summarize_times,
+    time_in_turns,
+)
 from pipeline.core.geometry import rigid
 from pipeline.sensors.alignment import AXES, Alignment, compose_motion, correct_alignment
 from pipeline.translation.alignment.nudge import nudge
@@ -31,8 +39,11 @@ from pipeline.translation.translate import Request, Translation, open_translatio
 RECORDING = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "first_touch.h5"
 PAIRS = (("gelslim", "soft_bubble"), ("digit", "gelslim"))
 DRAG = Requirement(max_ms=8, max_error=0.02)
-FAR_MM, FAR_DEG, STARTS = 3.0, 5.0, 2
-TOLERANCE = {("gelslim", "soft_bubble", False): 3.0}  # elsewhere 1: what counts as known, in 0.2 mm and 1 deg
+FAR_MM = 3.0
+FAR_DEG = 5.0
+STARTS = 2
+# elsewhere 1: what counts as known, in 0.2 mm and 1 deg
+TOLERANCE = {("gelslim", "soft_bubble", False): 3.0}
 # A bubble's pixel is 0.42 mm wide, a GelSlim's 0.042 mm.
 REFINED = {
     ("gelslim", "soft_bubble", True): (Requirement(max_error=0.2), Requirement(max_error=1.0)),
@@ -53,7 +64,8 @@ def largest(touches: tuple[AlignmentTouch, ...]) -> AlignmentTouch:
 def drags(source: str, target: str) -> tuple[list[Measurement], list[PlotPoint]]:
     translation = open_pair(source, target)
     touch = largest(load_paired_touches(translation, range(translation.n_frames), exact=True))
-    exact, pivot = translation.alignment, find_pivot(touch, translation.alignment)
+    exact = translation.alignment
+    pivot = find_pivot(touch, translation.alignment)
     edits = itertools.cycle([(axis, amount) for axis in AXES for amount in (-0.05, 0.05)])
 
     def drag(side):
@@ -65,11 +77,20 @@ def drags(source: str, target: str) -> tuple[list[Measurement], list[PlotPoint]]
         "full": observe_target(touch.target, translation.target),
     }
     left = {name: score_preview(touch, exact, side)[1].depth_mm for name, side in sides.items()}
-    times = time_in_turns({name: lambda side=side: drag(side) for name, side in sides.items()}, runs=24)
+    times = time_in_turns(
+        {name: lambda side=side: drag(side) for name, side in sides.items()}, runs=24
+    )
     name = f"{source} to {target}"
     asked = f"dragging an alignment handle, {name}"
-    rows = [build_measurement(asked, ours=times["quarter"], ours_error=left["quarter"], unit="mm", bar=DRAG)]
-    points = [PlotPoint(method=f"drag, {name}, {n}", ms=times[n].median_ms, error=left[n], ours=True) for n in sides]
+    rows = [
+        build_measurement(
+            asked, ours=times["quarter"], ours_error=left["quarter"], unit="mm", bar=DRAG
+        )
+    ]
+    points = [
+        PlotPoint(method=f"drag, {name}, {n}", ms=times[n].median_ms, error=left[n], ours=True)
+        for n in sides
+    ]
     return rows, points
 
 
@@ -83,12 +104,16 @@ def draw_starts(exact: Alignment, pivot: np.ndarray) -> list[Alignment]:
     ]
 
 
-def measure_refinement(source: str, target: str, exact_depth: bool) -> tuple[list[Measurement], list[str]]:
+def measure_refinement(
+    source: str, target: str, exact_depth: bool
+) -> tuple[list[Measurement], list[str]]:
     translation = open_pair(source, target)
     touches = load_paired_touches(translation, range(translation.n_frames), exact=exact_depth)
     known = translation.alignment.target_from_source
     tolerance = TOLERANCE.get((source, target, exact_depth), 1.0)
-    errors, took_ms, weak = [], [], []
+    errors = []
+    took_ms = []
+    weak = []
     for start in draw_starts(translation.alignment, find_pivot(touches[0], translation.alignment)):
         began = time.perf_counter()
         answer = refine_alignment(touches, start, tolerance=tolerance)
@@ -107,12 +132,17 @@ def measure_refinement(source: str, target: str, exact_depth: bool) -> tuple[lis
         build_measurement(asked, ours=taken, ours_error=float(e), unit=unit, bar=bar)
         for e, unit, bar in zip(worst, ("mm", "deg"), bars, strict=True)
     ]
-    report = f"{asked}: said not to be observable, of six directions, from each start: {', '.join(map(str, weak))}"
+    report = (
+        f"{asked}: said not to be observable, of six directions, from each start: "
+        f"{', '.join(map(str, weak))}"
+    )
     return rows, [report]
 
 
 def measure() -> BenchmarkResult:
-    rows, points, notes = [], [], []
+    rows = []
+    points = []
+    notes = []
     for source, target in PAIRS:
         more, some = drags(source, target)
         rows += more
@@ -121,7 +151,10 @@ def measure() -> BenchmarkResult:
         more, report = measure_refinement(source, target, exact_depth)
         rows += more
         notes += report
-    notes.append("measured depth of a bubble, whose contact the depth stage sees too large, is what limits that pair")
+    notes.append(
+        "measured depth of a bubble, whose contact the depth stage sees too large, is what limits "
+        "that pair"
+    )
     return BenchmarkResult(
         title="An alignment: dragged, and refined",
         unit="mm",

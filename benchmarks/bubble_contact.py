@@ -1,11 +1,12 @@
-"""How fast is a bubble's contact at equal accuracy? Projected multigrid next to an active set with a sparse solver.
+"""How fast is a bubble's contact at equal accuracy? Projected multigrid next to an active set with
+a sparse solver.
 
     python -m benchmarks.bubble_contact
 
-A ball of 20 mm radius reaches 6 mm into the soft bubble, the pressure inside held. The baseline is the primal-dual
-active set method (Hintermueller, Ito and Kunisch 2003): solve the free nodes with scipy's sparse solver, move the
-boundary of the contact, until nothing changes. It is exact on the grid, so its answer is the truth that our error is
-measured from.
+A ball of 20 mm radius reaches 6 mm into the soft bubble, the pressure inside held. The baseline is
+the primal-dual active set method (Hintermueller, Ito and Kunisch 2003): solve the free nodes with
+scipy's sparse solver, move the boundary of the contact, until nothing changes. It is exact on the
+grid, so its answer is the truth that our error is measured from.
 """
 
 from __future__ import annotations
@@ -22,10 +23,14 @@ from pipeline.physics.lattice import Lattice
 from pipeline.sensors.spec import load_sensor
 
 _BUBBLE = load_sensor("soft_bubble").bubble
-_RADIUS_MM, _REACH_MM, _OVER_KPA = 20.0, 6.0, 0.05
+_RADIUS_MM = 20.0
+_REACH_MM = 6.0
+_OVER_KPA = 0.05
 _TOLERANCES_MM = (1e-2, 1e-4, 1e-6, 1e-8)
-_EQUAL_NM = 1.0  # the active set is exact to rounding; both are then the same surface to any instrument
-_STEPS = ((0.75, 9), (0.5, 5), (0.375, 3))  # width of a cell in mm, runs: the baseline takes seconds
+# the active set is exact to rounding; both are then the same surface to any instrument
+_EQUAL_NM = 1.0
+# width of a cell in mm, runs: the baseline takes seconds
+_STEPS = ((0.75, 9), (0.5, 5), (0.375, 3))
 _PEER = "active set, sparse solver"
 
 
@@ -33,7 +38,11 @@ def measure() -> BenchmarkResult:
     raced = [_raced(step_mm, runs) for step_mm, runs in _STEPS]
     rows = []
     for size, errors, times, _ in raced:
-        _, best = min((times[name].median_ms, name) for name in errors if name != _PEER and errors[name] <= _EQUAL_NM)
+        _, best = min(
+            (times[name].median_ms, name)
+            for name in errors
+            if name != _PEER and errors[name] <= _EQUAL_NM
+        )
         rows.append(
             build_measurement(
                 f"bubble over a ball, {size}",
@@ -51,29 +60,40 @@ def measure() -> BenchmarkResult:
         title=f"A bubble over a ball, {size} nodes, largest error",
         unit="nm",
         rows=tuple(rows),
-        points=tuple(PlotPoint(method=name, ms=times[name].median_ms, error=error, ours=name != _PEER)
-                     for name, error in errors.items()),
-        notes=tuple(f"{size}: the active set takes {solves} sparse solves" for size, _, _, solves in raced),
-    )  # fmt: skip
+        points=tuple(
+            PlotPoint(method=name, ms=times[name].median_ms, error=error, ours=name != _PEER)
+            for name, error in errors.items()
+        ),
+        notes=tuple(
+            f"{size}: the active set takes {solves} sparse solves" for size, _, _, solves in raced
+        ),
+    )
 
 
 def _raced(step_mm: float, runs: int):
-    """(size of the grid, method -> error in nm, method -> timing, sparse solves of the baseline)."""
+    """(size of the grid, method -> error in nm, method -> timing, sparse solves of the
+    baseline).
+    """
     on = bubble.make_lattice(_BUBBLE, step_mm)
     grid, load = problem(on)
     truth, solves = active_set(grid, load)
     methods = {
-        f"ours, to {t:.0e} mm a cycle": lambda t=t: multigrid.solve(grid, np.zeros(on.shape), load, t)[0]
+        f"ours, to {t:.0e} mm a cycle": lambda t=t: multigrid.solve(
+            grid, np.zeros(on.shape), load, t
+        )[0]
         for t in _TOLERANCES_MM
     }
-    errors = {name: 1e6 * float(np.abs(run() - truth).max()) for name, run in methods.items()} | {_PEER: 0.0}
+    errors = {name: 1e6 * float(np.abs(run() - truth).max()) for name, run in methods.items()} | {
+        _PEER: 0.0
+    }
     times = time_in_turns({**methods, _PEER: lambda: active_set(grid, load)}, runs)
     return f"{on.shape[0]} x {on.shape[1]}", errors, times, solves
 
 
 def problem(on: Lattice) -> tuple[multigrid.ObstacleProblem, float]:
     """(the room around the rest dome and the free nodes, load per mm) of the ball."""
-    x, y = on.x_mm()[None, :], on.y_mm()[:, None]
+    x = on.x_mm()[None, :]
+    y = on.y_mm()[:, None]
     low = _RADIUS_MM**2 - (x - 8.0) ** 2 - (y + 5.0) ** 2
     rest = bubble.compute_rest_height_mm(_BUBBLE, on)
     ceiling = _BUBBLE.height_mm - _REACH_MM + _RADIUS_MM - np.sqrt(np.maximum(low, 0.0))
@@ -90,13 +110,17 @@ def active_set(grid: multigrid.ObstacleProblem, load: float):
     index[grid.free] = np.arange(grid.free.sum())
     n = int(grid.free.sum())
     pairs = [
-        (a[m], b[m]) for a, b in ((index[:, :-1], index[:, 1:]), (index[:-1], index[1:])) for m in [(a >= 0) & (b >= 0)]
+        (a[m], b[m])
+        for a, b in ((index[:, :-1], index[:, 1:]), (index[:-1], index[1:]))
+        for m in [(a >= 0) & (b >= 0)]
     ]
     i, j = (np.concatenate([p[k] for p in pairs]) for k in (0, 1))
     near = sparse.coo_matrix((np.ones(len(i)), (i, j)), (n, n))
     a = ((4 * sparse.eye(n) - near - near.T) / grid.step_mm**2).tocsc()
-    room, b = grid.clearance_mm[grid.free], np.full(n, load)
-    v, held = np.minimum(0.0, room), room < 0
+    room = grid.clearance_mm[grid.free]
+    b = np.full(n, load)
+    v = np.minimum(0.0, room)
+    held = room < 0
     solves = 0
     while solves < 200:
         solves += 1

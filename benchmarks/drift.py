@@ -1,15 +1,18 @@
-"""Does drifted light or a shifted camera look like a touch? Drifted reference images of every gel sensor.
+"""Does drifted light or a shifted camera look like a touch? Drifted reference images of every gel
+sensor.
 
     python -m benchmarks.drift [METHOD]
 
-METHOD is a method of the stage *depth* (default by sensor). Alone: 3 % more light and less; light that rises by 12 grey
-levels from one border to the other, along x and along y; the camera 2 pixels aside, along each axis and both, and 5
-pixels aside; a spot of light 10 grey levels bright or dark, small and large, white and tinted; JPEG of quality 70. Then
-random mixtures of them: every colour's gain within 3 %, a ramp of up to 12 grey levels in any direction, of any
-colour, a shift of up to 2 pixels in any direction. Images are the simulated sensor's, and the untouched ones of a
-real Mini, DIGIT and GelSlim 3.0 where they are at hand, each with fresh noise. The error is the number of frames in
-which any pixel counts as contact. Last, objects are pressed under the same mixtures, so that nobody reads "never a
-contact": the error is 1 - intersection over union with the true contact, the baseline the same presses without drift.
+METHOD is a method of the stage *depth* (default by sensor). Alone: 3 % more light and less; light
+that rises by 12 grey levels from one border to the other, along x and along y; the camera 2 pixels
+aside, along each axis and both, and 5 pixels aside; a spot of light 10 grey levels bright or dark,
+small and large, white and tinted; JPEG of quality 70. Then random mixtures of them: every colour's
+gain within 3 %, a ramp of up to 12 grey levels in any direction, of any colour, a shift of up to 2
+pixels in any direction. Images are the simulated sensor's, and the untouched ones of a real Mini,
+DIGIT and GelSlim 3.0 where they are at hand, each with fresh noise. The error is the number of
+frames in which any pixel counts as contact. Last, objects are pressed under the same mixtures, so
+that nobody reads "never a contact": the error is 1 - intersection over union with the true contact,
+the baseline the same presses without drift.
 """
 
 from __future__ import annotations
@@ -34,29 +37,46 @@ from pipeline.sensors.spec import load_sensor
 from pipeline.stages.metrics.stage_metrics import iou
 
 _SENSORS = ("gelslim", "gelslim_dotless", "gelsight_mini", "digit")
-_REAL = {"gelslim": "gelslim3_balls/ref.jpg", "gelsight_mini": "gsmini_balls/background.png",
-         "digit": "digit_balls/background.png"}  # fmt: skip
-_GAIN, _RAMP_GREY, _SHIFT_PX = 0.03, 12.0, 2.0
-_FAR_PX, _SPOT_GREY, _JPEG_QUALITY = 5.0, 10.0, 70
-_SPOTS = ((0.3, 0.3, 0.08), (0.6, 0.4, 0.15), (0.2, 0.6, 0.25))  # place and width, shares of the longer side
+_REAL = {
+    "gelslim": "gelslim3_balls/ref.jpg",
+    "gelsight_mini": "gsmini_balls/background.png",
+    "digit": "digit_balls/background.png",
+}
+_GAIN = 0.03
+_RAMP_GREY = 12.0
+_SHIFT_PX = 2.0
+_FAR_PX = 5.0
+_SPOT_GREY = 10.0
+_JPEG_QUALITY = 70
+# place and width, shares of the longer side
+_SPOTS = ((0.3, 0.3, 0.08), (0.6, 0.4, 0.15), (0.2, 0.6, 0.25))
 _MIXTURES = 200
 _PRESS_MM = 0.4
 _LEVEL = (0.0, 0.0)
 
 
-def apply_drift(image, *, gain=(1.0, 1.0, 1.0), ramp=_LEVEL, tint=(1.0, 1.0, 1.0), shift=_LEVEL, spot=None):
-    """The image (rows, cols, 3) with light times `gain` plus `ramp` grey levels across x and y, moved by `shift`.
+def apply_drift(
+    image, *, gain=(1.0, 1.0, 1.0), ramp=_LEVEL, tint=(1.0, 1.0, 1.0), shift=_LEVEL, spot=None
+):
+    """The image (rows, cols, 3) with light times `gain` plus `ramp` grey levels across x and y,
+    moved by `shift`.
 
     `spot` (x, y, width, grey levels): light of this `tint`, in shares of the longer side.
     """
     rows, cols = image.shape[:2]
     by = np.array([[1, 0, shift[0]], [0, 1, shift[1]]], np.float64)
-    moved = cv2.warpAffine(image.astype(np.float32), by, (cols, rows), flags=cv2.INTER_CUBIC,
-                           borderMode=cv2.BORDER_REPLICATE)  # fmt: skip
+    moved = cv2.warpAffine(
+        image.astype(np.float32),
+        by,
+        (cols, rows),
+        flags=cv2.INTER_CUBIC,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
     y, x = np.mgrid[-0.5 : 0.5 : rows * 1j, -0.5 : 0.5 : cols * 1j]
     more = ramp[0] * x + ramp[1] * y
     if spot is not None:
-        right, down = np.arange(cols) / max(rows, cols) - spot[0], np.arange(rows) / max(rows, cols) - spot[1]
+        right = np.arange(cols) / max(rows, cols) - spot[0]
+        down = np.arange(rows) / max(rows, cols) - spot[1]
         more = more + spot[3] * np.exp(-(right**2 + down[:, None] ** 2) / (2 * spot[2] ** 2))
     return moved * np.array(gain) + more[..., None] * np.array(tint)
 
@@ -72,7 +92,13 @@ def table():
     yield from ({"gain": (1 + gain,) * 3} for gain in (_GAIN, -_GAIN))
     for along in ((_RAMP_GREY, 0.0), (0.0, _RAMP_GREY)):
         yield {"ramp": along}
-    for along in ((_SHIFT_PX, 0.0), (0.0, _SHIFT_PX), (-_SHIFT_PX, _SHIFT_PX), (_FAR_PX, 0.0), (3.0, -4.0)):
+    for along in (
+        (_SHIFT_PX, 0.0),
+        (0.0, _SHIFT_PX),
+        (-_SHIFT_PX, _SHIFT_PX),
+        (_FAR_PX, 0.0),
+        (3.0, -4.0),
+    ):
         yield {"shift": along}
     for spot in _SPOTS:
         for grey, tint in (
@@ -86,11 +112,16 @@ def table():
 
 def mixture(rng):
     def direction(length):
-        angle, far = rng.uniform(0, 2 * np.pi), rng.uniform(0, length)
+        angle = rng.uniform(0, 2 * np.pi)
+        far = rng.uniform(0, length)
         return far * np.cos(angle), far * np.sin(angle)
 
-    return {"gain": 1 + rng.uniform(-_GAIN, _GAIN, 3), "ramp": direction(_RAMP_GREY), "tint": rng.uniform(0, 1, 3),
-            "shift": direction(_SHIFT_PX)}  # fmt: skip
+    return {
+        "gain": 1 + rng.uniform(-_GAIN, _GAIN, 3),
+        "ramp": direction(_RAMP_GREY),
+        "tint": rng.uniform(0, 1, 3),
+        "shift": direction(_SHIFT_PX),
+    }
 
 
 def render_reference_images():
@@ -114,7 +145,9 @@ def compress(image):
 def measure_after_drift(read, source, still, light, seed, *, jpeg=False):
     """(depth map, ms) of an image made of `light`."""
     image = add_camera_noise(light, source.optics.noise_grey, seed)
-    frame = TactileFrame(sensor=source.name, image=compress(image) if jpeg else image, reference=still)
+    frame = TactileFrame(
+        sensor=source.name, image=compress(image) if jpeg else image, reference=still
+    )
     started = time.perf_counter()
     answer = read(frame, source)
     return answer, 1e3 * (time.perf_counter() - started)
@@ -135,23 +168,36 @@ def false_contacts(read, label, source, still, drifts):
         unit="frames",
         bar=Requirement(max_error=0),
     )
-    return found_row, (f"{label}: {len(found)} frames, at most {pixels.max()} pixels of contact, "
-                       f"deepest {deepest:.3f} mm")  # fmt: skip
+    return found_row, (
+        f"{label}: {len(found)} frames, at most {pixels.max()} pixels of contact, "
+        f"deepest {deepest:.3f} mm"
+    )
 
 
 def through_drift(read, rng):
     """Rows of presses under mixtures, next to the same without."""
     for name in _SENSORS:
-        source, found = load_sensor(name), []
+        source = load_sensor(name)
+        found = []
         still = optics.render_reference(source)
-        for seed, thing in enumerate(shapes.make_shape(n).mesh for n in shapes.list_shapes("unseen")):
+        for seed, thing in enumerate(
+            shapes.make_shape(n).mesh for n in shapes.list_shapes("unseen")
+        ):
             turn = rigid.rotation((0, 0, 0.4 * seed))
             turn[2, 3] = -_PRESS_MM - rigid.apply(turn, thing.vertices_mm)[:, 2].min()
             touched = simulate_press(thing, turn, source, seed=None)
-            plain, _ = measure_after_drift(read, source, still, touched.image.astype(np.float32), seed)
-            answer, ms = measure_after_drift(read, source, still, apply_drift(touched.image, **mixture(rng)), seed)
+            plain, _ = measure_after_drift(
+                read, source, still, touched.image.astype(np.float32), seed
+            )
+            answer, ms = measure_after_drift(
+                read, source, still, apply_drift(touched.image, **mixture(rng)), seed
+            )
             found.append(
-                (1 - iou(answer.contact, touched.truth.contact), 1 - iou(plain.contact, touched.truth.contact), ms)
+                (
+                    1 - iou(answer.contact, touched.truth.contact),
+                    1 - iou(plain.contact, touched.truth.contact),
+                    ms,
+                )
             )
         ours, plain, ms = np.array(found).T
         yield build_measurement(
@@ -167,12 +213,20 @@ def through_drift(read, rng):
 
 
 def measure(method: str = "") -> BenchmarkResult:
-    read, rng = build_reader(method), np.random.default_rng(0)
+    read = build_reader(method)
+    rng = np.random.default_rng(0)
     every = list(render_reference_images())
-    found = [false_contacts(read, f"each drift, {label}", source, still, table()) for label, source, still in every]
+    found = [
+        false_contacts(read, f"each drift, {label}", source, still, table())
+        for label, source, still in every
+    ]
     each = -(-_MIXTURES // len(every))
-    found += [false_contacts(read, f"random mixtures, {label}", source, still, [mixture(rng) for _ in range(each)])
-              for label, source, still in every]  # fmt: skip
+    found += [
+        false_contacts(
+            read, f"random mixtures, {label}", source, still, [mixture(rng) for _ in range(each)]
+        )
+        for label, source, still in every
+    ]
     return BenchmarkResult(
         title=f"Contact that drift makes up, by {method}",
         unit="frames",

@@ -1,15 +1,17 @@
-"""How accurate is a calibration from 4, 8, 16 or all presses of a ball, and does it know? Real Mini, GelSlim 3, DIGIT.
+"""How accurate is a calibration from 4, 8, 16 or all presses of a ball, and does it know? Real
+Mini, GelSlim 3, DIGIT.
 
     python -m benchmarks.few_presses [DATA_FOLDER]
 
-Ten draws of each number. A draw's error is the median over the presses judged, at most sixteen; the median draw is held
-to the bar. The Mini's presses of one ball are drawn from; those of the same ball that are not drawn, and those of the
-other ball, are judged. Of the one ball of the others, those not drawn. The size of the DIGIT's ball is not known: its
-error is half of the range from the 10th to the 90th percentile of the diameters, over their median.
-"Expected" is the 90th percentile that the calibration states of itself before anything is judged. A draw is worse than
-none where its error exceeds that of the same presses read without a calibration by more than 2 points: errors scatter
-by 7 points, so that the median of sixteen has a standard error of 1.25 x 7 / sqrt(16) = 2.2, whichever presses are
-judged.
+Ten draws of each number. A draw's error is the median over the presses judged, at most sixteen; the
+median draw is held to the bar. The Mini's presses of one ball are drawn from; those of the same
+ball that are not drawn, and those of the other ball, are judged. Of the one ball of the others,
+those not drawn. The size of the DIGIT's ball is not known: its error is half of the range from the
+10th to the 90th percentile of the diameters, over their median. "Expected" is the 90th percentile
+that the calibration states of itself before anything is judged. A draw is worse than none where its
+error exceeds that of the same presses read without a calibration by more than 2 points: errors
+scatter by 7 points, so that the median of sixteen has a standard error of 1.25 x 7 / sqrt(16) =
+2.2, whichever presses are judged.
 """
 
 from __future__ import annotations
@@ -47,13 +49,17 @@ class _Ball:
     """Presses of one ball, and the error of each without a calibration."""
 
     def __init__(self, name, folder, still, pattern, diameter_mm, pixel_mm):
-        self.source, self.still, self.diameter_mm = load_sensor(name), picture(folder / still), diameter_mm
+        self.source = load_sensor(name)
+        self.still = picture(folder / still)
+        self.diameter_mm = diameter_mm
         self.pictures = [picture(p) for p in list_numbered_files(folder, pattern)]
         self.label = f"{name} {diameter_mm:g} mm"
         built_in = make_built_in(self.source)
         self.plain = replace(built_in, pixel_mm=pixel_mm or built_in.pixel_mm)
         self.knows_size = name != "digit"
-        self._errors, self.residual_mm = {}, {}  # residual: rms to the sphere, as a press was read last
+        # residual: rms to the sphere, as a press was read last
+        self._errors = {}
+        self.residual_mm = {}
 
     def errors(self, indices, look_up):
         """Diameter less the true one, over it; a press without a contact counts as wholly wrong."""
@@ -64,7 +70,9 @@ class _Ball:
         return np.array([self._error(i, look_up) for i in indices])
 
     def _error(self, index, look_up):
-        frame = TactileFrame(sensor=self.source.name, image=self.pictures[index], reference=self.still, index=index)
+        frame = TactileFrame(
+            sensor=self.source.name, image=self.pictures[index], reference=self.still, index=index
+        )
         found = estimate_depth(frame, self.source, look_up, DepthParams())
         diameter, self.residual_mm[index] = fit_sphere(
             found.indentation_mm, find_largest_part(found.contact), self.plain.pixel_mm
@@ -80,19 +88,34 @@ class _Ball:
 
     def fit_lookup(self, drawn):
         """The calibration of some of the presses, as `tactoscope calibrate balls` makes it."""
-        return calibrate_sensor([self.pictures[i] for i in drawn], self.still, self.source, self.diameter_mm,
-                                pixel_mm=self.plain.pixel_mm)  # fmt: skip
+        return calibrate_sensor(
+            [self.pictures[i] for i in drawn],
+            self.still,
+            self.source,
+            self.diameter_mm,
+            pixel_mm=self.plain.pixel_mm,
+        )
 
 
 def measure(data: str = "") -> BenchmarkResult:
     folder = recorded_data(data)
     small, large = (
-        _Ball("gelsight_mini", folder / "gsmini_balls", "background.png", f"ball_{d}mm_*.png", float(d),
-              _MINI_MM_PER_PX) for d in ("6.310", "9.500")
-    )  # fmt: skip
-    slim = _Ball("gelslim", folder / "gelslim3_balls", "ref.jpg", "sample_*.jpg", 7.6, _SLIM_MM_PER_PX)
+        _Ball(
+            "gelsight_mini",
+            folder / "gsmini_balls",
+            "background.png",
+            f"ball_{d}mm_*.png",
+            float(d),
+            _MINI_MM_PER_PX,
+        )
+        for d in ("6.310", "9.500")
+    )
+    slim = _Ball(
+        "gelslim", folder / "gelslim3_balls", "ref.jpg", "sample_*.jpg", 7.6, _SLIM_MM_PER_PX
+    )
     digit = _Ball("digit", folder / "digit_balls", "background.png", "0*.png", _DIGIT_MM, None)
-    pairs, found = ((small, small), (small, large), (large, small), (slim, slim), (digit, digit)), []
+    pairs = ((small, small), (small, large), (large, small), (slim, slim), (digit, digit))
+    found = []
     for ball, judged in pairs:
         found += _none(ball, judged)
     for n in (4, 8, 16):
@@ -100,8 +123,13 @@ def measure(data: str = "") -> BenchmarkResult:
             found += _of_number(ball, judged, n)
     large.residual_mm.clear()
     found += _of_number(small, large, len(small.pictures))
-    residual = build_measurement("rms to the sphere, all presses", ours=summarize_times([np.nan]), unit="mm",
-        ours_error=float(np.nanmedian(list(large.residual_mm.values()))), bar=Requirement(max_error=0.03))  # fmt: skip
+    residual = build_measurement(
+        "rms to the sphere, all presses",
+        ours=summarize_times([np.nan]),
+        unit="mm",
+        ours_error=float(np.nanmedian(list(large.residual_mm.values()))),
+        bar=Requirement(max_error=0.03),
+    )
     return BenchmarkResult(
         title="Balls measured with a look-up from few presses: the median of ten draws",
         unit="%",
@@ -116,29 +144,48 @@ def _label(ball: _Ball, judged: _Ball) -> str:
 
 def _none(ball: _Ball, judged: _Ball) -> Iterator[tuple[object, str]]:
     """(row, note) of no calibration."""
-    started, label = time.perf_counter(), _label(ball, judged)
+    started = time.perf_counter()
+    label = _label(ball, judged)
     without = judged.errors(range(len(judged.pictures)), judged.plain)
     ms = summarize_times([1e3 * (time.perf_counter() - started)])
     yield (
         build_measurement(
-            f"diameter, {label}, none", ours=ms, ours_error=judged.judge(without), unit="%", bar=Requirement()
+            f"diameter, {label}, none",
+            ours=ms,
+            ours_error=judged.judge(without),
+            unit="%",
+            bar=Requirement(),
         ),
         f"{label} without calibration: p90 {100 * np.percentile(np.abs(without), 90):.0f} %",
     )
 
 
 def _of_number(ball: _Ball, judged: _Ball, n: int) -> Iterator[tuple[object, str]]:
-    """(row, note) of calibrations from `n` presses: error of the worst, and how many are worse than none."""
-    label, everything = _label(ball, judged), range(len(judged.pictures))
+    """(row, note) of calibrations from `n` presses: error of the worst, and how many are worse
+    than none.
+    """
+    label = _label(ball, judged)
+    everything = range(len(judged.pictures))
     without = judged.errors(everything, judged.plain)
-    errors, nones, expected, high, ms, scaled, kept, harmed = [], [], [], [], [], 0, 0, 0
+    errors = []
+    nones = []
+    expected = []
+    high = []
+    ms = []
+    scaled = 0
+    kept = 0
+    harmed = 0
     for seed in range(_DRAWS if n < len(ball.pictures) else 1):
-        drawn = sorted(int(i) for i in np.random.default_rng(seed).choice(len(ball.pictures), n, replace=False))
+        drawn = sorted(
+            int(i) for i in np.random.default_rng(seed).choice(len(ball.pictures), n, replace=False)
+        )
         started = time.perf_counter()
         look_up = ball.fit_lookup(drawn)
         ms.append(1e3 * (time.perf_counter() - started))
         others = [i for i in range(len(judged.pictures)) if judged is not ball or i not in drawn]
-        others = [others[int(k)] for k in np.linspace(0, len(others) - 1, min(_JUDGED, len(others)))]
+        others = [
+            others[int(k)] for k in np.linspace(0, len(others) - 1, min(_JUDGED, len(others)))
+        ]
         mine = judged.errors(others, look_up)
         errors.append(judged.judge(mine))
         nones.append(judged.judge(without[others]))
@@ -151,8 +198,10 @@ def _of_number(ball: _Ball, judged: _Ball, n: int) -> Iterator[tuple[object, str
     what = f"{label}, {n} presses"
     right = np.mean((p90 <= 2 * expected_p90) & (p90 >= 0.5 * expected_p90))
     note = (
-        f"{what}: draws {_listed(found)} % (without {_listed(nones)}); p90 {_listed(p90)} %, expected "
-        f"{_listed(expected_p90)} % (within twice and half: {100 * right:.0f} % of draws); worse than none in "
+        f"{what}: draws {_listed(found)} % (without {_listed(nones)}); p90 {_listed(p90)} %, "
+        "expected "
+        f"{_listed(expected_p90)} % (within twice and half: {100 * right:.0f} % of draws); worse "
+        "than none in "
         f"{harmed}; depth scaled in {scaled}, unchanged in {kept}"
     )
     bar = Requirement(max_error=_BARS[ball.source.name].get(n, 5.0))
@@ -161,7 +210,12 @@ def _of_number(ball: _Ball, judged: _Ball, n: int) -> Iterator[tuple[object, str
         (f"diameter, {what}", float(np.median(found)), "%", bar, note),
         (f"draws worse than none, {what}", float(harmed), "draws", Requirement(max_error=0.0), ""),
     ):
-        yield build_measurement(row, ours=summarize_times(ms), ours_error=error, unit=unit, bar=limit), said
+        yield (
+            build_measurement(
+                row, ours=summarize_times(ms), ours_error=error, unit=unit, bar=limit
+            ),
+            said,
+        )
 
 
 def _listed(values) -> str:

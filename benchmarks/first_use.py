@@ -1,9 +1,11 @@
-"""How long is the first use: compiling kernels, the first touch of a new process, the window, the help?
+"""How long is the first use: compiling kernels, the first touch of a new process, the window, the
+help?
 
-python -m benchmarks.first_use. Every figure is of new processes whose caches (numba's, and the user's) are a folder of
-this run alone: empty for `tactoscope prepare`, as that leaves it for the rest. The window opens on a display of its own
-(Xvfb: drawn without a GPU). Compiling is CPU time. The rest is time on the clock, which a busy machine lengthens: the
-CPU time of the same processes stands in a row without a bar.
+python -m benchmarks.first_use. Every figure is of new processes whose caches (numba's, and the
+user's) are a folder of this run alone: empty for `tactoscope prepare`, as that leaves it for the
+rest. The window opens on a display of its own (Xvfb: drawn without a GPU). Compiling is CPU time.
+The rest is time on the clock, which a busy machine lengthens: the CPU time of the same processes
+stands in a row without a bar.
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ SCRIPT = Path(sys.executable).with_name("tactoscope")
 REPEATS = 3
 LONGEST_S = 900.0
 FRAME = 5  # a firm touch of every sensor of the sample
-WAYS = (("gelslim", "soft_bubble"), ("digit", "gelslim"), ("soft_bubble", "digit"))  # every sensor on either side
+# every sensor on either side
+WAYS = (("gelslim", "soft_bubble"), ("digit", "gelslim"), ("soft_bubble", "digit"))
 
 COMPILED = """
 import threading, time
@@ -86,12 +89,16 @@ class FirstPaint(QObject):
         return False
 paint = FirstPaint()
 application.installEventFilter(paint)
-instrument = main.show_window(Session(recording=main.SAMPLE_RECORDING, source=source, target=target, frame=frame))
+session = Session(
+    recording=main.SAMPLE_RECORDING, source=source, target=target, frame=frame
+)
+instrument = main.show_window(session)
 while not paint.seen:
     application.processEvents()
 application.removeEventFilter(paint)
 assert wait_until_shown(instrument), instrument.window.banner.text
-assert instrument.latest_frame is not None and instrument.latest_frame.index == frame, "the touch was not shown"
+shown = instrument.latest_frame
+assert shown is not None and shown.index == frame, "the touch was not shown"
 shown = time.time()
 instrument.window.close()
 instrument.close()
@@ -114,7 +121,8 @@ class ProcessTimes:
     cpu_s: float
     painted_s: float  # from its start to the window's first paint
     shown_s: float
-    compiled: dict[str, tuple[int, float]]  # module -> compilations that it asked for, their CPU seconds
+    # module -> compilations that it asked for, their CPU seconds
+    compiled: dict[str, tuple[int, float]]
 
     @property
     def n_compiled(self) -> int:
@@ -127,26 +135,42 @@ class ProcessTimes:
         return sum(s for _, s in self.compiled.values())
 
 
-def run_process(script: str, ways, caches: Path, *, watched: bool = False, display: str = "") -> ProcessTimes:
+def run_process(
+    script: str, ways, caches: Path, *, watched: bool = False, display: str = ""
+) -> ProcessTimes:
     """Run the script in a new process; its time counts from before the process is there."""
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    environment |= {"NUMBA_CACHE_DIR": str(caches / "numba"), "XDG_CACHE_HOME": str(caches / "user")}
-    environment["PYTHONPYCACHEPREFIX"] = str(caches / "bytecode")  # kept as a user's Python keeps it
+    environment = {
+        name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"
+    }
+    environment |= {
+        "NUMBA_CACHE_DIR": str(caches / "numba"),
+        "XDG_CACHE_HOME": str(caches / "user"),
+    }
+    # kept as a user's Python keeps it
+    environment["PYTHONPYCACHEPREFIX"] = str(caches / "bytecode")
     if display:
         environment |= {"DISPLAY": display, "QT_QPA_PLATFORM": "xcb"}
     code = (COMPILED if watched else "") + script + TELL
     began = time.time()
     done = subprocess.run(
-        [sys.executable, "-c", code, json.dumps([FRAME, ways])], env=environment, cwd=ROOT, capture_output=True,
-        text=True, timeout=LONGEST_S, check=False,
-    )  # fmt: skip
+        [sys.executable, "-c", code, json.dumps([FRAME, ways])],
+        env=environment,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=LONGEST_S,
+        check=False,
+    )
     if done.returncode:
         raise RuntimeError((done.stderr.strip().splitlines() or ["no answer"])[-1])
     said = json.loads(done.stdout.strip().splitlines()[-1])
     return ProcessTimes(
-        total_s=said["ended"] - began, cpu_s=said["cpu_s"], painted_s=said["painted"] - began,
-        shown_s=said["shown"] - began, compiled={name: tuple(v) for name, v in said["compiled"].items()},
-    )  # fmt: skip
+        total_s=said["ended"] - began,
+        cpu_s=said["cpu_s"],
+        painted_s=said["painted"] - began,
+        shown_s=said["shown"] - began,
+        compiled={name: tuple(v) for name, v in said["compiled"].items()},
+    )
 
 
 @contextlib.contextmanager
@@ -158,8 +182,10 @@ def start_display():
     read, write = os.pipe()
     server = subprocess.Popen(
         ["Xvfb", "-displayfd", str(write), "-screen", "0", "1600x950x24", "-nolisten", "tcp"],
-        pass_fds=(write,), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+        pass_fds=(write,),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     os.close(write)
     try:
         with os.fdopen(read) as number:
@@ -175,7 +201,9 @@ def help_ms() -> float:
     return 1e3 * (time.time() - began)
 
 
-def select_times(name: str, taken_s, bar: Requirement, *, error: float = math.nan, unit: str = "") -> Measurement:
+def select_times(
+    name: str, taken_s, bar: Requirement, *, error: float = math.nan, unit: str = ""
+) -> Measurement:
     return build_measurement(
         name, ours=summarize_times([1e3 * s for s in taken_s]), ours_error=error, unit=unit, bar=bar
     )
@@ -183,18 +211,28 @@ def select_times(name: str, taken_s, bar: Requirement, *, error: float = math.na
 
 def measure_cache_mb(module: str) -> str:
     parts = module.split(".")
-    return ".".join(parts[1:3] if parts[1] == "stages" else parts[1:2]) if parts[0] == "pipeline" else parts[0]
+    return (
+        ".".join(parts[1:3] if parts[1] == "stages" else parts[1:2])
+        if parts[0] == "pipeline"
+        else parts[0]
+    )
 
 
 def compiling(caches: Path) -> tuple[list[Measurement], list[str]]:
-    """What the set-up compiles, with nothing kept, and what it leaves to the first touches of every sensor."""
-    prepared, after = run_process(PREPARE, [], caches, watched=True), run_process(CHAIN, WAYS, caches, watched=True)
+    """What the set-up compiles, with nothing kept, and what it leaves to the first touches of
+    every sensor.
+    """
+    prepared = run_process(PREPARE, [], caches, watched=True)
+    after = run_process(CHAIN, WAYS, caches, watched=True)
     rooms: dict[str, list[float]] = {}
     for module, (n, spent_s) in prepared.compiled.items():
         room = rooms.setdefault(measure_cache_mb(module), [0, 0.0])
         room[0] += n
         room[1] += spent_s
-    each = ", ".join(f"{name} {s:.1f} s ({n:.0f})" for name, (n, s) in sorted(rooms.items(), key=lambda kv: -kv[1][1]))
+    each = ", ".join(
+        f"{name} {s:.1f} s ({n:.0f})"
+        for name, (n, s) in sorted(rooms.items(), key=lambda kv: -kv[1][1])
+    )
     rows = [
         select_times(name, [run.compiling_s], bar, error=run.n_compiled, unit="compilations")
         for name, run, bar in (
@@ -209,9 +247,11 @@ def compiling(caches: Path) -> tuple[list[Measurement], list[str]]:
 
 
 def first_touch(caches: Path) -> list[Measurement]:
-    runs, unseen = [run_process(CHAIN, WAYS[:1], caches) for _ in range(REPEATS)], list[ProcessTimes]()
+    runs = [run_process(CHAIN, WAYS[:1], caches) for _ in range(REPEATS)]
+    unseen = list[ProcessTimes]()
     for _ in range(REPEATS):
-        shutil.rmtree(caches / "user" / "tactoscope" / "led_fits")  # of the recording, which was opened before
+        # of the recording, which was opened before
+        shutil.rmtree(caches / "user" / "tactoscope" / "led_fits")
         unseen.append(run_process(CHAIN, WAYS[:1], caches))
     return [
         figure
@@ -227,22 +267,36 @@ def first_touch(caches: Path) -> list[Measurement]:
 
 
 def window(caches: Path, display: str) -> tuple[list[Measurement], list[str]]:
-    once = run_process(WINDOW, WAYS[:1], caches, watched=True, display=display)  # warm, as at the second start
+    # warm, as at the second start
+    once = run_process(WINDOW, WAYS[:1], caches, watched=True, display=display)
     runs = [run_process(WINDOW, WAYS[:1], caches, display=display) for _ in range(REPEATS)]
     rows = [
         select_times("window on screen", [run.painted_s for run in runs], Requirement(max_ms=1600)),
-        select_times("all columns of the first touch", [run.shown_s for run in runs], Requirement(max_ms=4000)),
-        select_times("all columns of the first touch, CPU", [run.cpu_s for run in runs], Requirement()),
+        select_times(
+            "all columns of the first touch",
+            [run.shown_s for run in runs],
+            Requirement(max_ms=4000),
+        ),
+        select_times(
+            "all columns of the first touch, CPU", [run.cpu_s for run in runs], Requirement()
+        ),
     ]
-    return rows, [f"compiled by the window beyond the chain: {once.n_compiled} ({once.compiling_s:.1f} s of CPU)"]
+    return rows, [
+        f"compiled by the window beyond the chain: {once.n_compiled} ({once.compiling_s:.1f} s of "
+        "CPU)"
+    ]
 
 
 def measure() -> BenchmarkResult:
     help_ms()  # files in memory
-    rows, notes = (
-        [select_times("tactoscope --help", np.divide([help_ms() for _ in range(5)], 1e3), Requirement(max_ms=400))],
-        [],
-    )
+    rows = [
+        select_times(
+            "tactoscope --help",
+            np.divide([help_ms() for _ in range(5)], 1e3),
+            Requirement(max_ms=400),
+        )
+    ]
+    notes = []
     with tempfile.TemporaryDirectory() as folder, start_display() as display:
         compiled, more = compiling(Path(folder))
         rows += [*compiled, *first_touch(Path(folder))]
@@ -253,7 +307,9 @@ def measure() -> BenchmarkResult:
             notes += more
         else:
             notes.append("there is no Xvfb: the window was not opened")
-    return BenchmarkResult(title="The first use, from nothing kept", unit="", rows=tuple(rows), notes=tuple(notes))
+    return BenchmarkResult(
+        title="The first use, from nothing kept", unit="", rows=tuple(rows), notes=tuple(notes)
+    )
 
 
 if __name__ == "__main__":

@@ -1,11 +1,13 @@
-"""How exact and how fast is a gel's contact? Ours against geometric overlap and a pyramid of blurs, against Hertz.
+"""How exact and how fast is a gel's contact? Ours against geometric overlap and a pyramid of blurs,
+against Hertz.
 
     python -m benchmarks.gel_contact
 
-A ball of 4 mm radius reaches 0.5 mm into a half-space 18.6 mm wide, 320 x 427 pixels; Hertz gives surface, contact and
-force exactly. The pyramid is our own writing of the published recipe: the overlap is blurred six times with Gaussian
-kernels of 201, 101, 51, 21, 11 and 5 pixels (of a 480 x 640 image, scaled to this one) and put back after each where
-the overlap is more than 0.4 of its depth. Baselines answer for no force.
+A ball of 4 mm radius reaches 0.5 mm into a half-space 18.6 mm wide, 320 x 427 pixels; Hertz gives
+surface, contact and force exactly. The pyramid is our own writing of the published recipe: the
+overlap is blurred six times with Gaussian kernels of 201, 101, 51, 21, 11 and 5 pixels (of a 480 x
+640 image, scaled to this one) and put back after each where the overlap is more than 0.4 of its
+depth. Baselines answer for no force.
 """
 
 from __future__ import annotations
@@ -21,9 +23,12 @@ from benchmarks.harness.timing import Requirement, build_measurement, time_in_tu
 from pipeline.physics import gel
 from pipeline.sensors.parts import Gel
 
-_OURS, _LAYER = "ours, half-space", "ours, 2 mm bonded layer"
-_SHAPE, _WIDTH_MM = (320, 427), 18.6
-_RADIUS_MM, _DEPTH_MM = 4.0, 0.5
+_OURS = "ours, half-space"
+_LAYER = "ours, 2 mm bonded layer"
+_SHAPE = (320, 427)
+_WIDTH_MM = 18.6
+_RADIUS_MM = 4.0
+_DEPTH_MM = 0.5
 _HALF_SPACE = Gel(thickness_mm=math.inf, youngs_kpa=120.0, poisson=0.48)
 _PAD = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)
 _PIXEL_MM = _WIDTH_MM / _SHAPE[1]
@@ -39,13 +44,17 @@ def measure() -> BenchmarkResult:
         "pyramid of blurs": lambda: _pyramid(overlap),
         _LAYER: lambda: _ours(_PAD, overlap),
     }
-    errors, notes = {}, [_against_hertz(overlap)]
+    errors = {}
+    notes = [_against_hertz(overlap)]
     for name, run in methods.items():
         if name != _LAYER:  # which has no closed form
             surface, contact = run()
             errors[name] = 1e3 * float(np.sqrt(np.mean((surface - exact) ** 2)))
             iou = (contact & touching).sum() / (contact | touching).sum()
-            notes.append(f"{name}: mask IoU {iou:.3f}, largest error {1e3 * np.abs(surface - exact).max():.3g} um")
+            notes.append(
+                f"{name}: mask IoU {iou:.3f}, largest error "
+                f"{1e3 * np.abs(surface - exact).max():.3g} um"
+            )
     times = time_in_turns(methods, runs=25)
     rows = [
         build_measurement(
@@ -84,9 +93,11 @@ def measure() -> BenchmarkResult:
 def _against_hertz(overlap) -> str:
     pressed = gel.press_gel(_HALF_SPACE, _PIXEL_MM, overlap)
     radius = math.sqrt(pressed.contact.sum() / math.pi) * _PIXEL_MM
-    return (f"ours: contact radius {100 * (radius / math.sqrt(_RADIUS_MM * _DEPTH_MM) - 1):+.2f} %, "
-            f"force {100 * (pressed.force_n / _hertz_force_n() - 1):+.4f} %, {pressed.steps} steps, "
-            f"residual {1e3 * pressed.residual_mm:.3f} um")  # fmt: skip
+    return (
+        f"ours: contact radius {100 * (radius / math.sqrt(_RADIUS_MM * _DEPTH_MM) - 1):+.2f} %, "
+        f"force {100 * (pressed.force_n / _hertz_force_n() - 1):+.4f} %, {pressed.steps} steps, "
+        f"residual {1e3 * pressed.residual_mm:.3f} um"
+    )
 
 
 def _radius_mm():
@@ -98,7 +109,9 @@ def _hertz(r, overlap):
     """(indentation, contact) of the half-space, exactly."""
     a = math.sqrt(_RADIUS_MM * _DEPTH_MM)
     far = np.maximum(r, a * (1 + 1e-12))
-    free = ((2 * a * a - far * far) * np.arcsin(a / far) + a * np.sqrt(far * far - a * a)) / (math.pi * _RADIUS_MM)
+    free = ((2 * a * a - far * far) * np.arcsin(a / far) + a * np.sqrt(far * far - a * a)) / (
+        math.pi * _RADIUS_MM
+    )
     return np.where(r < a, overlap, free), r < a
 
 
@@ -113,7 +126,9 @@ def _ours(pad: Gel, overlap):
 
 
 def _pyramid(overlap):
-    """Overlap, blurred coarse to fine, put back on the presumed contact after every blur but the last, finest one."""
+    """Overlap, blurred coarse to fine, put back on the presumed contact after every blur but the
+    last, finest one.
+    """
     held = np.maximum(overlap, 0)
     contact = overlap > 0.4 * held.max()
     surface = held

@@ -2,9 +2,10 @@
 
     python -m benchmarks.graph [RECORDING] [TARGET]
 
-Baseline: a touched frame through all stages with an empty cache. Every frame is a new object, as read from a camera;
-sensors, mesh and reference are known, as in a stream. Errors count the stages whose output or course is not as it must
-be: equal to a run with an empty cache, and nothing but the pose recomputed when a setting of the pose changes.
+Baseline: a touched frame through all stages with an empty cache. Every frame is a new object, as
+read from a camera; sensors, mesh and reference are known, as in a stream. Errors count the stages
+whose output or course is not as it must be: equal to a run with an empty cache, and nothing but the
+pose recomputed when a setting of the pose changes.
 """
 
 from __future__ import annotations
@@ -34,9 +35,12 @@ _RUNS = 41
 def measure(path: Path = _SAMPLE, target: str = "soft_bubble") -> BenchmarkResult:
     translation = open_translation(Request(recording=path, target=target))
     touched, untouched = first_frames(translation)
-    graph, fresh = Graph(_METHODS), Graph(_METHODS)
-    seen, still = graph.evaluate(_STAGES, touched, _PARAMS), graph.evaluate(_STAGES, untouched, _PARAMS)
-    again, new = copies(touched, vary=False), copies(untouched, vary=True)
+    graph = Graph(_METHODS)
+    fresh = Graph(_METHODS)
+    seen = graph.evaluate(_STAGES, touched, _PARAMS)
+    still = graph.evaluate(_STAGES, untouched, _PARAMS)
+    again = copies(touched, vary=False)
+    new = copies(untouched, vary=True)
 
     def first_of_all():
         fresh.cache.clear()
@@ -53,14 +57,26 @@ def measure(path: Path = _SAMPLE, target: str = "soft_bubble") -> BenchmarkResul
             still,
             Requirement(max_ms=0.5, max_error=0),
         ),
-        "first untouched frame, empty cache": (first_of_all, still, Requirement(max_ms=0.5, max_error=0)),
+        "first untouched frame, empty cache": (
+            first_of_all,
+            still,
+            Requirement(max_ms=0.5, max_error=0),
+        ),
     }
     errors = {name: differing(run(), wanted) for name, (run, wanted, _) in raced.items()}
     times = time_in_turns({name: run for name, (run, _, _) in raced.items()}, runs=_RUNS)
-    peer = time_in_turns({_PEER: lambda: Graph(_METHODS).evaluate(_STAGES, touched, _PARAMS)}, runs=7)[_PEER]
+    peer = time_in_turns(
+        {_PEER: lambda: Graph(_METHODS).evaluate(_STAGES, touched, _PARAMS)}, runs=7
+    )[_PEER]
     rows = [
         build_measurement(
-            name, peer=_PEER, ours=times[name], peer_timing=peer, ours_error=errors[name], unit="stages", bar=bar
+            name,
+            peer=_PEER,
+            ours=times[name],
+            peer_timing=peer,
+            ours_error=errors[name],
+            unit="stages",
+            bar=bar,
         )
         for name, (_, _, bar) in raced.items()
     ]
@@ -73,7 +89,8 @@ def measure(path: Path = _SAMPLE, target: str = "soft_bubble") -> BenchmarkResul
 
 def first_frames(translation):
     """Inputs of the first frame that touches and of the first that does not."""
-    graph, found = Graph(_METHODS), {}
+    graph = Graph(_METHODS)
+    found = {}
     for index in range(translation.n_frames):
         inputs = translation.read_inputs(index)
         contact = graph.evaluate(["depth"], inputs, _PARAMS)["depth"].output.contact.any()
@@ -84,7 +101,9 @@ def first_frames(translation):
 
 
 def copies(inputs, *, vary: bool):
-    """The inputs with the frame's image copied, and with `vary` never the same twice, without end."""
+    """The inputs with the frame's image copied, and with `vary` never the same twice, without
+    end.
+    """
     frame = inputs["frame"]
     pictures = [frame.image.copy() for _ in range(8)]
     for count in itertools.count():
@@ -100,14 +119,24 @@ def differing(results, wanted) -> float:
 
 def pose_setting_changed(graph, touched, peer):
     """The row of a changed seed of the pose: all other stages must come from the cache."""
-    taken, wrong = [], 0
+    taken = []
+    wrong = 0
     for seed in range(101, 108):
         changed = {**_PARAMS, "pose": dataclasses.replace(_PARAMS["pose"], seed=seed)}
         results = graph.evaluate(_STAGES, touched, changed)
         taken.append(sum(r.ms for r in results.values()))
-        wrong = max(wrong, sum((r.state == "computed") != (name == "pose") for name, r in results.items()))
-    return build_measurement("a setting of the pose changed", peer=_PEER, ours=summarize_times(taken), peer_timing=peer,
-               ours_error=float(wrong), unit="stages", bar=Requirement(max_error=0))  # fmt: skip
+        wrong = max(
+            wrong, sum((r.state == "computed") != (name == "pose") for name, r in results.items())
+        )
+    return build_measurement(
+        "a setting of the pose changed",
+        peer=_PEER,
+        ours=summarize_times(taken),
+        peer_timing=peer,
+        ours_error=float(wrong),
+        unit="stages",
+        bar=Requirement(max_error=0),
+    )
 
 
 if __name__ == "__main__":

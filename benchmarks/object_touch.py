@@ -1,11 +1,13 @@
-"""How accurate is the touch by the registered object, and does it know? Random solids, against the physical render.
+"""How accurate is the touch by the registered object, and does it know? Random solids, against the
+physical render.
 
     python -m benchmarks.object_touch
 
-Every touch is of another closed solid that is in no catalogue, at a pose of the paper's grid, with the sensor's noise.
-Errors are means over the true contact of the target; the physical render sees what the source measured alone. Coverage
-is the share of pixels in contact whose true indentation lies within the stated 90 % interval; its error is the distance
-from 90 %. Times are CPU time of a frame whose object is prepared, without the source's depth.
+Every touch is of another closed solid that is in no catalogue, at a pose of the paper's grid, with
+the sensor's noise. Errors are means over the true contact of the target; the physical render sees
+what the source measured alone. Coverage is the share of pixels in contact whose true indentation
+lies within the stated 90 % interval; its error is the distance from 90 %. Times are CPU time of a
+frame whose object is prepared, without the source's depth.
 """
 
 from __future__ import annotations
@@ -27,40 +29,74 @@ from pipeline.stages.touch.stage import OBJECT
 
 _N_TOUCHES = 24
 _FIRST_SEED = 100
-_BARS = {  # source, target -> largest share of the physical render's error, over the image and in contact
-    ("gelslim", "soft_bubble"): (0.35, 0.30), ("digit", "soft_bubble"): (0.55, 0.40),
-    ("digit", "gelslim"): (0.75, 0.70), ("soft_bubble", "gelslim"): (0.7, 0.8),
-}  # fmt: skip
-_MAX_MS, _QUANTILE, _COVERED, _TOLERANCE = 400.0, 1.645, 90.0, 5.0
+# source, target -> largest share of the physical render's error, over the image and in contact
+_BARS = {
+    ("gelslim", "soft_bubble"): (0.35, 0.30),
+    ("digit", "soft_bubble"): (0.55, 0.40),
+    ("digit", "gelslim"): (0.75, 0.70),
+    ("soft_bubble", "gelslim"): (0.7, 0.8),
+}
+_MAX_MS = 400.0
+_QUANTILE = 1.645
+_COVERED = 90.0
+_TOLERANCE = 5.0
 _STD_FROM_MEAN = np.sqrt(np.pi / 2.0)
 
 
 def measure() -> BenchmarkResult:
-    rows, notes = [], []
+    rows = []
+    notes = []
     for (source, target), (everywhere, in_contact) in _BARS.items():
         ours, theirs, covered, times_ms, n_refused = _score(source, target)
-        timing, pair = summarize_times(times_ms), f"{source} to {target}"
-        for k, (region, bar) in enumerate((("over the image", everywhere), ("in contact", in_contact))):
-            rows.append(build_measurement(
-                f"{pair}, {region}", peer="physical render", ours=timing, ours_error=float(ours[:, k].mean()),
-                unit="mm", peer_error=float(theirs[:, k].mean()),
-                bar=Requirement(max_ms=_MAX_MS, min_error_ratio=1.0 / bar),
-            ))  # fmt: skip
-        rows.append(build_measurement(
-            f"{pair}, coverage", ours=timing, ours_error=abs(100.0 * float(np.mean(covered)) - _COVERED), unit="%",
-            bar=Requirement(max_error=_TOLERANCE),
-        ))  # fmt: skip
-        notes.append(f"{pair}: coverage {np.mean(covered):.0%}, better on {np.mean(ours[:, 0] < theirs[:, 0]):.0%}, "
-                     f"{n_refused} of {len(ours)} refused")  # fmt: skip
-    return BenchmarkResult(title="Touch by the object", unit="mm", rows=tuple(rows), notes=tuple(notes))
+        timing = summarize_times(times_ms)
+        pair = f"{source} to {target}"
+        for k, (region, bar) in enumerate(
+            (("over the image", everywhere), ("in contact", in_contact))
+        ):
+            rows.append(
+                build_measurement(
+                    f"{pair}, {region}",
+                    peer="physical render",
+                    ours=timing,
+                    ours_error=float(ours[:, k].mean()),
+                    unit="mm",
+                    peer_error=float(theirs[:, k].mean()),
+                    bar=Requirement(max_ms=_MAX_MS, min_error_ratio=1.0 / bar),
+                )
+            )
+        rows.append(
+            build_measurement(
+                f"{pair}, coverage",
+                ours=timing,
+                ours_error=abs(100.0 * float(np.mean(covered)) - _COVERED),
+                unit="%",
+                bar=Requirement(max_error=_TOLERANCE),
+            )
+        )
+        notes.append(
+            f"{pair}: coverage {np.mean(covered):.0%}, better on "
+            f"{np.mean(ours[:, 0] < theirs[:, 0]):.0%}, "
+            f"{n_refused} of {len(ours)} refused"
+        )
+    return BenchmarkResult(
+        title="Touch by the object", unit="mm", rows=tuple(rows), notes=tuple(notes)
+    )
 
 
 def _score(source: str, target: str):
-    """(errors, errors of the physical render, coverage, times in ms, refused meshes) of every touch."""
-    ours, theirs, covered, times_ms, n_refused, seed = [], [], [], [], 0, _FIRST_SEED
+    """(errors, errors of the physical render, coverage, times in ms, refused meshes) of every
+    touch.
+    """
+    ours = []
+    theirs = []
+    covered = []
+    times_ms = []
+    n_refused = 0
+    seed = _FIRST_SEED
     while len(ours) < _N_TOUCHES:
         seed += 1
-        mesh, rng = make_random_solid(seed), np.random.default_rng(seed)
+        mesh = make_random_solid(seed)
+        rng = np.random.default_rng(seed)
         pose = poses.make_paper_grid(mesh, n=4, seed=seed)[seed % 4]
         places = [place_sensor(name, rng, 0.0) for name in (source, target)]
         frames = [place.record(mesh, pose, index=0, time_s=0.0) for place in places]
@@ -68,7 +104,10 @@ def _score(source: str, target: str):
             continue
         moment = Moment(mesh, frames, places[0].nominal, places[1].nominal)
         translation, results = moment.evaluate("physics", "touch")
-        inputs = {**translation.read_inputs(0), **{name: one.output for name, one in results.items()}}
+        inputs = {
+            **translation.read_inputs(0),
+            **{name: one.output for name, one in results.items()},
+        }
         reads = [inputs[name] for name in OBJECT.reads]
         OBJECT.run(*reads, ObjectParams(), SILENT)  # prepares the object
         started = time.process_time()
@@ -76,7 +115,8 @@ def _score(source: str, target: str):
         times_ms.append(1e3 * (time.process_time() - started))
         n_refused += isinstance(touch, Fallback)
         touch = touch.result if isinstance(touch, Fallback) else touch
-        membrane, truth = getattr(touch, "output", touch).membrane, frames[1][1]
+        membrane = getattr(touch, "output", touch).membrane
+        truth = frames[1][1]
         off_mm = np.abs(membrane.indentation_mm - truth.indentation_mm)
         by_physics = np.abs(results["touch"].output.membrane.indentation_mm - truth.indentation_mm)
         ours.append((off_mm.mean(), off_mm[truth.contact].mean()))

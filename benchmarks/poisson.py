@@ -1,12 +1,14 @@
-"""How exact and how fast is the integration of slopes? Ours against a public integrator's algorithm and a sparse solve.
+"""How exact and how fast is the integration of slopes? Ours against a public integrator's algorithm
+and a sparse solve.
 
     python -m benchmarks.poisson
 
-The public integrator (GelSight's own, in its Python package) is written again here in its own steps: frequencies
-counted from 1, double precision, one axis at a time, the sines of every pixel on every call. That it leaves out the
-half of the central difference, which doubles the surface, is not held against it, nor is its border. "Tidied" is the
-same algorithm with two-dimensional transforms and the sines of rows and columns only. The bar of speed is for the size
-that is drawn. Errors are in pixels after removing the mean.
+The public integrator (GelSight's own, in its Python package) is written again here in its own
+steps: frequencies counted from 1, double precision, one axis at a time, the sines of every pixel on
+every call. That it leaves out the half of the central difference, which doubles the surface, is not
+held against it, nor is its border. "Tidied" is the same algorithm with two-dimensional transforms
+and the sines of rows and columns only. The bar of speed is for the size that is drawn. Errors are
+in pixels after removing the mean.
 """
 
 from __future__ import annotations
@@ -28,9 +30,15 @@ _BAR = Requirement(min_speedup=3.5, max_ms=3, min_error_ratio=1000, max_error=1e
 
 def bump(rows: int, cols: int):
     y, x = np.mgrid[:rows, :cols].astype(np.float64)
-    x, y, s = x - 0.51 * cols, y - 0.48 * rows, 12.0
+    x = x - 0.51 * cols
+    y = y - 0.48 * rows
+    s = 12.0
     z = 20.0 * np.exp(-(x * x + y * y) / (2 * s * s))
-    return z + _TILT * x, (-x / s**2 * z + _TILT).astype(np.float32), (-y / s**2 * z).astype(np.float32)
+    return (
+        z + _TILT * x,
+        (-x / s**2 * z + _TILT).astype(np.float32),
+        (-y / s**2 * z).astype(np.float32),
+    )
 
 
 def divergence(gx, gy):
@@ -44,7 +52,9 @@ def public(gx, gy):
     rows, cols = gx.shape
     wave = fftpack.dct(fftpack.dct(divergence(gx, gy), norm="ortho").T, norm="ortho").T
     kx, ky = np.meshgrid(np.arange(1, cols + 1), np.arange(1, rows + 1))
-    wave = wave / (-4.0 * (np.sin(0.5 * np.pi * kx / cols) ** 2 + np.sin(0.5 * np.pi * ky / rows) ** 2))
+    wave = wave / (
+        -4.0 * (np.sin(0.5 * np.pi * kx / cols) ** 2 + np.sin(0.5 * np.pi * ky / rows) ** 2)
+    )
     z = fftpack.idct(fftpack.idct(wave, norm="ortho").T, norm="ortho").T
     return z - z.mean()
 
@@ -52,15 +62,25 @@ def public(gx, gy):
 def integrate_consistent(gx, gy):
     rows, cols = gx.shape
     wave = fft.dctn(divergence(gx, gy), norm="ortho")
-    ky, kx = np.arange(1, rows + 1), np.arange(1, cols + 1)
-    wave /= -(4 * np.sin(0.5 * np.pi * kx / cols)[None, :] ** 2 + 4 * np.sin(0.5 * np.pi * ky / rows)[:, None] ** 2)
+    ky = np.arange(1, rows + 1)
+    kx = np.arange(1, cols + 1)
+    wave /= -(
+        4 * np.sin(0.5 * np.pi * kx / cols)[None, :] ** 2
+        + 4 * np.sin(0.5 * np.pi * ky / rows)[:, None] ** 2
+    )
     return fft.idctn(wave, norm="ortho")
 
 
 def sparse_solve(gx, gy):
     rows, cols = gx.shape
-    dx = sparse.kron(sparse.eye(rows), sparse.diags([-np.ones(cols - 1), np.ones(cols - 1)], [0, 1], (cols - 1, cols)))
-    dy = sparse.kron(sparse.diags([-np.ones(rows - 1), np.ones(rows - 1)], [0, 1], (rows - 1, rows)), sparse.eye(cols))
+    dx = sparse.kron(
+        sparse.eye(rows),
+        sparse.diags([-np.ones(cols - 1), np.ones(cols - 1)], [0, 1], (cols - 1, cols)),
+    )
+    dy = sparse.kron(
+        sparse.diags([-np.ones(rows - 1), np.ones(rows - 1)], [0, 1], (rows - 1, rows)),
+        sparse.eye(cols),
+    )
     d = sparse.vstack([dx, dy]).tocsc()
     g = np.concatenate([((gx[:, 1:] + gx[:, :-1]) / 2).ravel(), ((gy[1:] + gy[:-1]) / 2).ravel()])
     pinned = (d.T @ d + sparse.csc_matrix(([1.0], ([0], [0])), (rows * cols, rows * cols))).tocsc()
@@ -70,7 +90,9 @@ def sparse_solve(gx, gy):
 def methods_for(gx, gy):
     return {
         "ours, free border (cosine)": lambda: integrate_slopes(gx, gy, 1.0),
-        "ours, flat border (sine)": lambda: integrate_slopes(gx - np.float32(_TILT), gy, 1.0, "flat"),
+        "ours, flat border (sine)": lambda: integrate_slopes(
+            gx - np.float32(_TILT), gy, 1.0, "flat"
+        ),
         "public integrator": lambda: public(gx, gy),
         "public integrator, tidied": lambda: integrate_consistent(gx, gy),
     }
@@ -82,23 +104,39 @@ def rmse_px(z, truth) -> float:
 
 
 def measure() -> BenchmarkResult:
-    rows, points = [], []
+    rows = []
+    points = []
     for shape in _SHAPES:
         z, gx, gy = bump(*shape)
         level = z - _TILT * (np.arange(shape[1]) - 0.51 * shape[1])[None, :]
         methods = methods_for(gx, gy)
-        errors = {name: rmse_px(run(), level if "flat" in name else z) for name, run in methods.items()}
+        errors = {
+            name: rmse_px(run(), level if "flat" in name else z) for name, run in methods.items()
+        }
         times = time_in_turns(methods, runs=15, calls=5)
         free, _, peer, _ = methods
-        rows.append(build_measurement(f"integrate slopes, {shape[0]} x {shape[1]}", peer=peer, ours=times[free],
-                        peer_timing=times[peer], ours_error=errors[free], peer_error=errors[peer], unit="px",
-                        bar=_BAR if shape == _DRAWN else Requirement(min_error_ratio=1000)))  # fmt: skip
+        rows.append(
+            build_measurement(
+                f"integrate slopes, {shape[0]} x {shape[1]}",
+                peer=peer,
+                ours=times[free],
+                peer_timing=times[peer],
+                ours_error=errors[free],
+                peer_error=errors[peer],
+                unit="px",
+                bar=_BAR if shape == _DRAWN else Requirement(min_error_ratio=1000),
+            )
+        )
         if shape == _DRAWN:
             solve = {"sparse least squares": lambda gx=gx, gy=gy: sparse_solve(gx, gy)}
             errors["sparse least squares"] = rmse_px(sparse_solve(gx, gy), z)
             times |= time_in_turns(solve, runs=1)
-            points = [PlotPoint(method=name, ms=t.median_ms, error=errors[name], ours=name.startswith("ours"))
-                      for name, t in times.items()]  # fmt: skip
+            points = [
+                PlotPoint(
+                    method=name, ms=t.median_ms, error=errors[name], ours=name.startswith("ours")
+                )
+                for name, t in times.items()
+            ]
     return BenchmarkResult(
         title=f"Slopes to a surface, {_DRAWN[0]} x {_DRAWN[1]} pixels",
         unit="px",

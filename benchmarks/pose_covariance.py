@@ -1,19 +1,23 @@
-"""Are poses as far off as their covariance says? On depth as it is measured, and on exact depth with modelled noise.
+"""Are poses as far off as their covariance says? On depth as it is measured, and on exact depth
+with modelled noise.
 
     python -m benchmarks.pose_covariance [PART OF A SENSOR'S NAME [WAY [PRESSES]]]
 
-WAY is one of those below, with every sensor's name if the first is ""; PRESSES of each object, 6 unless said.
+WAY is one of those below, with every sensor's name if the first is ""; PRESSES of each object, 6
+unless said.
 
-Catalogue objects are pressed into every simulated sensor. *Measured* is what the stage *depth* estimates from the
-sensor's image, by physics and by network; *modelled* is the true membrane with white noise of 0.01 mm and the error
-that the sensor's description states, drawn as a smooth field; *translated* is the touch that physics makes of what
-another sensor measured of the same press, which takes that sensor's error along. A pose begins at the truth, so that
-its error is that of the measurement and no other minimum's. Reported is its chi-square under its covariance, in the
-directions that it calls determined, as the median over touches over what a right covariance's median would be: above 1
-poses are farther off than they say; its standard error is that of a median of draws from these touches. The error of a
-row is how many times that is too much or too little; the baseline is the same without the sensor's measured error. Next
-to them stands the error of measured depth and the length over which it hangs together, median and mean over the
-touches: what sensors are described with lies between the two.
+Catalogue objects are pressed into every simulated sensor. *Measured* is what the stage *depth*
+estimates from the sensor's image, by physics and by network; *modelled* is the true membrane with
+white noise of 0.01 mm and the error that the sensor's description states, drawn as a smooth field;
+*translated* is the touch that physics makes of what another sensor measured of the same press,
+which takes that sensor's error along. A pose begins at the truth, so that its error is that of the
+measurement and no other minimum's. Reported is its chi-square under its covariance, in the
+directions that it calls determined, as the median over touches over what a right covariance's
+median would be: above 1 poses are farther off than they say; its standard error is that of a median
+of draws from these touches. The error of a row is how many times that is too much or too little;
+the baseline is the same without the sensor's measured error. Next to them stands the error of
+measured depth and the length over which it hangs together, median and mean over the touches: what
+sensors are described with lies between the two.
 """
 
 from __future__ import annotations
@@ -56,7 +60,8 @@ PRESSES = 6  # of each, unless said
 _DRAWS = 1000
 _WHITE_MM = 0.01
 _COMPUTED = DepthErrorModel(rms_mm=0.03, correlation_mm=0.5)  # where nobody has measured a sensor's
-_SOURCES = {"gelslim": "digit", "digit": "gelslim_dotless", "soft_bubble": "gelslim"}  # of what is translated
+# of what is translated
+_SOURCES = {"gelslim": "digit", "digit": "gelslim_dotless", "soft_bubble": "gelslim"}
 NEEDS = "five minutes"
 _PARAMS = PoseParams(keep_steps=False)
 _OFF = 2.0
@@ -66,7 +71,8 @@ _OFF = 2.0
 class CovarianceScore:
     """Touches of one sensor by one depth."""
 
-    normalized_chi_square: tuple[float, ...]  # chi-square over what a right covariance has as its median
+    # chi-square over what a right covariance has as its median
+    normalized_chi_square: tuple[float, ...]
     naive: tuple[float, ...]  # without the measured error
     ms: tuple[float, ...]  # a pose, of the processor
     shift_um: tuple[float, ...]  # that the pose is off at the contact's middle, where determined
@@ -75,7 +81,11 @@ class CovarianceScore:
     @property
     def ratio(self) -> float:
         """Its median."""
-        return float(np.median(self.normalized_chi_square)) if self.normalized_chi_square else float("nan")
+        return (
+            float(np.median(self.normalized_chi_square))
+            if self.normalized_chi_square
+            else float("nan")
+        )
 
     @property
     def ratio_error(self) -> float:
@@ -89,7 +99,9 @@ class CovarianceScore:
 
 @lru_cache(maxsize=2)
 def touches(name: str, presses: int = PRESSES) -> tuple[tuple[SimulatedPress, Mesh, Doubles], ...]:
-    """Presses of a sensor that converged and touch, the object, and where it was in the alignment frame."""
+    """Presses of a sensor that converged and touch, the object, and where it was in the
+    alignment frame.
+    """
     return tuple(_pressed(load_sensor(name), presses))
 
 
@@ -106,53 +118,80 @@ def measure_depth(made: SimulatedPress, spec: SensorSpec, method: str) -> DepthM
     """What the stage makes of the image."""
     rest = np.zeros(spec.camera.shape, np.float32)
     untouched = render_sensor_image(spec, rest, spec.rest_depth_mm, 100)
-    return build_reader(method)(TactileFrame(sensor=spec.name, image=made.image, reference=untouched), spec)
+    return build_reader(method)(
+        TactileFrame(sensor=spec.name, image=made.image, reference=untouched), spec
+    )
 
 
 def simulate_depth(made: SimulatedPress, spec: SensorSpec, seed: int) -> DepthMap:
     """The true membrane with white noise and a smooth error."""
-    rng, limits = np.random.default_rng([seed, 23]), spec.limits
+    rng = np.random.default_rng([seed, 23])
+    limits = spec.limits
     error = _COMPUTED
     if limits.depth_rms_mm:
-        error = DepthErrorModel(rms_mm=limits.depth_rms_mm, correlation_mm=limits.depth_correlation_mm)
+        error = DepthErrorModel(
+            rms_mm=limits.depth_rms_mm, correlation_mm=limits.depth_correlation_mm
+        )
     sigma_px = error.correlation_mm / spec.pixel_mm / np.sqrt(2.0)
-    field = gaussian_filter(rng.standard_normal(spec.camera.shape), sigma_px, mode="wrap", truncate=3.0)
-    field *= error.rms_mm * 2.0 * np.sqrt(np.pi) * sigma_px  # what smoothing left of a unit variance
-    depth = spec.rest_depth_mm - made.truth.indentation_mm + field + _WHITE_MM * rng.standard_normal(field.shape)
+    field = gaussian_filter(
+        rng.standard_normal(spec.camera.shape), sigma_px, mode="wrap", truncate=3.0
+    )
+    # what smoothing left of a unit variance
+    field *= error.rms_mm * 2.0 * np.sqrt(np.pi) * sigma_px
+    depth = (
+        spec.rest_depth_mm
+        - made.truth.indentation_mm
+        + field
+        + _WHITE_MM * rng.standard_normal(field.shape)
+    )
     return DepthMap(
         indentation_mm=freeze((spec.rest_depth_mm - depth).astype(np.float32)),
-        depth_mm=freeze(depth.astype(np.float32)), contact=made.truth.contact, camera=spec.camera,
-        source_index=make_pixel_index(spec.camera.shape), error=error,
-    )  # fmt: skip
+        depth_mm=freeze(depth.astype(np.float32)),
+        contact=made.truth.contact,
+        camera=spec.camera,
+        source_index=make_pixel_index(spec.camera.shape),
+        error=error,
+    )
 
 
 def translate_press(made: SimulatedPress, source: SensorSpec, target: SensorSpec) -> DepthMap:
     """What the target would feel of a press of the source."""
     cloud = back_project_depth(
-        measure_depth(made, source, "network"), resolve_alignment(source, target), BackProjectionParams()
+        measure_depth(made, source, "network"),
+        resolve_alignment(source, target),
+        BackProjectionParams(),
     )
-    touch = render_touch(project_cloud(cloud, target, SurfaceProjectionParams()), target, PhysicalRenderParams())
+    touch = render_touch(
+        project_cloud(cloud, target, SurfaceProjectionParams()), target, PhysicalRenderParams()
+    )
     return touch_depth.use_membrane(touch, target, NoParams())
 
 
 def chi_square(touch: DepthMap, truth: Doubles, mesh: Mesh) -> tuple[float, float, int] | None:
-    """(chi-square of the error over its right median, mm that the middle is off, directions that are determined).
+    """(chi-square of the error over its right median, mm that the middle is off, directions that
+    are determined).
 
     None where nothing is determined.
     """
     found = track_pose(touch, mesh, _PARAMS, truth)
     if found.sensor_from_object is None or (rank := round(float(np.trace(found.observable)))) == 0:
         return None
-    off, middle = found.sensor_from_object @ rigid.invert(truth), found.scene_mm.mean(axis=0).astype(float)
+    off = found.sensor_from_object @ rigid.invert(truth)
+    middle = found.scene_mm.mean(axis=0).astype(float)
     error = np.concatenate([rigid.rotation_vector_rad(off), rigid.apply(off, middle) - middle])
-    error, known = found.observable @ error, found.observable @ found.covariance @ found.observable.T
+    error = found.observable @ error
+    known = found.observable @ found.covariance @ found.observable.T
     squared_length = float(error @ np.linalg.pinv(known, rcond=1e-10, hermitian=True) @ error)
     return squared_length / float(chi2.median(rank)), float(np.linalg.norm(error[3:])), rank
 
 
 def score_sensor(spec: SensorSpec, how: str, presses: int = PRESSES) -> CovarianceScore:
     """All touches of a sensor, by a method of *depth*, "modelled" or "translated"."""
-    chi_squares, naive, ms, shift, rank = list[float](), list[float](), list[float](), list[float](), list[int]()
+    chi_squares = list[float]()
+    naive = list[float]()
+    ms = list[float]()
+    shift = list[float]()
+    rank = list[int]()
     source = load_sensor(_SOURCES[spec.name]) if how == "translated" else spec
     for k, (made, mesh, at) in enumerate(touches(source.name, presses)):
         if how == "modelled":
@@ -183,7 +222,9 @@ def score_sensor(spec: SensorSpec, how: str, presses: int = PRESSES) -> Covarian
 
 
 def error_of_depth(spec: SensorSpec, how: str, presses: int) -> str:
-    """Over touches: rms in contact, the length at which the error's correlation is exp(-1/2), and what is reported."""
+    """Over touches: rms in contact, the length at which the error's correlation is exp(-1/2),
+    and what is reported.
+    """
     found: list[tuple[float, float, float]] = []
     for made, _mesh, _at in touches(spec.name, presses):
         depth = measure_depth(made, spec, how)
@@ -191,10 +232,18 @@ def error_of_depth(spec: SensorSpec, how: str, presses: int) -> str:
         if both.sum() < 100:
             continue
         error = np.where(both, made.truth.indentation_mm - depth.indentation_mm, 0.0).astype(float)
-        counted, products = (_with_itself(a)[0, : spec.camera.cols // 2] for a in (both.astype(float), error))
+        counted, products = (
+            _with_itself(a)[0, : spec.camera.cols // 2] for a in (both.astype(float), error)
+        )
         along = products / np.maximum(counted, 50.0)
         length_px = np.flatnonzero(np.append(along, -np.inf) < along[0] * np.exp(-0.5))[0]
-        found.append((np.sqrt(along[0]), length_px * spec.pixel_mm, depth.error.rms_mm if depth.error else np.nan))
+        found.append(
+            (
+                np.sqrt(along[0]),
+                length_px * spec.pixel_mm,
+                depth.error.rms_mm if depth.error else np.nan,
+            )
+        )
     rms_mm, length_mm, told_mm = np.median(found, axis=0)
     mean_mm, mean_length_mm, mean_told_mm = np.mean(found, axis=0)
     return (
@@ -214,7 +263,8 @@ def _ways(spec: SensorSpec) -> tuple[str, ...]:
 
 def measure(part: str = "", way: str = "", presses: int | str = PRESSES) -> BenchmarkResult:
     n_presses = int(presses)
-    rows, notes = [], []
+    rows = []
+    notes = []
     for spec in (load_sensor(name) for name in list_sensor_names() if part in name):
         for how in (how for how in _ways(spec) if way in how):
             found = score_sensor(spec, how, n_presses)
@@ -222,17 +272,25 @@ def measure(part: str = "", way: str = "", presses: int | str = PRESSES) -> Benc
                 notes.append(f"{spec.name}, {how}: no touch determines any direction")
                 continue
             factor, plain = (max(r, 1.0 / r) for r in (found.ratio, float(np.median(found.naive))))
-            rows.append(build_measurement(
-                f"{spec.name}, {how}: covariance, times off", ours=summarize_times(found.ms), ours_error=factor,
-                unit="times", bar=Requirement(max_error=_OFF), peer="residuals alone", peer_error=plain,
-            ))  # fmt: skip
+            rows.append(
+                build_measurement(
+                    f"{spec.name}, {how}: covariance, times off",
+                    ours=summarize_times(found.ms),
+                    ours_error=factor,
+                    unit="times",
+                    bar=Requirement(max_error=_OFF),
+                    peer="residuals alone",
+                    peer_error=plain,
+                )
+            )
             low, high = np.percentile(found.normalized_chi_square, (25, 75))
             note = (
                 f"{spec.name}, {how}: chi-square {found.ratio:.2f} of a right one's, give or take "
                 f"{found.ratio_error:.2f} ({low:.2f} to {high:.2f}: half of "
                 f"{len(found.normalized_chi_square)} touches), "
                 f"{np.median(found.naive):.2f} without the measured error; middle off "
-                f"{np.median(found.shift_um):.0f} um; {np.mean(found.rank):.1f} of 6 directions determined"
+                f"{np.median(found.shift_um):.0f} um; {np.mean(found.rank):.1f} of 6 directions "
+                "determined"
             )
             if how == "translated":
                 note += f"; from {_SOURCES[spec.name]}"
@@ -240,7 +298,10 @@ def measure(part: str = "", way: str = "", presses: int | str = PRESSES) -> Benc
                 note += f"; depth off by {error_of_depth(spec, how, n_presses)}"
             notes.append(note)
     return BenchmarkResult(
-        title="Errors of poses and their covariance", unit="times", rows=tuple(rows), notes=tuple(notes)
+        title="Errors of poses and their covariance",
+        unit="times",
+        rows=tuple(rows),
+        notes=tuple(notes),
     )
 
 

@@ -2,11 +2,12 @@
 
     python -m benchmarks.real_things [METHOD [DATA_FOLDER]]
 
-METHOD is a method of the stage *depth* (default by sensor) and knows nothing of the sensor instance but its reference
-image. There is no truth: counted is what the eye would complain of. A *crumb* is a part of the contact smaller than a
-thousandth of the image; a *corner blob* a part that lies whole in a corner of an eighth of the image's sides; a *stair*
-a run of 8 straight pixels or more in the contact's outline, along a row or a column and inside the image: the share of
-the outline in such runs, less that which an exact circle of the same area has. Times are of an image.
+METHOD is a method of the stage *depth* (default by sensor) and knows nothing of the sensor instance
+but its reference image. There is no truth: counted is what the eye would complain of. A *crumb* is
+a part of the contact smaller than a thousandth of the image; a *corner blob* a part that lies whole
+in a corner of an eighth of the image's sides; a *stair* a run of 8 straight pixels or more in the
+contact's outline, along a row or a column and inside the image: the share of the outline in such
+runs, less that which an exact circle of the same area has. Times are of an image.
 """
 
 from __future__ import annotations
@@ -20,19 +21,30 @@ import numpy as np
 from benchmarks.harness.results import BenchmarkResult
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
-from benchmarks.scenes.depth_helpers import build_reader, list_numbered_files, patches, picture, recorded_data
+from benchmarks.scenes.depth_helpers import (
+    build_reader,
+    list_numbered_files,
+    patches,
+    picture,
+    recorded_data,
+)
 from pipeline.core.values.frames import TactileFrame
 from pipeline.sensors.spec import load_sensor
 
 NEEDS = "recorded data"
-_CRUMB, _CORNER, _STAIR_PX = 1e-3, 8, 8
-_OWN_LOOK = {"rice": ("crumbs", "corner blobs"), "toothbrush": ("stairs",)}  # grains are small, a handle is straight
+_CRUMB = 1e-3
+_CORNER = 8
+_STAIR_PX = 8
+# grains are small, a handle is straight
+_OWN_LOOK = {"rice": ("crumbs", "corner blobs"), "toothbrush": ("stairs",)}
 
 
 def corner_blobs(contact) -> int:
     rows, cols = contact.shape
     n = 0
-    for x, y, wide, high, _ in cv2.connectedComponentsWithStats(contact.astype(np.uint8), connectivity=8)[2][1:]:
+    for x, y, wide, high, _ in cv2.connectedComponentsWithStats(
+        contact.astype(np.uint8), connectivity=8
+    )[2][1:]:
         at_side = x + wide <= cols // _CORNER or x >= cols - cols // _CORNER
         n += at_side and (y + high <= rows // _CORNER or y >= rows - rows // _CORNER)
     return n
@@ -62,12 +74,21 @@ def circle_of(n_px: int) -> float:
 
 
 def measure(method: str = "", data: str = "") -> BenchmarkResult:
-    folder, read, mini = recorded_data(data) / "mini_things", build_reader(method), load_sensor("gelsight_mini")
+    folder = recorded_data(data) / "mini_things"
+    read = build_reader(method)
+    mini = load_sensor("gelsight_mini")
     rows = []
     for thing in sorted(path for path in folder.iterdir() if path.is_dir()):
-        still, taken, crumbs, blobs, stairs, pieces = picture(thing / "ref.jpg"), [], 0, 0, [], []
+        still = picture(thing / "ref.jpg")
+        taken = []
+        crumbs = 0
+        blobs = 0
+        stairs = []
+        pieces = []
         for index, file in enumerate(list_numbered_files(thing, "frame_*.jpg")):
-            frame = TactileFrame(sensor=mini.name, image=picture(file), reference=still, index=index)
+            frame = TactileFrame(
+                sensor=mini.name, image=picture(file), reference=still, index=index
+            )
             started = time.perf_counter()
             found = read(frame, mini)
             taken.append(1e3 * (time.perf_counter() - started))
@@ -81,17 +102,28 @@ def measure(method: str = "", data: str = "") -> BenchmarkResult:
         figures = (
             ("crumbs", crumbs, "parts", Requirement(max_error=0)),
             ("corner blobs", blobs, "parts", Requirement(max_error=0)),
-            ("stairs", float(np.mean(stairs)) if stairs else 0.0, "share", Requirement(max_error=0.1)),
+            (
+                "stairs",
+                float(np.mean(stairs)) if stairs else 0.0,
+                "share",
+                Requirement(max_error=0.1),
+            ),
         )
         own = _OWN_LOOK.get(thing.name.split("_")[0], ())
         for what, value, unit, bar in figures:
             kept = Requirement() if what in own else bar
             rows.append(
                 build_measurement(
-                    f"{label}: {what}", ours=summarize_times(taken), ours_error=value, unit=unit, bar=kept
+                    f"{label}: {what}",
+                    ours=summarize_times(taken),
+                    ours_error=value,
+                    unit=unit,
+                    bar=kept,
                 )
             )
-    return BenchmarkResult(title=f"Contact of everyday things on a Mini, by {method}", unit="", rows=tuple(rows))
+    return BenchmarkResult(
+        title=f"Contact of everyday things on a Mini, by {method}", unit="", rows=tuple(rows)
+    )
 
 
 if __name__ == "__main__":

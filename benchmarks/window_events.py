@@ -1,9 +1,9 @@
 """How long does one event keep the window's thread busy: docks, sliders, playback?
 
-Run under a display: python -m benchmarks.window_events. Time is the processor's of the GUI thread, per event of Qt;
-what OpenGL draws, which a processor does where there is no graphics card, is taken out and reported separately. The
-promise: 16 ms for 99 of 100, 33 ms for every one; a frame seen before is whole in 60 ms; 10 frames a second play at
-speed 1.
+Run under a display: python -m benchmarks.window_events. Time is the processor's of the GUI thread,
+per event of Qt; what OpenGL draws, which a processor does where there is no graphics card, is taken
+out and reported separately. The promise: 16 ms for 99 of 100, 33 ms for every one; a frame seen
+before is whole in 60 ms; 10 frames a second play at speed 1.
 """
 
 from __future__ import annotations
@@ -23,8 +23,13 @@ from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, Timing, build_measurement
 
 NEEDS = "a display"
-STEPS, HOVERS, PLAYED_S = 60, 200, 10.0
-P99_MS, MAX_MS, SEEN_MS, FPS = 16.0, 33.0, 60.0, 10.0
+STEPS = 60
+HOVERS = 200
+PLAYED_S = 10.0
+P99_MS = 16.0
+MAX_MS = 33.0
+SEEN_MS = 60.0
+FPS = 10.0
 
 
 def measure() -> BenchmarkResult:
@@ -35,7 +40,9 @@ def measure() -> BenchmarkResult:
     from app.session.state import Session
     from app.shell.tour import wait_until_shown
 
-    session = Session(recording=app_main.SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
+    session = Session(
+        recording=app_main.SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5
+    )
     instrument = app_main.show_window(session)
     instrument.window.resize(1600, 950)
     wait_until_shown(instrument)
@@ -43,13 +50,18 @@ def measure() -> BenchmarkResult:
     rest(instrument, application)  # all frames known: the background is quiet
     rows = list(_events(instrument, application, clock))
     seen, played, notes = _frames(instrument, application)
-    whole = (("frame seen before, whole window", seen, SEEN_MS), ("frame played, all threads", played, 1e3 / FPS))
+    whole = (
+        ("frame seen before, whole window", seen, SEEN_MS),
+        ("frame played, all threads", played, 1e3 / FPS),
+    )
     for name, taken, limit_ms in whole:
         bar = Requirement(max_ms=limit_ms)
         rows.append(build_measurement(name, ours=taken, ours_error=math.nan, unit="", bar=bar))
     instrument.window.may_close = lambda: True
     app_main.close_window(instrument)
-    return BenchmarkResult(title="One event of the window", unit="", rows=tuple(rows), notes=(*notes, *clock.notes))
+    return BenchmarkResult(
+        title="One event of the window", unit="", rows=tuple(rows), notes=(*notes, *clock.notes)
+    )
 
 
 class _Clock:
@@ -70,7 +82,8 @@ class _Clock:
             return
         self._deep += 1
         scene = self.instrument.views.scene
-        drawn_s, begun_s = getattr(scene, "render_time_s", 0.0), time.thread_time()
+        drawn_s = getattr(scene, "render_time_s", 0.0)
+        begun_s = time.thread_time()
         try:
             yield
         finally:
@@ -81,7 +94,8 @@ class _Clock:
                 self.gl_ms.append(1e3 * gl_s)
 
     def begin(self) -> None:
-        self.ms, self.gl_ms = [], []
+        self.ms = []
+        self.gl_ms = []
 
 
 def _timed_application() -> tuple[Any, _Clock]:
@@ -108,7 +122,8 @@ def spin(instrument: Any, application: Any, limit_s: float = 60.0) -> None:
 
 
 def rest(instrument: Any, application: Any, limit_s: float = 240.0) -> None:
-    known, end_s = instrument.window.frames.model, time.monotonic() + limit_s
+    known = instrument.window.frames.model
+    end_s = time.monotonic() + limit_s
     while known.find_unknown_frame(0) >= 0 and time.monotonic() < end_s:
         application.processEvents()
         time.sleep(0.002)
@@ -176,8 +191,12 @@ def _hover(application: Any, canvas: Any, n: int) -> None:
     from PyQt6.QtCore import QEvent, QPointF, Qt
     from PyQt6.QtGui import QMouseEvent
 
-    at = QPointF(canvas.width() * (0.5 + 0.4 * math.sin(0.11 * n)), canvas.height() * (0.5 + 0.4 * math.sin(0.07 * n)))
-    none, keys = Qt.MouseButton.NoButton, Qt.KeyboardModifier.NoModifier
+    at = QPointF(
+        canvas.width() * (0.5 + 0.4 * math.sin(0.11 * n)),
+        canvas.height() * (0.5 + 0.4 * math.sin(0.07 * n)),
+    )
+    none = Qt.MouseButton.NoButton
+    keys = Qt.KeyboardModifier.NoModifier
     place = canvas.mapToGlobal(at)
     application.sendEvent(canvas, QMouseEvent(QEvent.Type.MouseMove, at, place, none, none, keys))
 
@@ -186,14 +205,22 @@ def _line(n: int) -> Any:
     """One that a hand drags over the gel, with its curves next to it."""
     from pipeline.translation.cross_section import SectionLine
 
-    return SectionLine(begin_mm=(-6.0, 3.0), end_mm=(6.0 * math.sin(0.11 * n), 5.0 * math.cos(0.07 * n)))
+    return SectionLine(
+        begin_mm=(-6.0, 3.0), end_mm=(6.0 * math.sin(0.11 * n), 5.0 * math.cos(0.07 * n))
+    )
 
 
 def _row(name: str, clock: _Clock) -> Measurement:
     ms = np.array(clock.ms)
-    p99, most = float(np.percentile(ms, 99)), float(ms.max())
-    gl = f"; OpenGL apart: {len(clock.gl_ms)} drawings, median {np.median(clock.gl_ms):.1f}, largest " \
-         f"{max(clock.gl_ms):.1f} ms" if clock.gl_ms else "; OpenGL drew nothing"  # fmt: skip
+    p99 = float(np.percentile(ms, 99))
+    most = float(ms.max())
+    gl = (
+        f"; OpenGL apart: {len(clock.gl_ms)} drawings, median {np.median(clock.gl_ms):.1f}, "
+        "largest "
+        f"{max(clock.gl_ms):.1f} ms"
+        if clock.gl_ms
+        else "; OpenGL drew nothing"
+    )
     clock.notes.append(f"{name}: {len(ms)} events, p99 {p99:.1f} ms, largest {most:.1f} ms{gl}")
     # The longest stands where a median would: the promise is about every single one.
     return build_measurement(
@@ -206,7 +233,8 @@ def _row(name: str, clock: _Clock) -> Measurement:
 
 
 def _play(instrument: Any, application: Any) -> tuple[list[int], float]:
-    """(the frames shown, seconds from the first of them to the last) of the recording played in a loop at speed 1.
+    """(the frames shown, seconds from the first of them to the last) of the recording played in a
+    loop at speed 1.
 
     One that is on screen when playing begins is none of them.
     """
@@ -216,7 +244,8 @@ def _play(instrument: Any, application: Any) -> tuple[list[int], float]:
         shown.append((frame, time.perf_counter()))
 
     instrument.frame_shown.connect(note)
-    begun_s, timeline = time.perf_counter(), instrument.window.timeline
+    begun_s = time.perf_counter()
+    timeline = instrument.window.timeline
     timeline.set_looping(True)
     timeline.play(on=True)
     while time.perf_counter() - begun_s < PLAYED_S:
@@ -232,9 +261,11 @@ def _play(instrument: Any, application: Any) -> tuple[list[int], float]:
 
 def _frames(instrument: Any, application: Any) -> tuple[Timing, Timing, list[str]]:
     """CPU of the whole process for going back to frames seen before, and for playing them."""
-    wall, cpu = [], []
+    wall = []
+    cpu = []
     for index in [4, 5, 6, 7] * 5:
-        begun_s, begun_cpu_s = time.perf_counter(), time.process_time()
+        begun_s = time.perf_counter()
+        begun_cpu_s = time.process_time()
         instrument.choose_frame(index)
         spin(instrument, application)
         wall.append(1e3 * (time.perf_counter() - begun_s))
@@ -249,9 +280,11 @@ def _frames(instrument: Any, application: Any) -> tuple[Timing, Timing, list[str
     n_all = instrument.views.translation.n_frames
     passed = sum((later - one) % n_all for one, later in pairwise(frames)) + 1
     notes = [
-        f"a frame seen before: CPU of all threads, median {np.median(seen):.0f} ms, largest {max(seen):.0f}; "
+        f"a frame seen before: CPU of all threads, median {np.median(seen):.0f} ms, largest "
+        f"{max(seen):.0f}; "
         f"by the wall clock, median {np.median(wall[4:]):.0f} ms",
-        f"playing: {len(frames)} of {passed} frames shown, {(len(frames) - 1) / took_s:.2f} a second from the first to "
+        f"playing: {len(frames)} of {passed} frames shown, {(len(frames) - 1) / took_s:.2f} a "
+        "second from the first to "
         "the last by the wall clock, which a busy machine slows",
     ]
     whole = Timing(median_ms=float(np.median(seen)), p95_ms=float(np.percentile(seen, 95)))

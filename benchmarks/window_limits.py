@@ -1,10 +1,12 @@
-"""How soon does the window respond and what does it need at rest: first pane, draft, cancel, idle, memory?
+"""How soon does the window respond and what does it need at rest: first pane, draft, cancel, idle,
+memory?
 
-Run under a display: python -m benchmarks.window_limits [FRAME CHANGES]. Waiting is reported by the wall clock, and as
-the processor's time of the whole process meanwhile, which a busy machine does not lengthen; the bars are on the latter.
-Memory is the process's largest resident size over frame changes in twenty-eight openings: each sample both ways, and
-all of that once more. What is loaded once, and stores that fill up to their bounds, come in the first fourteen, whose
-own second half is reported too; what grows after them, with the very same on screen, is a leak.
+Run under a display: python -m benchmarks.window_limits [FRAME CHANGES]. Waiting is reported by the
+wall clock, and as the processor's time of the whole process meanwhile, which a busy machine does
+not lengthen; the bars are on the latter. Memory is the process's largest resident size over frame
+changes in twenty-eight openings: each sample both ways, and all of that once more. What is loaded
+once, and stores that fill up to their bounds, come in the first fourteen, whose own second half is
+reported too; what grows after them, with the very same on screen, is a leak.
 """
 
 from __future__ import annotations
@@ -25,8 +27,16 @@ from benchmarks.harness.timing import Requirement, Timing, build_measurement
 from benchmarks.window_events import rest, spin
 
 NEEDS = "a display"
-CHANGES, PASSES, NEW_FRAMES, DRAGS, CANCELS, IDLE_S = 1000, 2, 8, 8, 6, 10.0
-ANSWER_MS, IDLE_PERCENT, MOST_MB, GROWTH_MB = 100.0, 1.0, 800.0, 50.0
+CHANGES = 1000
+PASSES = 2
+NEW_FRAMES = 8
+DRAGS = 8
+CANCELS = 6
+IDLE_S = 10.0
+ANSWER_MS = 100.0
+IDLE_PERCENT = 1.0
+MOST_MB = 800.0
+GROWTH_MB = 50.0
 _LIMIT_S = 60.0
 _WARM_UP = 2  # the first ones load and compile
 
@@ -40,7 +50,9 @@ def measure(*given: str) -> BenchmarkResult:
     from app.session.state import Session
 
     instrument = app_main.show_window(
-        Session(recording=app_main.SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
+        Session(
+            recording=app_main.SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5
+        )
     )
     instrument.window.resize(1600, 950)
     instrument.window.may_close = lambda: True
@@ -55,12 +67,15 @@ def measure(*given: str) -> BenchmarkResult:
         *_memory(instrument, application, changes, notes),
     ]
     app_main.close_window(instrument)
-    return BenchmarkResult(title="What the window answers and takes", unit="", rows=tuple(rows), notes=tuple(notes))
+    return BenchmarkResult(
+        title="What the window answers and takes", unit="", rows=tuple(rows), notes=tuple(notes)
+    )
 
 
 def _wait(application: Any, until: Callable[[], bool]) -> tuple[float, float]:
     """Wall and processor's milliseconds until something holds."""
-    begun_s, begun_cpu_s = time.perf_counter(), time.process_time()
+    begun_s = time.perf_counter()
+    begun_cpu_s = time.process_time()
     while not until() and time.perf_counter() - begun_s < _LIMIT_S:
         application.processEvents()
         time.sleep(0.0003)
@@ -74,7 +89,9 @@ def _waits(name: str, notes: list[str], waits: list[tuple[float, float]]) -> Mea
         f"wall clock median {np.median(wall):.0f}, largest {wall.max():.0f} ms, of {len(cpu)}"
     )
     taken = Timing(median_ms=float(np.median(cpu)), p95_ms=float(np.percentile(cpu, 95)))
-    return build_measurement(name, ours=taken, ours_error=math.nan, unit="", bar=Requirement(max_ms=ANSWER_MS))
+    return build_measurement(
+        name, ours=taken, ours_error=math.nan, unit="", bar=Requirement(max_ms=ANSWER_MS)
+    )
 
 
 def _new_frames(instrument: Any, application: Any) -> list[tuple[float, float]]:
@@ -82,7 +99,12 @@ def _new_frames(instrument: Any, application: Any) -> list[tuple[float, float]]:
     for index in range(6, 6 + NEW_FRAMES):
         source = instrument.views.get_shown_stage("source")
         instrument.choose_frame(index)
-        waits.append(_wait(application, lambda old=source: instrument.views.get_shown_stage("source") is not old))
+        waits.append(
+            _wait(
+                application,
+                lambda old=source: instrument.views.get_shown_stage("source") is not old,
+            )
+        )
         spin(instrument, application)
     return waits
 
@@ -91,13 +113,20 @@ def _drafts(instrument: Any, application: Any) -> list[tuple[float, float]]:
     from pipeline.core.params import replace_value
     from pipeline.stages.depth.stage import PHYSICS
 
-    waits, panel = [], instrument.window.parameters
+    waits = []
+    panel = instrument.window.parameters
     panel.slider_held.emit(PHYSICS.key)
     for n in range(DRAGS):
         depth = instrument.views.get_shown_stage("depth")
-        params = replace_value(instrument.session.get_params(PHYSICS), "sensitivity", 1.0 + 0.02 * (n + 1))
+        params = replace_value(
+            instrument.session.get_params(PHYSICS), "sensitivity", 1.0 + 0.02 * (n + 1)
+        )
         instrument.choose_params(PHYSICS.key, params)
-        waits.append(_wait(application, lambda old=depth: instrument.views.get_shown_stage("depth") is not old))
+        waits.append(
+            _wait(
+                application, lambda old=depth: instrument.views.get_shown_stage("depth") is not old
+            )
+        )
         spin(instrument, application)
     panel.slider_held.emit("")
     instrument.change("back", params={})
@@ -109,12 +138,19 @@ def _previews(instrument: Any, application: Any) -> list[tuple[float, float]]:
     window = instrument.window
     window.drawers.alignment.show()
     spin(instrument, application)
-    slider, view, waits = window.alignment.rows["x"].slider, window.columns["target_depth"], []
+    slider = window.alignment.rows["x"].slider
+    view = window.columns["target_depth"]
+    waits = []
     slider.setSliderDown(True)
     for n in range(DRAGS):
         old = view.view.preview
         slider.setValue(slider.value() + 3 + n)
-        waits.append(_wait(application, lambda old=old: view.state == "preview" and view.view.preview is not old))
+        waits.append(
+            _wait(
+                application,
+                lambda old=old: view.state == "preview" and view.view.preview is not old,
+            )
+        )
     slider.setSliderDown(False)
     spin(instrument, application)
     instrument.undo_stack.undo()
@@ -144,7 +180,8 @@ def _idle(instrument: Any, application: Any, notes: list[str]) -> Measurement:
     """The share of one core that an open window takes while nobody touches it."""
     from PyQt6.QtCore import QEventLoop, QTimer
 
-    rest(instrument, application)  # the errors of all frames are computed as long as some are not known
+    # the errors of all frames are computed as long as some are not known
+    rest(instrument, application)
     loop = QEventLoop()
     QTimer.singleShot(round(1e3 * IDLE_S), loop.quit)
     begun_s = time.process_time()
@@ -152,16 +189,23 @@ def _idle(instrument: Any, application: Any, notes: list[str]) -> Measurement:
     percent = 100 * (time.process_time() - begun_s) / IDLE_S
     notes.append(f"idle for {IDLE_S:g} s: {percent:.2f} % of one core")
     return build_measurement(
-        "idle, share of one core", ours=_NO_TIME, ours_error=percent, unit="%", bar=Requirement(max_error=IDLE_PERCENT)
+        "idle, share of one core",
+        ours=_NO_TIME,
+        ours_error=percent,
+        unit="%",
+        bar=Requirement(max_error=IDLE_PERCENT),
     )
 
 
 def _memory(instrument: Any, application: Any, changes: int, notes: list[str]) -> list[Measurement]:
     from app import main as app_main
 
-    rng, held_mb = np.random.default_rng(0), []
+    rng = np.random.default_rng(0)
+    held_mb = []
     recordings = sorted(app_main.SAMPLE_RECORDING.parent.glob("*.h5"))
-    openings = [(path, swap) for _ in range(PASSES) for swap in (False, True) for path in recordings]
+    openings = [
+        (path, swap) for _ in range(PASSES) for swap in (False, True) for path in recordings
+    ]
     done = 0
     for opening, (path, swap) in enumerate(openings):
         _open(instrument, path, swap=swap)
@@ -173,15 +217,24 @@ def _memory(instrument: Any, application: Any, changes: int, notes: list[str]) -
         held_mb.append(_resident_mb())
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     once = len(held_mb) // PASSES
-    gained = np.array(held_mb[once:]) - held_mb[:once]  # each next to the time before: the same is on screen
-    growth = float(gained[once // 2 :].mean())  # those whose like came when all of a kind had been seen once
-    notes.append(f"memory after each of {len(held_mb)} openings, {done} frame changes, MB: "
-                + " ".join(f"{mb:.0f}" for mb in held_mb))  # fmt: skip
+    # each next to the time before: the same is on screen
+    gained = np.array(held_mb[once:]) - held_mb[:once]
+    # those whose like came when all of a kind had been seen once
+    growth = float(gained[once // 2 :].mean())
+    notes.append(
+        f"memory after each of {len(held_mb)} openings, {done} frame changes, MB: "
+        + " ".join(f"{mb:.0f}" for mb in held_mb)
+    )
     filled = held_mb[once - 1] - held_mb[once // 2]
     notes.append(f"the second half of the first pass alone, while stores fill: {filled:.0f} MB")
-    figures = (("memory, largest", most, MOST_MB), ("memory, growth over a second pass", growth, GROWTH_MB))
+    figures = (
+        ("memory, largest", most, MOST_MB),
+        ("memory, growth over a second pass", growth, GROWTH_MB),
+    )
     return [
-        build_measurement(name, ours=_NO_TIME, ours_error=mb, unit="MB", bar=Requirement(max_error=limit_mb))
+        build_measurement(
+            name, ours=_NO_TIME, ours_error=mb, unit="MB", bar=Requirement(max_error=limit_mb)
+        )
         for name, mb, limit_mb in figures
     ]
 

@@ -10,6 +10,10 @@ class FieldComments(griffe.Extension):
 
     def on_attribute(self, *, attr: griffe.Attribute, **_kwargs: Any) -> None:
         """Describe one field, or a name of a module."""
-        comment = attr.source.partition("  # ")[2].strip() if attr.docstring is None and attr.lineno else ""
+        comment = (
+            attr.source.partition("  # ")[2].strip()
+            if attr.docstring is None and attr.lineno
+            else ""
+        )
         if comment:
             attr.docstring = griffe.Docstring(comment[0].upper() + comment[1:], parent=attr)

@@ -1,9 +1,11 @@
 """Make a picture of every screen of the window in both themes, at one size, to be looked at.
 
     xvfb-run -a -s "-screen 0 1366x768x24" python docs/make_screens.py FOLDER 1366x768 [NAME ...]
-    QT_SCALE_FACTOR=2 xvfb-run -a -s "-screen 0 3200x1900x24" python docs/make_screens.py FOLDER 1600x950 [NAME ...]
+    QT_SCALE_FACTOR=2 xvfb-run -a -s "-screen 0 3200x1900x24" python docs/make_screens.py FOLDER
+    1600x950 [NAME ...]
 
-The size is the window's as Qt counts, so that twice the scale needs a screen of twice as many pixels either way.
+The size is the window's as Qt counts, so that twice the scale needs a screen of twice as many
+pixels either way.
 """
 
 from __future__ import annotations
@@ -69,10 +71,15 @@ def align(instrument: SessionController) -> None:
     """A handle two millimetres off, measured and transferred contact."""
     instrument.set_section(None)
     instrument.window.drawers.diagnostics.hide()
-    instrument.show_session(Session(recording=tour.PAIRED, source="digit", target="gelslim", frame=3))
+    instrument.show_session(
+        Session(recording=tour.PAIRED, source="digit", target="gelslim", frame=3)
+    )
     tour.wait_for_views(instrument)
     _layout(instrument, "align")
-    instrument.change("move the alignment", offsets=Offsets(translation_mm=(2.0, 0.0, 0.0), pivot_mm=(0.0, 0.0, 22.0)))
+    instrument.change(
+        "move the alignment",
+        offsets=Offsets(translation_mm=(2.0, 0.0, 0.0), pivot_mm=(0.0, 0.0, 22.0)),
+    )
     tour.wait_for_views(instrument)
     tour.wait_for_idle(instrument)
 
@@ -99,20 +106,32 @@ def grid(instrument: SessionController) -> None:
 def compare(instrument: SessionController) -> None:
     """Every method on one frame."""
     _layout(instrument, "compare")
-    comparing = next(child for child in instrument.children() if isinstance(child, ComparisonController))
-    tour.until(lambda: not comparing.is_busy and len(instrument.window.comparison.current_tab.grid.tiles) > 2)
+    comparing = next(
+        child for child in instrument.children() if isinstance(child, ComparisonController)
+    )
+    tour.until(
+        lambda: (
+            not comparing.is_busy and len(instrument.window.comparison.current_tab.grid.tiles) > 2
+        )
+    )
 
 
 def two(instrument: SessionController) -> None:
     """Two settings on one frame."""
-    comparing = next(child for child in instrument.children() if isinstance(child, ComparisonController))
+    comparing = next(
+        child for child in instrument.children() if isinstance(child, ComparisonController)
+    )
     tour.command(instrument, "set_variant_settings")
     instrument.choose_method("target_depth", "paper")
     tour.wait_for_views(instrument)
     box = instrument.window.comparison.stage_box
     box.setCurrentIndex(box.findData("target_depth"))
     box.activated.emit(box.currentIndex())
-    tour.until(lambda: not comparing.is_busy and len(instrument.window.comparison.current_tab.grid.tiles) == 3)
+    tour.until(
+        lambda: (
+            not comparing.is_busy and len(instrument.window.comparison.current_tab.grid.tiles) == 3
+        )
+    )
     tour.wait_for_idle(instrument)
 
 
@@ -122,17 +141,28 @@ def live(instrument: SessionController) -> None:
     living = next(child for child in instrument.children() if isinstance(child, LiveController))
     instrument.show_session(Session(target="gelslim"))
     living.watch_source(SimulatedSource(sensor="digit", tool="sphere", rate_hz=5.0))
-    tour.until(lambda: living.reader is not None and living.reader.n_frames > 12 and living.is_on_screen)
+    tour.until(
+        lambda: living.reader is not None and living.reader.n_frames > 12 and living.is_on_screen
+    )
     living.set_following(on=False)
     instrument.choose_frame(10)
     tour.wait_for_views(instrument)
 
 
 SCREENS: dict[str, Callable[[SessionController], None]] = {
-    "welcome": welcome, "stages": stages, "drawers": drawers, "steps": steps, "inspect": inspect,
-    "section": section, "align": align,
-    "demo": demo, "grid": grid, "compare": compare, "two": two, "live": live,
-}  # fmt: skip
+    "welcome": welcome,
+    "stages": stages,
+    "drawers": drawers,
+    "steps": steps,
+    "inspect": inspect,
+    "section": section,
+    "align": align,
+    "demo": demo,
+    "grid": grid,
+    "compare": compare,
+    "two": two,
+    "live": live,
+}
 
 
 def _layout(instrument: SessionController, name: str) -> None:
@@ -142,8 +172,14 @@ def _layout(instrument: SessionController, name: str) -> None:
 
 
 def main() -> None:
-    """Go through all screens, or the first ones up to the last that is named, and write those that are named."""
-    out, (wide, high), names = Path(sys.argv[1]), map(int, sys.argv[2].split("x")), sys.argv[3:] or list(SCREENS)
+    """Go through all screens, or the first ones up to the last that is named, and write those
+    that are named.
+    """
+    out, (wide, high), names = (
+        Path(sys.argv[1]),
+        map(int, sys.argv[2].split("x")),
+        sys.argv[3:] or list(SCREENS),
+    )
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as forgotten:
         QSettings.setPath(QSettings.Format.IniFormat, QSettings.Scope.UserScope, forgotten)

@@ -2,8 +2,9 @@
 
     python docs/make_simulated_touches.py [FILE.png]
 
-Rows are sensors, columns objects held at the same pose in the alignment frame. The soft bubble's depth is shown as its
-imprint, dark = deep. Every picture carries its sensor's noise; everything is simulated.
+Rows are sensors, columns objects held at the same pose in the alignment frame. The soft bubble's
+depth is shown as its imprint, dark = deep. Every picture carries its sensor's noise; everything is
+simulated.
 """
 
 from __future__ import annotations
@@ -25,16 +26,21 @@ from pipeline.sensors.spec import SensorSpec, load_sensor
 
 SENSORS = ("gelslim", "gelslim_dotless", "digit", "gelsight_mini", "soft_bubble")
 SHAPES = ("sphere", "edge", "ring", "three_lines", "lines_45", "hexagon", "letters", "star")
-DEPTH_MM = 0.7  # past the untouched gels; the bubble stands out of their plane and is pressed deeper
+# past the untouched gels; the bubble stands out of their plane and is pressed deeper
+DEPTH_MM = 0.7
 TURN_DEG = 20.0
 SHIFT_MM = (0.8, -0.5)
 CELL_PX = (140, 187)  # height and width of one picture
-GAP_PX, HEAD_PX, SIDE_PX = 6, 26, 120
+GAP_PX = 6
+HEAD_PX = 26
+SIDE_PX = 120
 _BUBBLE_MM = (-3.0, 14.0)  # shown range of the imprint
 
 
 def place_object(thing: Mesh) -> np.ndarray:
-    """Pose of an object whose lowest point is `DEPTH_MM` under the alignment plane, a little off the middle."""
+    """Pose of an object whose lowest point is `DEPTH_MM` under the alignment plane, a little off
+    the middle.
+    """
     pose = rigid.from_parts((*SHIFT_MM, 0.0), (0.0, 0.0, TURN_DEG))
     pose[2, 3] = -DEPTH_MM - float(thing.vertices_mm[:, 2].min())
     return pose
@@ -46,7 +52,9 @@ def picture(spec: SensorSpec, image: np.ndarray) -> np.ndarray:
         return np.asarray(image)
     imprint = spec.rest_depth_mm - image
     shade = np.clip((imprint - _BUBBLE_MM[0]) / (_BUBBLE_MM[1] - _BUBBLE_MM[0]), 0, 1)
-    seen = cv2.applyColorMap((255 * (1 - np.nan_to_num(shade))).astype(np.uint8), cv2.COLORMAP_BONE)[..., ::-1]
+    seen = cv2.applyColorMap(
+        (255 * (1 - np.nan_to_num(shade))).astype(np.uint8), cv2.COLORMAP_BONE
+    )[..., ::-1]
     return np.where(np.isfinite(image)[..., None], seen, 0).astype(np.uint8)
 
 
@@ -55,8 +63,11 @@ def cell(image: np.ndarray) -> np.ndarray:
     scale = min(CELL_PX[0] / image.shape[0], CELL_PX[1] / image.shape[1])
     size = (round(image.shape[1] * scale), round(image.shape[0] * scale))
     out = np.full((*CELL_PX, 3), 255, np.uint8)
-    top, left = (CELL_PX[0] - size[1]) // 2, (CELL_PX[1] - size[0]) // 2
-    out[top : top + size[1], left : left + size[0]] = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    top = (CELL_PX[0] - size[1]) // 2
+    left = (CELL_PX[1] - size[0]) // 2
+    out[top : top + size[1], left : left + size[0]] = cv2.resize(
+        image, size, interpolation=cv2.INTER_AREA
+    )
     return out
 
 
@@ -75,8 +86,16 @@ def row(spec: SensorSpec) -> np.ndarray:
     cells = [cell(render_reference(spec))]
     for index, name in enumerate(SHAPES):
         thing = shapes.make_shape(name).mesh
-        cells.append(cell(picture(spec, simulate_press(thing, place_object(thing), spec, seed=index + 1).image)))
-    return np.hstack([np.pad(c, ((0, GAP_PX), (0, GAP_PX), (0, 0)), constant_values=255) for c in cells])
+        cells.append(
+            cell(
+                picture(
+                    spec, simulate_press(thing, place_object(thing), spec, seed=index + 1).image
+                )
+            )
+        )
+    return np.hstack(
+        [np.pad(c, ((0, GAP_PX), (0, GAP_PX), (0, 0)), constant_values=255) for c in cells]
+    )
 
 
 def main(path: Path) -> None:
@@ -85,11 +104,21 @@ def main(path: Path) -> None:
     body = np.vstack(rows)
     sheet = np.full((body.shape[0] + HEAD_PX, body.shape[1] + SIDE_PX, 3), 255, np.uint8)
     sheet[HEAD_PX:, SIDE_PX:] = body
-    pen = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "fontScale": 0.4, "color": (40, 40, 40), "lineType": cv2.LINE_AA}
+    pen = {
+        "fontFace": cv2.FONT_HERSHEY_SIMPLEX,
+        "fontScale": 0.4,
+        "color": (40, 40, 40),
+        "lineType": cv2.LINE_AA,
+    }
     for k, title in enumerate(("untouched", *(shapes.make_shape(n).title for n in SHAPES))):
         cv2.putText(sheet, title, (SIDE_PX + k * (CELL_PX[1] + GAP_PX) + 4, HEAD_PX - 9), **pen)
     for k, name in enumerate(SENSORS):
-        cv2.putText(sheet, load_sensor(name).title, (4, HEAD_PX + k * (CELL_PX[0] + GAP_PX) + CELL_PX[0] // 2), **pen)
+        cv2.putText(
+            sheet,
+            load_sensor(name).title,
+            (4, HEAD_PX + k * (CELL_PX[0] + GAP_PX) + CELL_PX[0] // 2),
+            **pen,
+        )
     cv2.imwrite(str(path), sheet[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
 
 

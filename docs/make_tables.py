@@ -47,9 +47,21 @@ Rows of T2T are from before it answered alone (28 November 2026): see samples.md
 Samples and steps: [samples.md](samples.md).
 """
 COLUMNS = (
-    "transfer", "by", "PSNR, dB", "SSIM", "Frechet (floor; FID)", "error, mm", "in contact, mm", "IoU",
-    "correlation without mean", "translation, mm", "rotation, deg", "registered: mm; deg", "ICP: mm; deg", "ms",
-)  # fmt: skip
+    "transfer",
+    "by",
+    "PSNR, dB",
+    "SSIM",
+    "Frechet (floor; FID)",
+    "error, mm",
+    "in contact, mm",
+    "IoU",
+    "correlation without mean",
+    "translation, mm",
+    "rotation, deg",
+    "registered: mm; deg",
+    "ICP: mm; deg",
+    "ms",
+)
 SHORT = {"soft_bubble": "bubble", "gelslim": "GelSlim", "digit": "DIGIT", "gelsight_mini": "Mini"}
 
 
@@ -73,13 +85,17 @@ def main(files: list[str]) -> str:
         touches = max(row["n_touches"] for row in rows.values())
         parts.append(f"\n## {split.replace('_', ' ').capitalize()}: {touches} touches a transfer\n")
         parts += ["| " + " | ".join(COLUMNS) + " |", "|" + " --- |" * len(COLUMNS)]
-        ordered = sorted(rows.items(), key=lambda item: (item[0][1] != "soft_bubble", item[0][0] != "", item[0][0]))
+        ordered = sorted(
+            rows.items(),
+            key=lambda item: (item[0][1] != "soft_bubble", item[0][0] != "", item[0][0]),
+        )
         parts += ["| " + " | ".join(_cells(*key, row)) + " |" for key, row in ordered]
     return "\n".join(parts)
 
 
 def _cells(source: str, target: str, candidate: str, row: Mapping[str, Any]) -> list[str]:
-    figures, paper = row["metrics"], row["paper"] or {}
+    figures = row["metrics"]
+    paper = row["paper"] or {}
 
     def value(name: str, region: str = "all") -> str:
         found = figures.get(name, {}).get(region)
@@ -89,7 +105,8 @@ def _cells(source: str, target: str, candidate: str, row: Mapping[str, Any]) -> 
         known = paper.get(theirs)
         return ours if known is None else f"{ours} ({known:.{digits}f})"
 
-    sets, pose = row["set_distances"], row["pose_errors"].get("network")
+    sets = row["set_distances"]
+    pose = row["pose_errors"].get("network")
     frechet = "-" if not sets else f"{sets['frechet']:.3g} ({sets['frechet_floor']:.3g}"
     if sets:
         frechet += f"; {paper['fid']:.0f})" if paper.get("fid") is not None else ")"
@@ -98,7 +115,8 @@ def _cells(source: str, target: str, candidate: str, row: Mapping[str, Any]) -> 
         for name in ("translation_mm", "rotation_deg")
     )
     if paper:
-        shift, turn = f"{shift} ({paper['translation_mm'][0]:.2f})", f"{turn} ({paper['rotation_deg'][0]:.2f})"
+        shift = f"{shift} ({paper['translation_mm'][0]:.2f})"
+        turn = f"{turn} ({paper['rotation_deg'][0]:.2f})"
     others = (_both(row["pose_errors"].get(name)) for name in ("signed_distances", "icp"))
     way = SHORT[target] if not source else f"{SHORT[source]} > {SHORT[target]}"
     return [
@@ -121,7 +139,9 @@ def _cells(source: str, target: str, candidate: str, row: Mapping[str, Any]) -> 
 def _both(pose: Mapping[str, Any] | None) -> str:
     if pose is None:
         return "-"
-    return "; ".join(f"{pose[name][0]:.2f} ± {pose[name][1]:.2f}" for name in ("translation_mm", "rotation_deg"))
+    return "; ".join(
+        f"{pose[name][0]:.2f} ± {pose[name][1]:.2f}" for name in ("translation_mm", "rotation_deg")
+    )
 
 
 if __name__ == "__main__":

@@ -1,8 +1,10 @@
-"""Make the pictures of README.md and docs/tour.md: the window itself, as it is now, on the sample recordings.
+"""Make the pictures of README.md and docs/tour.md: the window itself, as it is now, on the sample
+recordings.
 
     xvfb-run -a -s "-screen 0 1600x950x24" python docs/make_tour.py [FOLDER [NAME ...]]
 
-`make tour` does so. Nothing is retouched: each picture is what the window shows after the steps that the text tells.
+`make tour` does so. Nothing is retouched: each picture is what the window shows after the steps
+that the text tells.
 """
 
 from __future__ import annotations
@@ -35,8 +37,11 @@ from pipeline.io.live.source_parsing import SimulatedSource
 from pipeline.sensors.alignment import Offsets
 
 SIZE_PX = (1600, 950)
-LIMIT_S, QUIET_S = 300.0, 3.0
-TRIALS, SEED = (14, 15, 16, 17), 3  # trial 17 of this seed fails
+LIMIT_S = 300.0
+QUIET_S = 3.0
+# trial 17 of this seed fails
+TRIALS = (14, 15, 16, 17)
+SEED = 3
 ROLLOUTS = tempfile.TemporaryDirectory()
 PAIRED = SAMPLE_RECORDING.with_name("digit_gelslim.h5")
 
@@ -70,7 +75,9 @@ def wait_for_idle(instrument: SessionController) -> None:
 
 def open_sample(instrument: SessionController, *, frame: int) -> None:
     """Open the sample on a touched frame."""
-    instrument.show_session(Session(recording=SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=frame))
+    instrument.show_session(
+        Session(recording=SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=frame)
+    )
     wait_for_views(instrument)
 
 
@@ -92,7 +99,12 @@ def inspect(instrument: SessionController, path: Path) -> None:
     opened = instrument.views.translation
     assert opened is not None
     n = opened.n_frames
-    until(lambda: all(window.frames.model.get_summary(i) is not None for i in range(n)) and instrument.is_idle)
+    until(
+        lambda: (
+            all(window.frames.model.get_summary(i) is not None for i in range(n))
+            and instrument.is_idle
+        )
+    )
     command(instrument, "worst_frame")
     wait_for_views(instrument)
     command(instrument, "show_wipe")
@@ -124,7 +136,11 @@ def filmstrip(instrument: SessionController, path: Path) -> None:
 def compare(instrument: SessionController, path: Path) -> None:
     """The same frame by every method that has weights."""
     comparing = _compared(instrument)
-    until(lambda: not comparing.is_busy and len(instrument.window.comparison.current_tab.grid.tiles) > 2)
+    until(
+        lambda: (
+            not comparing.is_busy and len(instrument.window.comparison.current_tab.grid.tiles) > 2
+        )
+    )
     wait_for_idle(instrument)
     save_window_screenshot(instrument, path)
 
@@ -138,7 +154,11 @@ def two(instrument: SessionController, path: Path) -> None:
     box = instrument.window.comparison.stage_box
     box.setCurrentIndex(box.findData("target_depth"))
     box.activated.emit(box.currentIndex())
-    until(lambda: not comparing.is_busy and len(instrument.window.comparison.current_tab.grid.tiles) == 3)
+    until(
+        lambda: (
+            not comparing.is_busy and len(instrument.window.comparison.current_tab.grid.tiles) == 3
+        )
+    )
     wait_for_idle(instrument)
     save_window_screenshot(instrument, path)
 
@@ -185,7 +205,10 @@ def align(instrument: SessionController, path: Path) -> None:
     wait_for_views(instrument)
     command(instrument, "layout_align")
     wait_for_views(instrument)
-    instrument.change("move the alignment", offsets=Offsets(translation_mm=(2.0, 0.0, 0.0), pivot_mm=(0.0, 0.0, 22.0)))
+    instrument.change(
+        "move the alignment",
+        offsets=Offsets(translation_mm=(2.0, 0.0, 0.0), pivot_mm=(0.0, 0.0, 22.0)),
+    )
     wait_for_views(instrument)
     wait_for_idle(instrument)
     save_window_screenshot(instrument, path)
@@ -226,7 +249,9 @@ def trial(instrument: SessionController, path: Path) -> None:
 def trial_error(instrument: SessionController, path: Path) -> None:
     """Why trial 17 fails, from the rollout that is run again."""
     _open_trial_17(instrument)
-    attribution = next(child for child in instrument.children() if isinstance(child, RolloutAttributionController))
+    attribution = next(
+        child for child in instrument.children() if isinstance(child, RolloutAttributionController)
+    )
     attribution.attribute()
     until(lambda: not attribution.is_busy and bool(instrument.window.task.decision.waterfall.bars))
     save_window_screenshot(instrument, path)
@@ -235,7 +260,9 @@ def trial_error(instrument: SessionController, path: Path) -> None:
 def _open_trial_17(instrument: SessionController) -> None:
     folder = record_trials()
     instrument.open_path(folder)
-    rollouts = next(child for child in instrument.children() if isinstance(child, RolloutController))
+    rollouts = next(
+        child for child in instrument.children() if isinstance(child, RolloutController)
+    )
     until(lambda: rollouts.shown is not None)
     rollouts.choose_trial(folder / "hex_key_t2t_0.5mm_017.h5")
     until(lambda: rollouts.shown is not None and rollouts.shown.rollout.summary.trial == TRIALS[-1])
@@ -247,24 +274,41 @@ def _open_trial_17(instrument: SessionController) -> None:
 
 @cache
 def record_trials() -> Path:
-    """Record a few grasps of the hex key, of which the last fails by T2T, in a folder that ends with the program."""
+    """Record a few grasps of the hex key, of which the last fails by T2T, in a folder that ends
+    with the program.
+    """
     from pipeline.lab.tasks.runner import make_jobs, run_job
 
     folder = Path(ROLLOUTS.name)
     jobs = make_jobs(
-        "insertion", cases=("hex_key",), touches=("t2t", "true"), tolerances_mm=(0.5,), n_trials=TRIALS[-1] + 1,
-        seed=SEED, folder=folder,
-    )  # fmt: skip
+        "insertion",
+        cases=("hex_key",),
+        touches=("t2t", "true"),
+        tolerances_mm=(0.5,),
+        n_trials=TRIALS[-1] + 1,
+        seed=SEED,
+        folder=folder,
+    )
     for k in TRIALS:
         run_job(jobs[k])
     return folder
 
 
 PICTURES = {
-    "welcome": welcome, "stages": stages, "filmstrip": filmstrip, "inspect": inspect, "compare": compare, "two": two,
-    "grid": grid, "demo": demo, "align": align, "track": track, "live": live, "trial": trial,
+    "welcome": welcome,
+    "stages": stages,
+    "filmstrip": filmstrip,
+    "inspect": inspect,
+    "compare": compare,
+    "two": two,
+    "grid": grid,
+    "demo": demo,
+    "align": align,
+    "track": track,
+    "live": live,
+    "trial": trial,
     "trial_error": trial_error,
-}  # fmt: skip
+}
 
 
 def main() -> None:

@@ -11,5 +11,8 @@ with ts.open("sample_data/recordings/digit_gelslim.h5", "gelslim", source="digit
     print("predicted standard deviation (deg, mm):", np.round(fit.std, 3))
     print("not determined:", ", ".join(fit.weak_directions) or "nothing")
     frame = touches.with_alignment(fit.alignment)[2]
-    print(f"contact IoU of frame 2: {touches[2].metrics['touch_depth.contact_iou']:.3f} before,", end=" ")
+    print(
+        f"contact IoU of frame 2: {touches[2].metrics['touch_depth.contact_iou']:.3f} before,",
+        end=" ",
+    )
     print(f"{frame.metrics['touch_depth.contact_iou']:.3f} after")

@@ -1,4 +1,6 @@
-"""A batch on a cluster: each worker opens the recording itself, and returns what is measured of a frame."""
+"""A batch on a cluster: each worker opens the recording itself, and returns what is measured of
+a frame.
+"""
 
 from distributed import Client, LocalCluster
 
@@ -13,8 +15,16 @@ def measure(index: int) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    cluster = LocalCluster(n_workers=2, processes=False, dashboard_address=None)  # or the address of a scheduler
+    # or the address of a scheduler
+    cluster = LocalCluster(n_workers=2, processes=False, dashboard_address=None)
     with cluster, Client(cluster) as client:
         rows = client.gather(client.map(measure, range(4, 7)))
     for index, row in enumerate(rows, start=4):
-        print(index, {name: round(value, 3) for name, value in row.items() if name.startswith("touch_depth")})
+        print(
+            index,
+            {
+                name: round(value, 3)
+                for name, value in row.items()
+                if name.startswith("touch_depth")
+            },
+        )

@@ -1,4 +1,7 @@
-"""An own sensor: a TOML file that says what differs from a known one; lengths and units are checked."""
+"""An own sensor: a TOML file that says what differs from a known one.
+
+Lengths and units are checked.
+"""
 
 from pathlib import Path
 
@@ -16,5 +19,7 @@ Path("mine.toml").write_text(
 sensor = ts.load_sensor("mine.toml")
 print(f"{sensor.title}: {sensor.camera.shape} pixels of {sensor.pixel_mm:.3f} mm")
 
-with ts.open("sample_data/recordings/first_touch.h5", target="mine.toml", source="gelslim") as touches:
+with ts.open(
+    "sample_data/recordings/first_touch.h5", target="mine.toml", source="gelslim"
+) as touches:
     print(f"generated {touches[5].touch.image.shape} for {touches.target.name}")

@@ -1,4 +1,6 @@
-"""The sample that the window opens with: one moving touch recorded by a GelSlim, a DIGIT and a Soft Bubble."""
+"""The sample that the window opens with: one moving touch recorded by a GelSlim, a DIGIT and a
+Soft Bubble.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ from sample_data.writing import PressFrame, write_recording
 SENSORS = ("gelslim", "digit", "soft_bubble")
 NOTES = (
     "simulated: exact indentation, contact and object pose are part of the file",
-    "all three sensors feel the same object at the same moment; the bubble reaches 4 mm farther and touches first",
+    "all three sensors feel the same object at the same moment; the bubble reaches 4 mm farther "
+    "and touches first",
 )
 
 
@@ -70,6 +73,8 @@ def _pose(before: Keyframe, after: Keyframe, share: float) -> Doubles:
     tilt = rigid.rotation((np.deg2rad(between(before.tilt_deg, after.tilt_deg)), 0.0, 0.0))
     twist = rigid.rotation((0.0, 0.0, np.deg2rad(between(before.twist_deg, after.twist_deg))))
     place = rigid.translation(
-        -4.0 + between(before.slide_mm, after.slide_mm), -2.5, between(before.face_z_mm, after.face_z_mm)
+        -4.0 + between(before.slide_mm, after.slide_mm),
+        -2.5,
+        between(before.face_z_mm, after.face_z_mm),
     )
     return place @ tilt @ twist

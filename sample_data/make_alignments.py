@@ -1,4 +1,6 @@
-"""Write the exact alignments of sample recordings: `python -m sample_data.make_alignments`, after `make_samples`."""
+"""Write the exact alignments of sample recordings: `python -m sample_data.make_alignments`,
+after `make_samples`.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +21,14 @@ def alignment_path(source: str, target: str) -> Path:
 
 def read_exact_alignment(recording: str, source: str, target: str) -> AlignmentFile:
     """The exact alignment of two streams of a sample recording."""
-    opened = open_translation(Request(recording=RECORDINGS / f"{recording}.h5", source=source, target=target))
+    opened = open_translation(
+        Request(recording=RECORDINGS / f"{recording}.h5", source=source, target=target)
+    )
     try:
         origin = f"exact: what {recording}.h5 was simulated with"
-        return AlignmentFile(alignment=opened.alignment, source=source, target=target, origin=origin)
+        return AlignmentFile(
+            alignment=opened.alignment, source=source, target=target, origin=origin
+        )
     finally:
         opened.recording.close()
 
@@ -30,7 +36,9 @@ def read_exact_alignment(recording: str, source: str, target: str) -> AlignmentF
 def main() -> None:
     """Write the alignment of every pair."""
     for recording, source, target in RECORDED_PAIRS:
-        save_alignment(alignment_path(source, target), read_exact_alignment(recording, source, target))
+        save_alignment(
+            alignment_path(source, target), read_exact_alignment(recording, source, target)
+        )
 
 
 if __name__ == "__main__":

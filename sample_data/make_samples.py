@@ -27,17 +27,28 @@ def write_sample(plan: SimulationPlan, path: Path) -> None:
 MAKERS: dict[str, Callable[[Path], None]] = {
     "first_touch": first_touch.make_recording,
     "grasps_lines_120": partial(
-        write_sample, SimulationPlan(sensors=("gelslim", "soft_bubble"), object_source="lines_120", n_poses=3, seed=7)
+        write_sample,
+        SimulationPlan(
+            sensors=("gelslim", "soft_bubble"), object_source="lines_120", n_poses=3, seed=7
+        ),
     ),
     "grasps_curve": partial(
-        write_sample, SimulationPlan(sensors=("gelslim", "soft_bubble"), object_source="curve", n_poses=3, seed=8)
+        write_sample,
+        SimulationPlan(
+            sensors=("gelslim", "soft_bubble"), object_source="curve", n_poses=3, seed=8
+        ),
     ),
     "grasps_cross": partial(
-        write_sample, SimulationPlan(sensors=("gelslim", "soft_bubble"), object_source="cross", n_poses=3, seed=9)
+        write_sample,
+        SimulationPlan(
+            sensors=("gelslim", "soft_bubble"), object_source="cross", n_poses=3, seed=9
+        ),
     ),
     "digit_gelslim": partial(
         write_sample,
-        SimulationPlan(sensors=("digit", "gelslim"), object_source="wave", n_poses=6, seed=3, sequence="all"),
+        SimulationPlan(
+            sensors=("digit", "gelslim"), object_source="wave", n_poses=6, seed=3, sequence="all"
+        ),
     ),
     "no_contact": hard_cases.make_no_contact,
     "trouble": hard_cases.make_trouble,

@@ -1,10 +1,11 @@
-"""Describe the touches that the generating networks were trained on: `weights/training_touches_SENSOR.npz`.
+"""Describe the touches that the generating networks were trained on:
+`weights/training_touches_SENSOR.npz`.
 
     python sample_data/make_training_touches.py [N_TOUCHES]
 
-The touches are those of `pipeline.lab.training.target_touches`, first press seed, as the recipes t2d2_* train on them; the
-numbers are those of `pipeline.translation.round_trip`. The window and `translate` rank frames by the distance from
-them.
+The touches are those of `pipeline.lab.training.target_touches`, first press seed, as the recipes
+t2d2_* train on them; the numbers are those of `pipeline.translation.round_trip`. The window and
+`translate` rank frames by the distance from them.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ from pipeline.stages.networks.weights_registry import WEIGHTS_FOLDER
 from pipeline.stages.touch.depth_condition import make_working_sensor
 from pipeline.translation.round_trip import describe_touch
 
-SENSORS, N_TOUCHES, PRESS_SEED = ("soft_bubble", "gelslim"), 300, 1
+SENSORS = ("soft_bubble", "gelslim")
+N_TOUCHES = 300
+PRESS_SEED = 1
 
 
 def main() -> None:
@@ -31,8 +34,14 @@ def main() -> None:
     n_touches = int(sys.argv[1]) if len(sys.argv) > 1 else N_TOUCHES
     for name in SENSORS:
         sensor = make_working_sensor(load_sensor(name))
-        touches = (simulate_target_touch(name, "training", PRESS_SEED, index) for index in range(n_touches))
-        described = [describe_touch(t.observed, t.observed_mm, sensor.pixel_mm) for t in touches if t is not None]
+        touches = (
+            simulate_target_touch(name, "training", PRESS_SEED, index) for index in range(n_touches)
+        )
+        described = [
+            describe_touch(t.observed, t.observed_mm, sensor.pixel_mm)
+            for t in touches
+            if t is not None
+        ]
         features = np.array([numbers for numbers in described if numbers is not None], np.float32)
         write_arrays(WEIGHTS_FOLDER / f"training_touches_{name}.npz", {"features": features})
 

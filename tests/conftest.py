@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-# A landing must not hang on the luck of the draw: where CI runs, every run tries the same examples; elsewhere new ones.
-# No deadline for one example: a kernel compiles within it, and other programs use the machine.
+# A landing must not hang on the luck of the draw: where CI runs, every run tries the same examples;
+# elsewhere new ones. No deadline for one example: a kernel compiles within it, and other programs
+# use the machine.
 settings.register_profile("tests", deadline=None, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("tests")
 
@@ -27,12 +28,19 @@ def real_data() -> Path:
 
 @pytest.fixture(scope="session")
 def rollout_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One grasp of the hex key, inserted by its planned pose and by T2T at two clearances: four rollouts."""
+    """One grasp of the hex key, inserted by its planned pose and by T2T at two clearances: four
+    rollouts.
+    """
     from pipeline.lab.tasks.runner import make_jobs, run_job
 
     folder = tmp_path_factory.mktemp("rollouts")
     jobs = make_jobs(
-        "insertion", cases=("hex_key",), touches=("none", "t2t"), tolerances_mm=(0.1, 2.0), n_trials=4, folder=folder
+        "insertion",
+        cases=("hex_key",),
+        touches=("none", "t2t"),
+        tolerances_mm=(0.1, 2.0),
+        n_trials=4,
+        folder=folder,
     )
     run_job(jobs[3])
     return folder

@@ -24,11 +24,13 @@ def test_the_pages_build_and_no_link_leads_nowhere(tmp_path):
     from mkdocs.config import load_config
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of the libraries; those of the pages are logged, and end a strict build
+        # of the libraries; those of the pages are logged, and end a strict build
+        warnings.simplefilter("ignore")
         build(load_config(str(ROOT / "mkdocs.yml"), strict=True, site_dir=str(tmp_path)))
     api = (tmp_path / "api" / "index.html").read_text()
     assert all(
-        f'id="{name}"' in api for name in ("tactoscope.open", "pipeline.core.values.results.DepthMap.indentation_mm")
+        f'id="{name}"' in api
+        for name in ("tactoscope.open", "pipeline.core.values.results.DepthMap.indentation_mm")
     )
 
 
@@ -43,11 +45,14 @@ def test_the_first_script_of_a_newcomer_runs(page, monkeypatch, capsys):
 
 def test_every_example_has_its_place_on_the_page():
     shown = re.findall(r'--8<-- "(.*?)"', (DOCS / "examples.md").read_text())
-    assert sorted(shown) == sorted(str(path.relative_to(ROOT)) for path in (ROOT / "examples").glob("*.py"))
+    assert sorted(shown) == sorted(
+        str(path.relative_to(ROOT)) for path in (ROOT / "examples").glob("*.py")
+    )
 
 
 def test_figures_and_methods_of_the_choice_are_those_of_the_tables():
-    page, tables = (DOCS / "choosing.md").read_text(), (DOCS / "tables" / "README.md").read_text()
+    page = (DOCS / "choosing.md").read_text()
+    tables = (DOCS / "tables" / "README.md").read_text()
     cells = {cell.strip() for cell in tables.replace("\n", "|").split("|")}
     rows = re.findall(r"`(\w+)` ([\d.]+), ([\d.]+)", page)
     assert len(rows) >= 20
@@ -60,7 +65,9 @@ def test_every_sentence_of_troubleshooting_is_one_that_the_program_says():
     sources = [ROOT / "tactoscope.py", *(ROOT / "pipeline").rglob("*.py")]
     code = re.sub(r'"\s*\n\s*f?"', "", "\n".join(path.read_text() for path in sources))
     rows = [
-        line.split("|")[1] for line in (DOCS / "troubleshooting.md").read_text().splitlines() if line.startswith("| `")
+        line.split("|")[1]
+        for line in (DOCS / "troubleshooting.md").read_text().splitlines()
+        if line.startswith("| `")
     ]
     phrases = [phrase for row in rows for phrase in re.findall(r"`(.*?)`", row)]
     assert len(phrases) >= 18

@@ -32,13 +32,18 @@ def run(name):
 def test_own_arrays():
     ran = run("own_arrays")
     assert ran["depth"].contact.any()
-    assert [image.shape for image in ran["generated"]] == [(*ts.load_sensor("gelslim").camera.shape, 3)] * 2
+    assert [image.shape for image in ran["generated"]] == [
+        (*ts.load_sensor("gelslim").camera.shape, 3)
+    ] * 2
 
 
 def test_folder(place):
     stream = ts.open_recording(ROOT / "sample_data/recordings/first_touch.h5").stream("digit")
     (place / "touches").mkdir()
-    for name, image in (("reference", stream.frame(5).reference), ("touch_0", stream.frame(5).image)):
+    for name, image in (
+        ("reference", stream.frame(5).reference),
+        ("touch_0", stream.frame(5).image),
+    ):
         cv2.imwrite(str(place / "touches" / f"{name}.png"), image[..., ::-1])
     assert run("folder")["written"] == 1
     assert cv2.imread("touches_0000.png").shape == (*ts.load_sensor("gelslim").camera.shape, 3)
@@ -92,7 +97,8 @@ def test_batch():
 
 
 def test_the_notebook_shows_figures():
-    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    nbformat = pytest.importorskip("nbformat")
+    nbclient = pytest.importorskip("nbclient")
     pytest.importorskip("ipykernel")
     notebook = nbformat.read(EXAMPLES / "compare_methods.ipynb", as_version=4)
     nbclient.NotebookClient(notebook, timeout=240).execute()

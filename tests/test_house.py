@@ -14,7 +14,9 @@ ROOT = Path(__file__).resolve().parents[1]
 
 def test_no_file_is_imported_by_what_it_imports():
     """Imports that only types need are left out, those inside functions count."""
-    graph = grimp.build_graph("pipeline", "app", "widgets", exclude_type_checking_imports=True, cache_dir=None)
+    graph = grimp.build_graph(
+        "pipeline", "app", "widgets", exclude_type_checking_imports=True, cache_dir=None
+    )
     needs = {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
     assert sum(map(len, needs.values())) > len(needs)
     TopologicalSorter(needs).prepare()  # raises CycleError, which names the circle
@@ -26,9 +28,13 @@ def test_every_test_and_picture_of_the_features_exists():
     rows = [[line for line in table.splitlines()[2:] if line.startswith("|")] for table in tables]
     assert [len(table) for table in rows[:2]] == [41, 14]
     for row in (row for table in rows for row in table):
-        tests, pictures = re.findall(r"`([\w/]+\.py)::(\w+)`", row), re.findall(r"`(tour/\w+\.png)`", row)
+        tests = re.findall(r"`([\w/]+\.py)::(\w+)`", row)
+        pictures = re.findall(r"`(tour/\w+\.png)`", row)
         assert tests or pictures or row.endswith("| no |"), row
         for file, name in tests:
             tree = ast.parse((ROOT / "tests" / file).read_text())
-            assert name in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}, (file, name)
+            assert name in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}, (
+                file,
+                name,
+            )
         assert all((ROOT / "docs" / picture).is_file() for picture in pictures), row

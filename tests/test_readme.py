@@ -17,7 +17,9 @@ from pipeline.translation.catalogue import BUILT_IN
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
-COMMANDS = [line.partition("#")[0] for line in README.splitlines() if line.startswith("tactoscope ")]
+COMMANDS = [
+    line.partition("#")[0] for line in README.splitlines() if line.startswith("tactoscope ")
+]
 
 
 @pytest.mark.parametrize("line", COMMANDS)
@@ -34,7 +36,9 @@ def test_named_methods_and_parameters_exist():
     stages = {stage.name: stage for stage in BUILT_IN.stages}
     for stage, parameter in named:
         if stage in stages:
-            assert any(parameter in list_fields(m) for m in stages[stage].methods), f"{stage}.{parameter}"
+            assert any(parameter in list_fields(m) for m in stages[stage].methods), (
+                f"{stage}.{parameter}"
+            )
     assert ("touch", "confidence_weighting") in named
 
 

@@ -17,7 +17,8 @@ from pipeline.core.errors import SettingProblem, ShapeError
 from pipeline.core.graph import Graph
 
 SAMPLE = Path(__file__).parents[1] / "sample_data" / "recordings" / "first_touch.h5"
-TOUCHED, UNTOUCHED = 5, 0
+TOUCHED = 5
+UNTOUCHED = 0
 SHAPE = (320, 240, 3)  # of a DIGIT
 
 
@@ -30,7 +31,8 @@ def touches():
 @pytest.fixture
 def evaluated(monkeypatch):
     """The stages that are asked for from now on."""
-    asked, evaluate = [], Graph.evaluate
+    asked = []
+    evaluate = Graph.evaluate
 
     def follow(self, wanted, *args, **kwargs):
         asked.append(tuple(wanted))
@@ -40,14 +42,30 @@ def evaluated(monkeypatch):
     return asked
 
 
-@pytest.mark.parametrize(("command", "heavy"), [
-    ("import tactoscope; dir(tactoscope)", "numpy"),
-    ("import tactoscope, sys; sys.argv[1:] = ['--help']\ntry: tactoscope.main()\nexcept SystemExit: pass", "numpy"),
-    (f"import tactoscope; len(tactoscope.open({str(SAMPLE)!r}, 'gelslim', source='digit'))", "torch"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("command", "heavy"),
+    [
+        ("import tactoscope; dir(tactoscope)", "numpy"),
+        (
+            "import tactoscope, sys; sys.argv[1:] = ['--help']\ntry: tactoscope.main()\nexcept "
+            "SystemExit: pass",
+            "numpy",
+        ),
+        (
+            f"import tactoscope; len(tactoscope.open({str(SAMPLE)!r}, 'gelslim', source='digit'))",
+            "torch",
+        ),
+    ],
+)
 def test_it_loads_no_library_before_it_is_needed(command, heavy):
     code = f"{command}\nimport sys\nassert {heavy!r} not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, cwd=SAMPLE.parents[2], timeout=120)
+    subprocess.run(
+        [sys.executable, "-c", code],
+        check=True,
+        capture_output=True,
+        cwd=SAMPLE.parents[2],
+        timeout=120,
+    )
 
 
 def test_every_public_name_is_there_and_says_what_it_is():
@@ -89,20 +107,30 @@ def test_a_frame_has_what_the_stages_made_of_it(touches):
 
 def test_what_only_the_truth_knows_is_a_note():
     with ts.open(SAMPLE, "soft_bubble", source="gelslim", methods={"touch": "physics"}) as opened:
-        assert any("of the target's contact: the rest is missing" in note for note in opened[TOUCHED].notes)
+        assert any(
+            "of the target's contact: the rest is missing" in note for note in opened[TOUCHED].notes
+        )
 
 
 def test_other_settings_compute_only_what_follows(touches):
     touches.evaluate(TOUCHED)
-    states = {name: result.state for name, result in touches.with_(stage="pose", seed=7)[TOUCHED].results.items()}
+    states = {
+        name: result.state
+        for name, result in touches.with_(stage="pose", seed=7)[TOUCHED].results.items()
+    }
     assert states.pop("pose") == "computed"
     assert set(states.values()) == {"cached"}
 
 
-@pytest.mark.parametrize(("change", "fact"), [
-    ({"stage": "nothing", "gain": 1.0}, "no stage 'nothing'"), ({"method": "nothing"}, "no method 'nothing'"),
-    ({"nothing": 1}, "no parameter 'nothing'"), ({"stage": "depth", "sensitivity": -1.0}, "sensitivity must lie within"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("change", "fact"),
+    [
+        ({"stage": "nothing", "gain": 1.0}, "no stage 'nothing'"),
+        ({"method": "nothing"}, "no method 'nothing'"),
+        ({"nothing": 1}, "no parameter 'nothing'"),
+        ({"stage": "depth", "sensitivity": -1.0}, "sensitivity must lie within"),
+    ],
+)
 def test_a_wrong_name_is_one_sentence(touches, change, fact):
     with pytest.raises(ts.TouchError, match=fact):
         touches.with_(**change)
@@ -124,7 +152,9 @@ def test_a_method_that_is_written_again_is_run_again(touches):
 
         return replace(depth, name="mine", title="Mine", run=run, nodes=())
 
-    first, second = (touches.with_(stage="depth", method=make(mm))[TOUCHED].depth for mm in (0.0, 1.0))
+    first, second = (
+        touches.with_(stage="depth", method=make(mm))[TOUCHED].depth for mm in (0.0, 1.0)
+    )
     np.testing.assert_allclose(second.indentation_mm - first.indentation_mm, 1.0, atol=1e-5)
     assert "mine" not in touches.list_methods("depth")
     with pytest.raises(SettingProblem, match="already has a method 'physics'"):
@@ -141,7 +171,10 @@ def test_arrays_give_the_depth_of_their_recording(touches):
     assert not ts.depth(source.reference, source.reference, sensor="digit").contact.any()
 
 
-@given(shape=st.lists(st.integers(0, 4), max_size=5), kind=st.sampled_from(["u1", "f4", "i8", "?", "U1"]))
+@given(
+    shape=st.lists(st.integers(0, 4), max_size=5),
+    kind=st.sampled_from(["u1", "f4", "i8", "?", "U1"]),
+)
 def test_arrays_of_another_shape_or_type_are_refused(shape, kind):
     images = np.zeros(shape, kind)
     is_right = len(shape) == 4 and shape[-1] == 3 and images.size and kind == "u1"
@@ -170,12 +203,16 @@ def test_a_frame_of_a_closed_recording_and_a_stage_without_membrane_are_sentence
     for read in (lambda: frame.depth, lambda: frame.truth):
         with pytest.raises(ts.TouchError, match="the recording is closed; read its frames before"):
             read()
-    with pytest.raises(SettingProblem, match="the membrane of 'touch' is not tracked; choose one of depth"):
+    with pytest.raises(
+        SettingProblem, match="the membrane of 'touch' is not tracked; choose one of depth"
+    ):
         ts.track(touches, "touch", [TOUCHED])
 
 
 def test_a_training_needs_pairs_or_a_recipe(tmp_path):
-    with pytest.raises(SettingProblem, match="nothing called 'magic' can be trained; there are depth"):
+    with pytest.raises(
+        SettingProblem, match="nothing called 'magic' can be trained; there are depth"
+    ):
         ts.train("magic", tmp_path)
     with pytest.raises(SettingProblem, match="give pairs to train t2t on, or a recipe: t2t_bubble"):
         ts.train("t2t", tmp_path)

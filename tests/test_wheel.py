@@ -1,4 +1,6 @@
-"""The built wheel, installed away from the source: what it can do there, and what it says where others have its names."""
+"""The built wheel, installed away from the source: what it can do there, and what it says where
+others have its names.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,10 @@ SOURCES = ("app", "widgets", "pipeline", "tactoscope.py", "pyproject.toml", "REA
 
 def pip(*words):
     done = subprocess.run(
-        [sys.executable, "-m", "pip", "-q", *map(str, words)], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "pip", "-q", *map(str, words)],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
 
@@ -29,8 +34,18 @@ def wheel(tmp_path_factory):
     copy = tmp_path_factory.mktemp("source")
     for name in SOURCES:
         whole = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
-        whole(ROOT / name, copy / name, **({"ignore": _no_caches} if whole is shutil.copytree else {}))
-    pip("wheel", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", copy / "made", copy)
+        whole(
+            ROOT / name, copy / name, **({"ignore": _no_caches} if whole is shutil.copytree else {})
+        )
+    pip(
+        "wheel",
+        "--no-deps",
+        "--no-build-isolation",
+        "--no-index",
+        "--wheel-dir",
+        copy / "made",
+        copy,
+    )
     return next((copy / "made").glob("*.whl"))
 
 
@@ -47,10 +62,19 @@ def typed(installed, tmp_path):
     """Run `tactoscope` of the wheel from an empty folder; returns exit code, stdout and stderr."""
 
     def go(*words, before=()):
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*map(str, before), str(installed)])}
+        environment = {
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join([*map(str, before), str(installed)]),
+        }
         command = [sys.executable, installed / "bin" / "tactoscope", *map(str, words)]
         done = subprocess.run(
-            command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=550, check=False
+            command,
+            env=environment,
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=550,
+            check=False,
         )
         return done.returncode, done.stdout, done.stderr
 
@@ -73,8 +97,11 @@ def test_the_wheel_holds_every_module_and_description_and_is_not_for_upload(whee
     }
     assert wanted | {"tactoscope.py"} <= held
     assert {name.partition("/")[0] for name in held if ".dist-info" not in name} == {
-        "app", "widgets", "pipeline", "tactoscope.py",
-    }  # fmt: skip
+        "app",
+        "widgets",
+        "pipeline",
+        "tactoscope.py",
+    }
     weights = {path.name for path in (ROOT / "sample_data" / "weights").iterdir()}
     assert {f"pipeline/stages/networks/shipped/{name}" for name in weights} <= held
     assert "README.md" in weights
@@ -91,7 +118,18 @@ def test_it_helps_from_any_folder(typed):
 @pytest.mark.slow  # its kernels are compiled anew
 @pytest.mark.timeout(600)
 def test_it_translates_a_sample_from_any_folder(typed, tmp_path):
-    asked = ("translate", SAMPLE, "--target", "soft_bubble", "--sensor", "gelslim", "--frame", "0", "--out", "out")
+    asked = (
+        "translate",
+        SAMPLE,
+        "--target",
+        "soft_bubble",
+        "--sensor",
+        "gelslim",
+        "--frame",
+        "0",
+        "--out",
+        "out",
+    )
     code, _, err = typed(*asked)
     assert code == 0, err
     assert (tmp_path / "out" / "frame_0000" / "stages.npz").is_file()
@@ -110,7 +148,9 @@ def test_it_says_where_bench_and_samples_are(typed):
 def test_another_package_of_the_same_name_is_named_in_one_sentence(name, kind, typed, tmp_path):
     other = tmp_path / "other"
     (other / name).mkdir(parents=True)
-    ((other / name / "__init__.py") if kind == "package" else (other / f"{name}.py")).write_text("raise SystemExit(0)")
+    ((other / name / "__init__.py") if kind == "package" else (other / f"{name}.py")).write_text(
+        "raise SystemExit(0)"
+    )
     code, out, err = typed("--help", before=[other])
     assert (code, out) == (2, "")
     assert err.startswith(f"tactoscope: another package named {name!r} shadows this project's; ")

@@ -1,4 +1,6 @@
-"""What one of the program's writers writes, its reader opens, equal: every writer that has a reader."""
+"""What one of the program's writers writes, its reader opens, equal: every writer that has a
+reader.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,13 @@ from pipeline.io.reference_estimate import write_reference
 from pipeline.lab.evaluation.comparison_tiles import TABLE_FILE, write_tiles
 from pipeline.lab.tasks.rollout_file import read_rollout, summarise, write_rollout
 from pipeline.lab.tasks.task import Decision, Rollout, Tick, TrialPlan
-from pipeline.lab.tracking.track_record import TrackError, TrackRecord, TrackRow, read_record, write_record
+from pipeline.lab.tracking.track_record import (
+    TrackError,
+    TrackRecord,
+    TrackRow,
+    read_record,
+    write_record,
+)
 from pipeline.lab.training.object_sampling import SampleCache
 from pipeline.lab.training.state import TrainingState, load_state, save_state
 from pipeline.sensors.alignment import Alignment, Offsets
@@ -55,12 +63,16 @@ NAMES = st.text(alphabet=string.ascii_letters + string.digits + "_-äµ", min_si
 NUMBERS = st.floats(-1e6, 1e6, allow_subnormal=False)
 POSITIVE = st.floats(1e-6, 1e6)
 POSES = st.builds(
-    rigid.from_parts, st.tuples(*[st.floats(-500.0, 500.0)] * 3), st.tuples(*[st.floats(-179.0, 179.0)] * 3)
+    rigid.from_parts,
+    st.tuples(*[st.floats(-500.0, 500.0)] * 3),
+    st.tuples(*[st.floats(-179.0, 179.0)] * 3),
 )
 SEEDS = st.integers(0, 2**32 - 1)
 
 
-def arrays(kind: Any, shape: tuple[int, ...], elements: st.SearchStrategy[Any] | None = None) -> st.SearchStrategy[Any]:
+def arrays(
+    kind: Any, shape: tuple[int, ...], elements: st.SearchStrategy[Any] | None = None
+) -> st.SearchStrategy[Any]:
     return npst.arrays(kind, shape, elements=elements)
 
 
@@ -73,10 +85,13 @@ def same(first: object, second: object, tolerance: float = 0.0) -> None:
     if first is None or second is None:
         assert first is second
     elif isinstance(first, np.ndarray) or isinstance(second, np.ndarray):
-        one, two = np.asarray(first), np.asarray(second)
+        one = np.asarray(first)
+        two = np.asarray(second)
         assert one.shape == two.shape
         if one.dtype.kind in "fiu" and one.size:
-            np.testing.assert_allclose(one.astype(float), two.astype(float), rtol=0.0, atol=tolerance, equal_nan=True)
+            np.testing.assert_allclose(
+                one.astype(float), two.astype(float), rtol=0.0, atol=tolerance, equal_nan=True
+            )
         else:
             assert np.array_equal(one, two)
     else:
@@ -87,13 +102,21 @@ def same(first: object, second: object, tolerance: float = 0.0) -> None:
 
 
 @st.composite
-def recordings(draw: Any) -> tuple[dict[str, Any], dict[str, list[tuple[TactileFrame, Truth | None]]]]:
+def recordings(
+    draw: Any,
+) -> tuple[dict[str, Any], dict[str, list[tuple[TactileFrame, Truth | None]]]]:
     """Arguments of a writer, and one or two streams of frames with their truth."""
     streams = {}
     for name in draw(st.lists(NAMES, min_size=1, max_size=2, unique=True)):
-        rows, cols, depth = draw(st.integers(1, 5)), draw(st.integers(2, 6)), draw(st.booleans())
+        rows = draw(st.integers(1, 5))
+        cols = draw(st.integers(2, 6))
+        depth = draw(st.booleans())
         noise = np.random.default_rng(draw(SEEDS))
-        camera = draw(optional(st.just(Camera(rows=rows, cols=cols, fx_px=3.0, fy_px=3.5, cx_px=1.0, cy_px=2.0))))
+        camera = draw(
+            optional(
+                st.just(Camera(rows=rows, cols=cols, fx_px=3.0, fy_px=3.5, cx_px=1.0, cy_px=2.0))
+            )
+        )
 
         def image(noise=noise, depth=depth, rows=rows, cols=cols):
             if not depth:
@@ -102,31 +125,51 @@ def recordings(draw: Any) -> tuple[dict[str, Any], dict[str, list[tuple[TactileF
             values[noise.random((rows, cols)) < 0.2] = np.nan
             return values
 
-        reference, frames = draw(optional(st.builds(image))), []
+        reference = draw(optional(st.builds(image)))
+        frames = []
         for index in range(draw(st.integers(1, 3))):
             truth = Truth(
-                indentation_mm=draw(optional(arrays(np.float32, (rows, cols), st.floats(-3.0, 3.0, width=32)))),
+                indentation_mm=draw(
+                    optional(arrays(np.float32, (rows, cols), st.floats(-3.0, 3.0, width=32)))
+                ),
                 contact=draw(optional(arrays(np.bool_, (rows, cols)))),
                 sensor_from_object=draw(optional(POSES)),
                 force_n=draw(optional(arrays(np.float64, (3,), NUMBERS))),
             )
             time_s = draw(st.just(math.nan) | st.floats(0.0, 1e9))
-            frame = TactileFrame(sensor=draw(st.just(name)), image=image(), reference=reference, index=index, time_s=time_s,
-                                 camera=camera)  # fmt: skip
+            frame = TactileFrame(
+                sensor=draw(st.just(name)),
+                image=image(),
+                reference=reference,
+                index=index,
+                time_s=time_s,
+                camera=camera,
+            )
             frames.append((frame, draw(optional(st.just(truth)))))
         streams[name] = frames
     names = list(streams)
-    mesh = Mesh(vertices_mm=np.array([[0.0, 0, 0], [9, 0, 0], [0, 9, 0.5]]), triangles=np.array([[0, 1, 2]], np.int32),
-                name=draw(NAMES))  # fmt: skip
-    symmetry = Symmetry(rotations=np.eye(3)[None], axis=draw(optional(st.just(np.array([0.0, 0.0, 1.0])))))
+    mesh = Mesh(
+        vertices_mm=np.array([[0.0, 0, 0], [9, 0, 0], [0, 9, 0.5]]),
+        triangles=np.array([[0, 1, 2]], np.int32),
+        name=draw(NAMES),
+    )
+    symmetry = Symmetry(
+        rotations=np.eye(3)[None], axis=draw(optional(st.just(np.array([0.0, 0.0, 1.0]))))
+    )
     pairing = Pairing(source=names[0], target=names[-1], target_from_source=draw(POSES))
     given_mesh = draw(st.booleans())
     options = {
-        "object_mesh": mesh if given_mesh else None, "symmetry": draw(optional(st.just(symmetry))) if given_mesh else None,
-        "pairings": (pairing,) if len(names) == 2 else (), "coding": draw(st.sampled_from(("plain", "row differences"))),
-        "notes": tuple(draw(st.lists(WORDS.filter(lambda text: text.strip() and text.isprintable()), max_size=2))),
+        "object_mesh": mesh if given_mesh else None,
+        "symmetry": draw(optional(st.just(symmetry))) if given_mesh else None,
+        "pairings": (pairing,) if len(names) == 2 else (),
+        "coding": draw(st.sampled_from(("plain", "row differences"))),
+        "notes": tuple(
+            draw(
+                st.lists(WORDS.filter(lambda text: text.strip() and text.isprintable()), max_size=2)
+            )
+        ),
         "depth_step_mm": draw(st.sampled_from((0.0, 0.01))),
-    }  # fmt: skip
+    }
     return options, streams
 
 
@@ -141,8 +184,13 @@ def check_recording(written: Any, folder: Path) -> None:
         assert [stream.name for stream in recording.streams] == list(streams)
         assert set(options["notes"]) <= set(recording.notes)
         for pair in options["pairings"]:
-            same(recording.target_from_source(pair.source, pair.target), pair.target_from_source, 1e-9)
-        mesh, symmetry = options["object_mesh"], options["symmetry"]
+            same(
+                recording.target_from_source(pair.source, pair.target),
+                pair.target_from_source,
+                1e-9,
+            )
+        mesh = options["object_mesh"]
+        symmetry = options["symmetry"]
         same(mesh and mesh.vertices_mm, recording.object_mesh and recording.object_mesh.vertices_mm)
         same(symmetry and symmetry.rotations, recording.symmetry and recording.symmetry.rotations)
         same(symmetry and symmetry.axis, recording.symmetry and recording.symmetry.axis)
@@ -153,7 +201,8 @@ def check_recording(written: Any, folder: Path) -> None:
 def compare_stream(stream: Any, frames: Any, step_mm: float) -> None:
     assert stream.n_frames == len(frames)
     for index, (frame, truth) in enumerate(frames):
-        back, known = stream.frame(index), stream.truth(index) or Truth()
+        back = stream.frame(index)
+        known = stream.truth(index) or Truth()
         step = 0.51 * step_mm if frame.is_depth else 0.0
         same(back.image, frame.image, step)
         same(back.reference, frame.reference, step)
@@ -183,28 +232,53 @@ def check_live_recording(written: Any, folder: Path) -> None:
 
 @st.composite
 def calibrations(draw: Any) -> Calibration:
-    colour, position = draw(st.integers(1, 2)), draw(st.integers(0, 2))
+    colour = draw(st.integers(1, 2))
+    position = draw(st.integers(0, 2))
     n_terms = len(slope_model.list_exponents(colour))
     finite = st.floats(-1e3, 1e3, width=32)
     model = SlopeModel(
-        colour_degree=colour, position_degree=position, slope_max=draw(POSITIVE),
+        colour_degree=colour,
+        position_degree=position,
+        slope_max=draw(POSITIVE),
         coefficients=draw(arrays(np.float32, (position + 1, position + 1, n_terms, 2), finite)),
-    )  # fmt: skip
-    used = BallFit(index=0, x_px=draw(NUMBERS), y_px=draw(NUMBERS), radius_px=draw(POSITIVE), residual=draw(POSITIVE),
-                   used=True)  # fmt: skip
-    unused = BallFit(index=1, x_px=math.nan, y_px=math.nan, radius_px=math.nan, residual=math.nan, used=False)
+    )
+    used = BallFit(
+        index=0,
+        x_px=draw(NUMBERS),
+        y_px=draw(NUMBERS),
+        radius_px=draw(POSITIVE),
+        residual=draw(POSITIVE),
+        used=True,
+    )
+    unused = BallFit(
+        index=1, x_px=math.nan, y_px=math.nan, radius_px=math.nan, residual=math.nan, used=False
+    )
     shares = st.floats(0.0, 1.0)
-    error = st.builds(ExpectedError, diameter_share=shares, diameter_p90=shares, depth_share=shares, depth_p90=shares,
-                      n_held_out=st.integers(0, 99))  # fmt: skip
+    error = st.builds(
+        ExpectedError,
+        diameter_share=shares,
+        diameter_p90=shares,
+        depth_share=shares,
+        depth_p90=shares,
+        n_held_out=st.integers(0, 99),
+    )
     return Calibration(
-        sensor=draw(NAMES), rows=draw(st.integers(1, 900)), cols=draw(st.integers(1, 900)), pixel_mm=draw(POSITIVE),
-        model=model, residual=draw(POSITIVE), origin=draw(WORDS), presses=tuple(draw(st.lists(st.sampled_from((used, unused))))),
-        uses_built_in=draw(st.booleans()), expected_error=draw(optional(error)), diameter_ratio=draw(optional(POSITIVE)),
+        sensor=draw(NAMES),
+        rows=draw(st.integers(1, 900)),
+        cols=draw(st.integers(1, 900)),
+        pixel_mm=draw(POSITIVE),
+        model=model,
+        residual=draw(POSITIVE),
+        origin=draw(WORDS),
+        presses=tuple(draw(st.lists(st.sampled_from((used, unused))))),
+        uses_built_in=draw(st.booleans()),
+        expected_error=draw(optional(error)),
+        diameter_ratio=draw(optional(POSITIVE)),
         reference_thumbnail=draw(optional(arrays(np.uint8, (2, 3, 3)))),
         coverage_map=draw(optional(arrays(np.bool_, (2, 3)))),
         depth_scale_map=draw(optional(arrays(np.float32, (2, 3), st.floats(0.125, 9.0, width=32)))),
         median_pressure_share=draw(optional(st.floats(0.01, 1.0))),
-    )  # fmt: skip
+    )
 
 
 def check_calibration(calibration: Calibration, folder: Path) -> None:
@@ -212,9 +286,16 @@ def check_calibration(calibration: Calibration, folder: Path) -> None:
     for name in ("reference_thumbnail", "coverage_map", "depth_scale_map"):
         same(getattr(back, name), getattr(calibration, name))
     same(back.model.coefficients, calibration.model.coefficients)
-    same(np.array([[f.x_px, f.y_px, f.residual] for f in back.presses]),
-         np.array([[f.x_px, f.y_px, f.residual] for f in calibration.presses]))  # fmt: skip
-    blank = {"reference_thumbnail": None, "coverage_map": None, "depth_scale_map": None, "presses": ()}
+    same(
+        np.array([[f.x_px, f.y_px, f.residual] for f in back.presses]),
+        np.array([[f.x_px, f.y_px, f.residual] for f in calibration.presses]),
+    )
+    blank = {
+        "reference_thumbnail": None,
+        "coverage_map": None,
+        "depth_scale_map": None,
+        "presses": (),
+    }
     assert replace(back, model=calibration.model, **blank) == replace(calibration, **blank)
     assert replace(back.model, coefficients=calibration.model.coefficients) == calibration.model
     assert [fit.used for fit in back.presses] == [fit.used for fit in calibration.presses]
@@ -222,7 +303,9 @@ def check_calibration(calibration: Calibration, folder: Path) -> None:
 
 def check_force_scale(written: Any, folder: Path) -> None:
     calibration, sensor, pairs = written
-    known = None if calibration is None else calibration_file.save(calibration, folder / "known.npz")
+    known = (
+        None if calibration is None else calibration_file.save(calibration, folder / "known.npz")
+    )
     scale = fit_force_scale(sensor, *zip(*pairs, strict=True))
     save_force_scale(scale, folder / "f.npz", known)
     back = load_force_scale(folder / "f.npz")
@@ -234,8 +317,10 @@ def check_force_scale(written: Any, folder: Path) -> None:
 
 
 FORCE_SCALES = st.tuples(
-    optional(calibrations()), NAMES, st.lists(st.tuples(st.floats(0.01, 100.0), st.floats(0.01, 100.0)), min_size=2, max_size=5)
-)  # fmt: skip
+    optional(calibrations()),
+    NAMES,
+    st.lists(st.tuples(st.floats(0.01, 100.0), st.floats(0.01, 100.0)), min_size=2, max_size=5),
+)
 
 
 # Alignments, sessions
@@ -252,28 +337,50 @@ def check_alignment(written: Any, folder: Path) -> None:
 
 TRIPLES = st.tuples(*[st.floats(-300.0, 300.0)] * 3)
 LAYOUTS = st.builds(
-    Layout, name=st.sampled_from(("stages", "inspect", "align")),
-    panes=st.lists(st.tuples(NAMES, st.sampled_from(("2D", "3D", "both"))), min_size=1, max_size=3).map(tuple),
-)  # fmt: skip
+    Layout,
+    name=st.sampled_from(("stages", "inspect", "align")),
+    panes=st.lists(
+        st.tuples(NAMES, st.sampled_from(("2D", "3D", "both"))), min_size=1, max_size=3
+    ).map(tuple),
+)
 
 
 @st.composite
 def sessions(draw: Any, folder: str = "files", variant: bool = True) -> Session:
     paths = optional(NAMES.map(lambda name: Path(folder) / name))
     return Session(
-        recording=draw(paths), source=draw(WORDS), target=draw(WORDS), stream=draw(WORDS), frame=draw(st.integers(0, 10**6)),
-        reference=draw(paths), calibration=draw(paths), mesh=draw(paths), alignment=draw(paths),
-        offsets=draw(st.builds(Offsets, translation_mm=TRIPLES, rotation_deg=TRIPLES, pivot_mm=TRIPLES)),
-        layout=draw(LAYOUTS), cameras_linked=draw(st.booleans()), methods=draw(st.sampled_from(({}, {"target_depth": "paper"}))),
+        recording=draw(paths),
+        source=draw(WORDS),
+        target=draw(WORDS),
+        stream=draw(WORDS),
+        frame=draw(st.integers(0, 10**6)),
+        reference=draw(paths),
+        calibration=draw(paths),
+        mesh=draw(paths),
+        alignment=draw(paths),
+        offsets=draw(
+            st.builds(Offsets, translation_mm=TRIPLES, rotation_deg=TRIPLES, pivot_mm=TRIPLES)
+        ),
+        layout=draw(LAYOUTS),
+        cameras_linked=draw(st.booleans()),
+        methods=draw(st.sampled_from(({}, {"target_depth": "paper"}))),
         weights={} if (file := draw(paths)) is None else {"touch": file},
         params=draw(st.sampled_from(({}, {"display": DisplayParams()}))),
         notes=draw(st.dictionaries(st.integers(0, 99), WORDS, max_size=3)),
         comparison=ComparisonSettings(stage=draw(NAMES)),
         cameras=draw(st.dictionaries(NAMES, st.tuples(*[NUMBERS] * 10), max_size=2)),
-        section=draw(optional(st.builds(SectionLine, begin_mm=st.tuples(*[st.floats(-90.0, 90.0)] * 2),
-                                        end_mm=st.tuples(*[st.floats(-90.0, 90.0)] * 2)))),
-        tick=draw(st.integers(0, 99)), variant=draw(optional(sessions(folder, False))) if variant else None,
-    )  # fmt: skip
+        section=draw(
+            optional(
+                st.builds(
+                    SectionLine,
+                    begin_mm=st.tuples(*[st.floats(-90.0, 90.0)] * 2),
+                    end_mm=st.tuples(*[st.floats(-90.0, 90.0)] * 2),
+                )
+            )
+        ),
+        tick=draw(st.integers(0, 99)),
+        variant=draw(optional(sessions(folder, False))) if variant else None,
+    )
 
 
 def check_session(session: Session, folder: Path) -> None:
@@ -284,14 +391,26 @@ def check_session(session: Session, folder: Path) -> None:
             for name in ("recording", "reference", "calibration", "mesh", "alignment")
             if getattr(one, name) is not None
         }
-        variant = None if one.variant is None else place(replace(one.variant, cameras={}, section=None))
-        return replace(one, **files, weights={key: folder / file for key, file in one.weights.items()}, variant=variant)
+        variant = (
+            None if one.variant is None else place(replace(one.variant, cameras={}, section=None))
+        )
+        return replace(
+            one,
+            **files,
+            weights={key: folder / file for key, file in one.weights.items()},
+            variant=variant,
+        )
 
-    written, path = place(session), folder / "a.touch.json"
+    written = place(session)
+    path = folder / "a.touch.json"
     save_session(written, path)
     back = load_session(path)
     assert back == written
-    assert (dict(back.cameras), back.section, back.tick) == (dict(written.cameras), written.section, written.tick)
+    assert (dict(back.cameras), back.section, back.tick) == (
+        dict(written.cameras),
+        written.section,
+        written.tick,
+    )
 
 
 # Tracks and rollouts
@@ -299,23 +418,59 @@ def check_session(session: Session, folder: Path) -> None:
 
 @st.composite
 def tracks(draw: Any) -> TrackRecord:
-    motion = {name: st.floats(-99.0, 99.0).map(lambda v: round(v, 5) + 0.0) for name in
-              ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg", "std_mm", "std_deg", "overlap", "agreement")}  # fmt: skip
+    motion = {
+        name: st.floats(-99.0, 99.0).map(lambda v: round(v, 5) + 0.0)
+        for name in (
+            "x_mm",
+            "y_mm",
+            "z_mm",
+            "rx_deg",
+            "ry_deg",
+            "rz_deg",
+            "std_mm",
+            "std_deg",
+            "overlap",
+            "agreement",
+        )
+    }
     weak = st.sampled_from(("", "x", "x; y; about z", "along 3, and 4"))
-    followed = st.builds(TrackRow, frame=st.integers(0, 999), state=st.just("tracked"), part=st.integers(0, 9),
-                         key_frame=optional(st.integers(0, 99)), not_measured=weak, **motion)  # fmt: skip
-    lost = st.builds(
-        TrackRow, frame=st.integers(0, 999), state=st.sampled_from(("lost", "no contact")), part=st.integers(0, 9)
+    followed = st.builds(
+        TrackRow,
+        frame=st.integers(0, 999),
+        state=st.just("tracked"),
+        part=st.integers(0, 9),
+        key_frame=optional(st.integers(0, 99)),
+        not_measured=weak,
+        **motion,
     )
-    error = st.builds(TrackError, path_mm=POSITIVE, turned_deg=POSITIVE, drift_mm=POSITIVE, drift_deg=POSITIVE,
-                      n_frames=st.integers(0, 99))  # fmt: skip
+    lost = st.builds(
+        TrackRow,
+        frame=st.integers(0, 999),
+        state=st.sampled_from(("lost", "no contact")),
+        part=st.integers(0, 9),
+    )
+    error = st.builds(
+        TrackError,
+        path_mm=POSITIVE,
+        turned_deg=POSITIVE,
+        drift_mm=POSITIVE,
+        drift_deg=POSITIVE,
+        n_frames=st.integers(0, 99),
+    )
     corners = np.array([[0.0, 0, 0], [7, 0, 0], [0, 5, 1], [0, 0, 9]])
-    patch = Mesh(vertices_mm=corners * draw(st.floats(0.5, 5.0)), triangles=np.array([[0, 1, 2], [0, 2, 3]], np.int32))
+    patch = Mesh(
+        vertices_mm=corners * draw(st.floats(0.5, 5.0)),
+        triangles=np.array([[0, 1, 2], [0, 2, 3]], np.int32),
+    )
     return TrackRecord(
-        stage=draw(st.sampled_from(("depth", "touch_depth"))), rows=tuple(draw(st.lists(followed | lost, max_size=4))),
-        key_frames=tuple(draw(st.lists(st.integers(0, 99), max_size=3))), n_loops=draw(st.integers(0, 9)),
-        error=draw(optional(error)), patch=draw(optional(st.just(patch))), problems=tuple(draw(st.lists(WORDS, max_size=2))),
-    )  # fmt: skip
+        stage=draw(st.sampled_from(("depth", "touch_depth"))),
+        rows=tuple(draw(st.lists(followed | lost, max_size=4))),
+        key_frames=tuple(draw(st.lists(st.integers(0, 99), max_size=3))),
+        n_loops=draw(st.integers(0, 9)),
+        error=draw(optional(error)),
+        patch=draw(optional(st.just(patch))),
+        problems=tuple(draw(st.lists(WORDS, max_size=2))),
+    )
 
 
 def check_track(record: TrackRecord, folder: Path) -> None:
@@ -323,10 +478,14 @@ def check_track(record: TrackRecord, folder: Path) -> None:
     back = read_record(folder)
     names = list(TrackRow.__dataclass_fields__)
     for one, two in zip(back.rows, record.rows, strict=True):
-        assert [repr(getattr(one, name)) for name in names] == [repr(getattr(two, name)) for name in names]
+        assert [repr(getattr(one, name)) for name in names] == [
+            repr(getattr(two, name)) for name in names
+        ]
     assert (back.patch is None) is (record.patch is None)
     if back.patch is not None and record.patch is not None:
-        np.testing.assert_allclose(np.sort(back.patch.vertices_mm, 0), np.sort(record.patch.vertices_mm, 0), atol=1e-5)
+        np.testing.assert_allclose(
+            np.sort(back.patch.vertices_mm, 0), np.sort(record.patch.vertices_mm, 0), atol=1e-5
+        )
     assert replace(back, rows=(), patch=None) == replace(record, rows=(), patch=None)
 
 
@@ -334,24 +493,48 @@ def check_track(record: TrackRecord, folder: Path) -> None:
 def rollouts(draw: Any) -> tuple[Rollout, TrialPlan]:
     body = draw(NAMES.filter(lambda name: name not in ("object", "hand")))
     ticks = tuple(
-        Tick(time_s=0.1 * k, world_from_object=draw(POSES), world_from_hand=draw(POSES), commanded=draw(POSES),
-             force_n=draw(arrays(np.float64, (3,), NUMBERS)), world_from_bodies={body: draw(POSES)})
+        Tick(
+            time_s=0.1 * k,
+            world_from_object=draw(POSES),
+            world_from_hand=draw(POSES),
+            commanded=draw(POSES),
+            force_n=draw(arrays(np.float64, (3,), NUMBERS)),
+            world_from_bodies={body: draw(POSES)},
+        )
         for k in range(draw(st.integers(1, 3)))
-    )  # fmt: skip
-    decision = st.builds(Decision, tick=st.integers(0, len(ticks) - 1), error_mm=st.floats(0.0, 99.0),
-                         estimate=st.dictionaries(NAMES, NUMBERS, max_size=2))  # fmt: skip
+    )
+    decision = st.builds(
+        Decision,
+        tick=st.integers(0, len(ticks) - 1),
+        error_mm=st.floats(0.0, 99.0),
+        estimate=st.dictionaries(NAMES, NUMBERS, max_size=2),
+    )
     image = np.random.default_rng(draw(SEEDS)).integers(0, 256, (3, 4, 3), dtype=np.uint8)
     frames = tuple(
         ("gelslim", TactileFrame(sensor="gelslim", image=image, reference=image, index=k), None)
         for k in range(draw(st.integers(1, 2)))
     )
     rollout = Rollout(
-        case=draw(NAMES), trial=draw(st.integers(0, 99)), touch=draw(NAMES), tolerance_mm=draw(st.floats(0.1, 9.0)),
-        succeeds=draw(st.booleans()), cause=draw(NAMES), measures=draw(st.dictionaries(NAMES, NUMBERS, max_size=2)),
-        decisions=tuple(draw(st.lists(decision, max_size=2))), ticks=ticks, frames=frames,
-    )  # fmt: skip
-    plan = TrialPlan(task="insertion", case=rollout.case, index=0, touches=("t2t", "none"), tolerances_mm=(0.5,),
-                     seed=draw(SEEDS), vary=draw(st.floats(0.0, 1.0)))  # fmt: skip
+        case=draw(NAMES),
+        trial=draw(st.integers(0, 99)),
+        touch=draw(NAMES),
+        tolerance_mm=draw(st.floats(0.1, 9.0)),
+        succeeds=draw(st.booleans()),
+        cause=draw(NAMES),
+        measures=draw(st.dictionaries(NAMES, NUMBERS, max_size=2)),
+        decisions=tuple(draw(st.lists(decision, max_size=2))),
+        ticks=ticks,
+        frames=frames,
+    )
+    plan = TrialPlan(
+        task="insertion",
+        case=rollout.case,
+        index=0,
+        touches=("t2t", "none"),
+        tolerances_mm=(0.5,),
+        seed=draw(SEEDS),
+        vary=draw(st.floats(0.0, 1.0)),
+    )
     return rollout, plan
 
 
@@ -359,11 +542,17 @@ def check_rollout(written: Any, folder: Path) -> None:
     rollout, plan = written
     write_rollout(rollout, folder / "r.h5", "key", plan)
     back = read_rollout(folder / "r.h5")
-    assert back.plan == replace(plan, touches=(rollout.touch,), tolerances_mm=(rollout.tolerance_mm,))
+    assert back.plan == replace(
+        plan, touches=(rollout.touch,), tolerances_mm=(rollout.tolerance_mm,)
+    )
     stated = summarise(rollout)
     assert {
-        name: getattr(back.summary, name) for name in ("case", "trial", "touch", "tolerance_mm", "cause", "measures")
-    } == {name: stated[name] for name in ("case", "trial", "touch", "tolerance_mm", "cause", "measures")}
+        name: getattr(back.summary, name)
+        for name in ("case", "trial", "touch", "tolerance_mm", "cause", "measures")
+    } == {
+        name: stated[name]
+        for name in ("case", "trial", "touch", "tolerance_mm", "cause", "measures")
+    }
     same(back.world_from_object, np.array([tick.world_from_object for tick in rollout.ticks]))
     same(back.commanded, np.array([tick.commanded for tick in rollout.ticks]))
     same(back.force_n, np.array([tick.force_n for tick in rollout.ticks]))
@@ -379,10 +568,15 @@ def networks(draw: Any) -> Weights:
     finite = st.floats(-1e4, 1e4, width=32)
     plain = st.booleans() | st.integers(-9999, 9999) | NUMBERS | WORDS
     return Weights(
-        name="w", kind=draw(NAMES), config=draw(st.dictionaries(NAMES, plain, max_size=3)),
-        tensors={name: draw(arrays(np.float32, (2, 3), finite)) for name in draw(st.lists(NAMES, min_size=1, max_size=3, unique=True))},
+        name="w",
+        kind=draw(NAMES),
+        config=draw(st.dictionaries(NAMES, plain, max_size=3)),
+        tensors={
+            name: draw(arrays(np.float32, (2, 3), finite))
+            for name in draw(st.lists(NAMES, min_size=1, max_size=3, unique=True))
+        },
         card=draw(st.dictionaries(NAMES, WORDS, max_size=3)),
-    )  # fmt: skip
+    )
 
 
 def check_weights(weights: Weights, folder: Path) -> None:
@@ -396,9 +590,17 @@ def check_weights(weights: Weights, folder: Path) -> None:
 def trainings(draw: Any) -> TrainingState:
     import torch
 
-    tensors = {draw(NAMES): torch.tensor(draw(st.lists(st.floats(-9.0, 9.0, width=32), max_size=4)))}
-    return TrainingState(recipe=draw(WORDS), step=draw(st.integers(0, 10**6)), network_tensors=tensors, trained_s=draw(POSITIVE),
-                         curve=[{"step": 1.0, "loss": draw(POSITIVE)}], metrics=[{"name": draw(NAMES), "value": draw(POSITIVE)}])  # fmt: skip
+    tensors = {
+        draw(NAMES): torch.tensor(draw(st.lists(st.floats(-9.0, 9.0, width=32), max_size=4)))
+    }
+    return TrainingState(
+        recipe=draw(WORDS),
+        step=draw(st.integers(0, 10**6)),
+        network_tensors=tensors,
+        trained_s=draw(POSITIVE),
+        curve=[{"step": 1.0, "loss": draw(POSITIVE)}],
+        metrics=[{"name": draw(NAMES), "value": draw(POSITIVE)}],
+    )
 
 
 def check_training(state: TrainingState, folder: Path) -> None:
@@ -420,11 +622,15 @@ class Made:
 
 @st.composite
 def made_values(draw: Any) -> Made:
-    return Made(table=draw(arrays(np.float32, (2, 3), st.floats(-99.0, 99.0, width=16))), name=draw(NAMES))
+    return Made(
+        table=draw(arrays(np.float32, (2, 3), st.floats(-99.0, 99.0, width=16))), name=draw(NAMES)
+    )
 
 
 def check_disk_store(value: Made, folder: Path) -> None:
-    stored = disk_store.load_or_make(Made, (value.table, value.name), (__name__,), lambda: value, folder)
+    stored = disk_store.load_or_make(
+        Made, (value.table, value.name), (__name__,), lambda: value, folder
+    )
     again = disk_store.load_or_make(
         Made, (value.table, value.name), (__name__,), lambda: pytest.fail("not read"), folder
     )
@@ -445,9 +651,13 @@ def check_sample_cache(value: Made, folder: Path) -> None:
 # Reports, tables, arrays, images
 
 REPORTS = st.recursive(
-    st.none() | st.booleans() | st.integers(-(2**53), 2**53) | st.floats(allow_nan=False, allow_infinity=False) | WORDS,
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**53), 2**53)
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | WORDS,
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(NAMES, inner, max_size=3),
-)  # fmt: skip
+)
 
 
 def check_report(value: Any, folder: Path) -> None:
@@ -466,16 +676,21 @@ def check_arrays(stored: Any, folder: Path) -> None:
 
 ARRAYS = st.dictionaries(
     st.tuples(NAMES, NAMES).map(".".join),
-    npst.arrays(st.sampled_from((np.float32, np.float64, np.int32, np.uint8, np.bool_)), npst.array_shapes(max_dims=3, min_side=0)),
+    npst.arrays(
+        st.sampled_from((np.float32, np.float64, np.int32, np.uint8, np.bool_)),
+        npst.array_shapes(max_dims=3, min_side=0),
+    ),
     max_size=3,
-)  # fmt: skip
+)
 
 
 def check_tiles(titles: Any, folder: Path) -> None:
     tiles = [Tile(title=title, metrics=metrics) for title, metrics in titles]
     write_tiles(folder / "tiles", tiles)
     back = read_json(folder / "tiles" / TABLE_FILE, "the comparison")["tiles"]
-    assert [(tile["title"], tile["metrics"]) for tile in back] == [(tile.title, dict(tile.metrics)) for tile in tiles]
+    assert [(tile["title"], tile["metrics"]) for tile in back] == [
+        (tile.title, dict(tile.metrics)) for tile in tiles
+    ]
 
 
 def check_reference(image: Any, folder: Path) -> None:
@@ -495,10 +710,16 @@ def viewer_samples(draw: Any) -> StageSample:
     depth = arrays(np.float32, (3, 4), st.just(np.nan) | st.floats(1.0, 99.0, width=32))
     points = draw(arrays(np.float32, (2, 3), st.floats(-99.0, 99.0, width=32)))
     return StageSample(
-        name=draw(st.sampled_from(("depth", "touch"))), frame=draw(st.integers(0, 99)), time_s=draw(st.floats(0.0, 1e6)),
-        pixels=draw(arrays(np.uint8, (3, 4, 3))), points_mm=points, rgb=np.full((2, 3), 7, np.uint8),
-        depth_mm=draw(optional(depth)), metrics={}, target_from_object=draw(optional(POSES)),
-    )  # fmt: skip
+        name=draw(st.sampled_from(("depth", "touch"))),
+        frame=draw(st.integers(0, 99)),
+        time_s=draw(st.floats(0.0, 1e6)),
+        pixels=draw(arrays(np.uint8, (3, 4, 3))),
+        points_mm=points,
+        rgb=np.full((2, 3), 7, np.uint8),
+        depth_mm=draw(optional(depth)),
+        metrics={},
+        target_from_object=draw(optional(POSES)),
+    )
 
 
 def check_viewer_file(sample: StageSample, folder: Path) -> None:
@@ -511,12 +732,16 @@ def check_viewer_file(sample: StageSample, folder: Path) -> None:
     with (folder / "v.mcap").open("rb") as file:
         read = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
         found = {one.channel.topic: one.decoded_message for one in read}
-    image = cv2.imdecode(np.frombuffer(found[f"/{sample.name}/image"].data, np.uint8), cv2.IMREAD_COLOR)
+    image = cv2.imdecode(
+        np.frombuffer(found[f"/{sample.name}/image"].data, np.uint8), cv2.IMREAD_COLOR
+    )
     same(np.asarray(image)[:, :, ::-1], sample.pixels)
     depth = found.get(f"/{sample.name}/depth")
     assert (depth is None) is (sample.depth_mm is None)
     if depth is not None and sample.depth_mm is not None:
-        same(np.frombuffer(depth.data, "<f4").reshape(3, 4), sample.depth_mm * np.float32(1e-3), 1e-6)
+        same(
+            np.frombuffer(depth.data, "<f4").reshape(3, 4), sample.depth_mm * np.float32(1e-3), 1e-6
+        )
     pose = found.get("/object")
     assert (pose is None) is (sample.target_from_object is None)
     if pose is not None and sample.target_from_object is not None:
@@ -545,7 +770,8 @@ CASES = {
     "report": Case(REPORTS, check_report),
     "arrays": Case(ARRAYS, check_arrays),
     "comparison": Case(
-        st.lists(st.tuples(WORDS, st.dictionaries(NAMES, NUMBERS, max_size=2)), max_size=3), check_tiles
+        st.lists(st.tuples(WORDS, st.dictionaries(NAMES, NUMBERS, max_size=2)), max_size=3),
+        check_tiles,
     ),
     "viewer file": Case(viewer_samples(), check_viewer_file),
     "reference": Case(arrays(np.uint8, (4, 5, 3)), check_reference),
@@ -584,9 +810,9 @@ WRITERS = {
 
 
 def test_no_writer_is_left_out():
-    root, helper = (
-        Path(__file__).parents[1],
-        re.compile(r"\b(open_atomic|open_growing_file|write_(text|json|arrays|together|folder))\("),
+    root = Path(__file__).parents[1]
+    helper = re.compile(
+        r"\b(open_atomic|open_growing_file|write_(text|json|arrays|together|folder))\("
     )
     found = {
         path.relative_to(root).as_posix()

@@ -1,4 +1,6 @@
-"""The alignment dock: dragging previews the alignment, a frame at rest is assessed, refinement runs in parallel."""
+"""The alignment dock: dragging previews the alignment, a frame at rest is assessed, refinement
+runs in parallel.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -47,7 +49,8 @@ class AlignmentController(Feature):
         self._connect()
 
     def _connect(self) -> None:
-        controller, panel = self._controller, self._panel
+        controller = self._controller
+        panel = self._panel
         controller.frame_shown.connect(self._frame_shown)
         self.refinement.proposal_changed.connect(self._proposal_changed)
         controller.job.delivered.connect(self._show_part)
@@ -59,25 +62,36 @@ class AlignmentController(Feature):
         panel.drag_ended.connect(self._end_drag)
         panel.reset.clicked.connect(lambda: controller.change("reset alignment", offsets=Offsets()))
         panel.here.clicked.connect(self._set_pivot_to_contact)
-        panel.original.clicked.connect(lambda: controller.change("use recorded alignment", alignment=None))
+        panel.original.clicked.connect(
+            lambda: controller.change("use recorded alignment", alignment=None)
+        )
         controller.window.drawers.alignment.visibilityChanged.connect(self._set_visible)
 
     @property
     def is_idle(self) -> bool:
         """Whether the dock is up to date."""
         return not (
-            self._panel.dragging or self._assess_timer.isActive() or self._assess_ticket or self.refinement.is_refining
+            self._panel.dragging
+            or self._assess_timer.isActive()
+            or self._assess_ticket
+            or self.refinement.is_refining
         )
 
     @property
     def contact_centre_mm(self) -> Doubles | None:
         """Centre of contact (3,) mm in the target frame under the offsets; None if not assessed."""
-        return None if self._assessment is None else rigid.apply(self.offsets.to_matrix(), self._assessment.pivot_mm)
+        return (
+            None
+            if self._assessment is None
+            else rigid.apply(self.offsets.to_matrix(), self._assessment.pivot_mm)
+        )
 
     def show_session(self, session: Session) -> None:
         """Show a session's offsets, unless a drag is running; nothing of the recording before."""
         if session.recording != self._recording:
-            self._recording, self._assessment, self._score = session.recording, None, None
+            self._recording = session.recording
+            self._assessment = None
+            self._score = None
             self._panel.show_empty()
         if not self._panel.dragging:
             self.offsets = session.offsets
@@ -87,15 +101,18 @@ class AlignmentController(Feature):
 
     def save_alignment(self, path: Path) -> None:
         """Write the alignment with its offsets as TOML; errors go to the banner."""
-        opened, session = self._controller.views.translation, self._controller.session
+        opened = self._controller.views.translation
+        session = self._controller.session
         try:
             if opened is None:
                 raise SettingProblem("no alignment to save; open a recording first")
             how = "opened with" if session.offsets.is_zero else "moved or refined on"
             file = AlignmentFile(
-                alignment=session.offsets.apply_to(opened.alignment), source=opened.source.name,
-                target=opened.target.name, origin=f"{how} {opened.request.recording.name}",
-            )  # fmt: skip
+                alignment=session.offsets.apply_to(opened.alignment),
+                source=opened.source.name,
+                target=opened.target.name,
+                origin=f"{how} {opened.request.recording.name}",
+            )
             save_alignment(path, file)
             log.info("alignment saved: '%s'", path)
             self._use_saved_file(path)
@@ -103,7 +120,9 @@ class AlignmentController(Feature):
             self._controller.show_problem(error)
 
     def _use_saved_file(self, path: Path) -> None:
-        """Open the saved file in place of the offsets it holds: the dock is clean, and no change is unsaved."""
+        """Open the saved file in place of the offsets it holds: the dock is clean, and no change
+        is unsaved.
+        """
         controller = self._controller
         controller.saved_session = replace(controller.saved_session, offsets=Offsets())
         controller.change("save alignment", alignment=path, offsets=Offsets())
@@ -122,18 +141,25 @@ class AlignmentController(Feature):
         controller = self._controller
         if not self._is_visible or controller.window.timeline.is_playing or not controller.is_idle:
             return
-        session, evaluator = controller.session, controller.evaluator
+        session = controller.session
+        evaluator = controller.evaluator
         proposal = self.refinement.proposal
 
         def work(report: JobReporter) -> AlignmentAssessment:
             if proposal is not None:
-                report.deliver(alignment_jobs.draw_before_and_after(evaluator, session, proposal.offsets, report))
+                report.deliver(
+                    alignment_jobs.draw_before_and_after(
+                        evaluator, session, proposal.offsets, report
+                    )
+                )
             return alignment_jobs.assess_alignment(evaluator, session, report)
 
         self._assess_ticket = controller.submit_priority(work)
 
     def _proposal_changed(self) -> None:
-        """Show a proposed refinement against the current alignment, until it is accepted or discarded."""
+        """Show a proposed refinement against the current alignment, until it is accepted or
+        discarded.
+        """
         if self.refinement.proposal is not None:
             self._frame_shown(0)
         elif not self._controller.is_closed:
@@ -146,7 +172,8 @@ class AlignmentController(Feature):
         offsets = self._controller.session.offsets
         if self._assessment is not None and not any(offsets.rotation_deg):
             x, y, z = (float(v) for v in self._assessment.pivot_mm)
-            offsets = replace(offsets, pivot_mm=(x, y, z))  # a translation does not depend on the pivot
+            # a translation does not depend on the pivot
+            offsets = replace(offsets, pivot_mm=(x, y, z))
         self.offsets = offsets
         self._axis = ""
         self._show_pivot()
@@ -157,8 +184,11 @@ class AlignmentController(Feature):
         self._axis = name if self._axis in ("", name) else "axes"
         self.offsets = self.offsets.with_axis_value(name, value)
         self._show_pivot()
-        session, evaluator = replace(controller.session, offsets=self.offsets), controller.evaluator
-        controller.submit_priority(lambda report: alignment_jobs.preview_drag(evaluator, session, report))
+        session = replace(controller.session, offsets=self.offsets)
+        evaluator = controller.evaluator
+        controller.submit_priority(
+            lambda report: alignment_jobs.preview_drag(evaluator, session, report)
+        )
 
     def _end_drag(self) -> None:
         """Make the whole drag one undo step; without a change the stages are computed again."""
@@ -186,12 +216,22 @@ class AlignmentController(Feature):
         if isinstance(part, Translation):
             self._assessment = self._score = None
             self._panel.show_empty()
-        elif isinstance(part, BeforeAfter) and ticket == self._assess_ticket and self.refinement.proposal is not None:
+        elif (
+            isinstance(part, BeforeAfter)
+            and ticket == self._assess_ticket
+            and self.refinement.proposal is not None
+        ):
             self._controller.views.show_wipe(part.before, part.after)
         elif isinstance(part, DragPreview) and self._panel.dragging:
-            self._controller.views.show_drag_preview(part.preview, part.observation_view, part.layers)
+            self._controller.views.show_drag_preview(
+                part.preview, part.observation_view, part.layers
+            )
             self._show_score(part.score)
-        elif isinstance(part, AlignmentAssessment) and ticket == self._assess_ticket and not self._panel.dragging:
+        elif (
+            isinstance(part, AlignmentAssessment)
+            and ticket == self._assess_ticket
+            and not self._panel.dragging
+        ):
             self._show_judged(part)
 
     def _show_judged(self, assessment: AlignmentAssessment) -> None:
@@ -199,7 +239,9 @@ class AlignmentController(Feature):
         opened = self._controller.views.translation
         if opened is not None:
             target = opened.target
-            self._panel.show_ready(target.name, _DEPTH_GAUGE_MM[target.sensor_kind.display_group], target.pixel_mm)
+            self._panel.show_ready(
+                target.name, _DEPTH_GAUGE_MM[target.sensor_kind.display_group], target.pixel_mm
+            )
         self._panel.show_score(assessment.score, assessment.no_score_reason)
         self._score = assessment.score
         if assessment.sensitivities or assessment.score is None:
@@ -212,7 +254,9 @@ class AlignmentController(Feature):
 
     def _show_pivot(self) -> None:
         """Show the origin of the alignment and the pivot of its rotations."""
-        opened, assessment, offsets = self._controller.views.translation, self._assessment, self.offsets
+        opened = self._controller.views.translation
+        assessment = self._assessment
+        offsets = self.offsets
         self.contact_moved.emit()
         if opened is None or assessment is None:
             return
@@ -221,4 +265,6 @@ class AlignmentController(Feature):
         elsewhere = max(abs(a - b) for a, b in zip(pivot, contact, strict=True)) > _SAME_PIVOT_MM
         self._panel.show_pivot(pivot, opened.target.name, elsewhere=elsewhere)
         file = self._controller.session.alignment
-        self._panel.show_origin(assessment.origin, edited=not offsets.is_zero, from_file=file is not None)
+        self._panel.show_origin(
+            assessment.origin, edited=not offsets.is_zero, from_file=file is not None
+        )

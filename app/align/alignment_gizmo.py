@@ -19,7 +19,8 @@ class AlignmentGizmoController(Feature):
         self._alignment, self._panel = alignment, self._window.alignment
         self._view = controller.window.columns[_STAGE].view
         self.gizmo = Gizmo(self._view.canvas)
-        self._start_offsets, self._mm_of_px = alignment.offsets, 0.0
+        self._start_offsets = alignment.offsets
+        self._mm_of_px = 0.0
         alignment.contact_moved.connect(self.show_session)
         self.gizmo.grabbed.connect(self._grab)
         self.gizmo.dragged.connect(self._drag)
@@ -27,21 +28,27 @@ class AlignmentGizmoController(Feature):
 
     def show_session(self, *_: object) -> None:
         """Place the gizmo on the centre of contact in the Align layout, else hide it."""
-        opened, centre_mm, preview = (
-            self._controller.views.translation,
-            self._alignment.contact_centre_mm,
-            self._view.preview,
-        )
-        if self._controller.session.layout.name != "align" or opened is None or centre_mm is None or preview is None:
+        opened = self._controller.views.translation
+        centre_mm = self._alignment.contact_centre_mm
+        preview = self._view.preview
+        if (
+            self._controller.session.layout.name != "align"
+            or opened is None
+            or centre_mm is None
+            or preview is None
+        ):
             self.gizmo.show_at(None)
             return
         camera = opened.target.camera
         zoom = preview.pixels.shape[1] / camera.cols
         x, y, z = (float(v) for v in centre_mm)
         self._mm_of_px = z / (camera.fx_px * zoom)
-        self.gizmo.show_at(QPointF(
-            (camera.fx_px * x / z + camera.cx_px + 0.5) * zoom, (camera.fy_px * y / z + camera.cy_px + 0.5) * zoom
-        ))  # fmt: skip
+        self.gizmo.show_at(
+            QPointF(
+                (camera.fx_px * x / z + camera.cx_px + 0.5) * zoom,
+                (camera.fy_px * y / z + camera.cy_px + 0.5) * zoom,
+            )
+        )
 
     def _grab(self) -> None:
         self._panel.begin_drag()

@@ -1,4 +1,6 @@
-"""Background jobs of the alignment: drag preview, assessment of a frame, refinement on all frames."""
+"""Background jobs of the alignment: drag preview, assessment of a frame, refinement on all
+frames.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -62,17 +64,24 @@ class BeforeAfter:
 def draw_before_and_after(
     evaluator: Evaluator, session: Session, proposed_offsets: Offsets, report: JobReporter
 ) -> BeforeAfter:
-    """Draw the target depth under the session's and the proposed offsets, minus the target's own touch if known."""
+    """Draw the target depth under the session's and the proposed offsets, minus the target's own
+    touch if known.
+    """
     opened, frame = evaluator.compare_with_target(session, report)
     params = get_projection_params(session)
     context = opened.make_preview_context({}, session.display)
 
     def draw_preview(offsets: Offsets) -> Preview:
-        preview = TARGET_DEPTH.make_preview(frame.project_touch(offsets.apply_to(opened.alignment), params)[0], context)
+        preview = TARGET_DEPTH.make_preview(
+            frame.project_touch(offsets.apply_to(opened.alignment), params)[0], context
+        )
         if frame.paired_touch is not None:
-            view = build_observation_view(preview, frame.paired_touch.target, opened.target, session.display)
+            view = build_observation_view(
+                preview, frame.paired_touch.target, opened.target, session.display
+            )
             preview = view.difference_to_truth or preview
-        # The outline of the prediction would lie over both sides of the wipe; the observed one fits both.
+        # The outline of the prediction would lie over both sides of the wipe; the observed one fits
+        # both.
         return replace(
             preview,
             outline_px=None,
@@ -87,7 +96,8 @@ def preview_drag(evaluator: Evaluator, session: Session, report: JobReporter) ->
     """Draw the session's frame under its offsets, coarse; raises TouchError."""
     opened, frame = evaluator.compare_with_target(session, report)
     report.step(0.5, "previewing the alignment")
-    alignment, params = session.offsets.apply_to(opened.alignment), get_projection_params(session)
+    alignment = session.offsets.apply_to(opened.alignment)
+    params = get_projection_params(session)
     depth, _ = frame.project_touch(alignment, params, frame.preview_downsampling)
     score = frame.compute_score(alignment, params)
     context = opened.make_preview_context({}, session.display)
@@ -96,33 +106,50 @@ def preview_drag(evaluator: Evaluator, session: Session, report: JobReporter) ->
     observed = (
         None
         if frame.paired_touch is None
-        else build_observation_view(preview, frame.paired_touch.target, opened.target, session.display)
+        else build_observation_view(
+            preview, frame.paired_touch.target, opened.target, session.display
+        )
     )
     return DragPreview(
-        preview=add_observed_outline(preview, frame.observed_outline_px), observation_view=observed,
-        layers=TARGET_DEPTH.make_layers(depth, context, small), score=score,
-    )  # fmt: skip
+        preview=add_observed_outline(preview, frame.observed_outline_px),
+        observation_view=observed,
+        layers=TARGET_DEPTH.make_layers(depth, context, small),
+        score=score,
+    )
 
 
-def assess_alignment(evaluator: Evaluator, session: Session, report: JobReporter) -> AlignmentAssessment:
-    """Assess the session's frame at full size; the score is delivered before the sensitivities. Raises TouchError."""
+def assess_alignment(
+    evaluator: Evaluator, session: Session, report: JobReporter
+) -> AlignmentAssessment:
+    """Assess the session's frame at full size.
+
+    The score is delivered before the sensitivities. Raises TouchError.
+    """
     opened, frame = evaluator.compare_with_target(session, report)
-    alignment, params = session.offsets.apply_to(opened.alignment), get_projection_params(session)
+    alignment = session.offsets.apply_to(opened.alignment)
+    params = get_projection_params(session)
     first = AlignmentAssessment(
-        index=frame.index, score=frame.compute_score(alignment, params), sensitivities=(),
-        no_score_reason=frame.unavailable_reason, origin=_describe_origin(opened),
+        index=frame.index,
+        score=frame.compute_score(alignment, params),
+        sensitivities=(),
+        no_score_reason=frame.unavailable_reason,
+        origin=_describe_origin(opened),
         pivot_mm=frame.compute_pivot_mm(opened.alignment),
-    )  # fmt: skip
+    )
     report.deliver(first)
     return replace(
-        first, sensitivities=frame.compute_sensitivities(alignment, params, frame.compute_pivot_mm(alignment), report)
+        first,
+        sensitivities=frame.compute_sensitivities(
+            alignment, params, frame.compute_pivot_mm(alignment), report
+        ),
     )
 
 
 def propose_refinement(session: Session, report: JobReporter) -> RefinementProposal:
     """Refine the session's alignment on all frames that both sensors recorded; raises TouchError.
 
-    It opens the recording a second time. Every fourth touch is held out for validation if there are enough.
+    It opens the recording a second time. Every fourth touch is held out for validation if there are
+    enough.
     """
     with open_translation(make_request(session)) as translation:
         refinement = refine_on_recording(
@@ -152,5 +179,9 @@ def _describe_origin(opened: Translation) -> str:
     if opened.request.alignment is not None:
         return opened.request.alignment.name
     other = opened.recording.find_partner(opened.stream.name, opened.target.name)
-    recorded = None if other is None else opened.recording.target_from_source(opened.stream.name, other.name)
+    recorded = (
+        None
+        if other is None
+        else opened.recording.target_from_source(opened.stream.name, other.name)
+    )
     return "as described by the sensors" if recorded is None else "as recorded"

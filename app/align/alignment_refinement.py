@@ -1,4 +1,7 @@
-"""Refinement of the alignment, in the background; its result is a proposal that the user accepts or discards."""
+"""Refinement of the alignment, in the background.
+
+Its result is a proposal that the user accepts or discards.
+"""
 
 from PyQt6.QtCore import pyqtSignal
 
@@ -11,7 +14,10 @@ from app.session.state import Session
 
 
 class RefinementController(BackgroundController):
-    """Connects the refinement box with the session; a proposal for another recording or alignment is dropped."""
+    """Connects the refinement box with the session.
+
+    A proposal for another recording or alignment is dropped.
+    """
 
     proposal_changed = pyqtSignal()
 
@@ -34,7 +40,8 @@ class RefinementController(BackgroundController):
         session = self._controller.session
         if self._controller.views.translation is None:
             return
-        self._session, self.proposal = session, None
+        self._session = session
+        self.proposal = None
         self._box.show_message("opening the recording")
         self.start(lambda report: alignment_jobs.propose_refinement(session, report))
 
@@ -47,7 +54,9 @@ class RefinementController(BackgroundController):
 
     def discard(self) -> None:
         """Drop the proposal, or the running refinement."""
-        had_proposal, self._session, self.proposal = self.proposal is not None, None, None
+        had_proposal = self.proposal is not None
+        self._session = None
+        self.proposal = None
         self.abandon()
         self._box.show_message()
         if had_proposal:

@@ -1,4 +1,6 @@
-"""Calibration of the source sensor from the open recording, where its frames are presses of one ball."""
+"""Calibration of the source sensor from the open recording, where its frames are presses of one
+ball.
+"""
 
 from functools import partial
 from pathlib import Path
@@ -15,18 +17,23 @@ from pipeline.core.errors import SettingProblem, escape_text
 from pipeline.translation.translate import Translation
 
 _DIAMETER_MM = 6.35  # of a quarter-inch bearing ball
-_MIN_MM, _MAX_MM = 0.1, 1000.0
+_MIN_MM = 0.1
+_MAX_MM = 1000.0
 _QUESTION = (
-    "Diameter in mm of the ball that every frame of this recording shows,\npressed at another place of the gel each"
+    "Diameter in mm of the ball that every frame of this recording shows,\npressed at "
+    "another place of the gel each"
 )
 
 
 class BallCalibrationController(Feature):
     """Asks for the ball and a file, fits the table in the background, and uses it."""
 
-    def __init__(self, controller: SessionController, export: ExportController, autosave: AutosaveController) -> None:
+    def __init__(
+        self, controller: SessionController, export: ExportController, autosave: AutosaveController
+    ) -> None:
         super().__init__(controller)
-        self._export, self._autosave = export, autosave
+        self._export = export
+        self._autosave = autosave
 
     def ask(self) -> None:
         """Ask for the ball's diameter and the file to write, then calibrate."""
@@ -34,7 +41,9 @@ class BallCalibrationController(Feature):
             self._window, "Calibrate here", _QUESTION, _DIAMETER_MM, _MIN_MM, _MAX_MM, 3
         )
         path = (
-            dialogs.ask_save_path(self._window, "save_calibration", self._autosave.dialog_folder) if accepted else None
+            dialogs.ask_save_path(self._window, "save_calibration", self._autosave.dialog_folder)
+            if accepted
+            else None
         )
         if path is not None:
             self.calibrate(diameter_mm, path)
@@ -53,8 +62,12 @@ class BallCalibrationController(Feature):
         self._export.start_writing("calibrating", work, path, describe=use_table)
 
 
-def calibrate_recording(opened: Translation, diameter_mm: float, path: Path, report: JobReporter) -> str:
-    """Write the calibration of the source from all frames with a reference; returns one sentence on its quality.
+def calibrate_recording(
+    opened: Translation, diameter_mm: float, path: Path, report: JobReporter
+) -> str:
+    """Write the calibration of the source from all frames with a reference.
+
+    Returns one sentence on its quality.
 
     Raises TouchError for frames that are no presses of a ball, or a sensor that is not a gel.
     """
@@ -66,9 +79,12 @@ def calibrate_recording(opened: Translation, diameter_mm: float, path: Path, rep
     reference = frames[0].reference
     if opened.source.optics is None or reference is None:
         raise SettingProblem(
-            f"a calibration by a ball needs frames of a gel and a reference image; the source is {opened.source.title}"
+            "a calibration by a ball needs frames of a gel and a reference image; the source is "
+            f"{opened.source.title}"
         )
     images = [frame.image.astype("uint8", copy=False) for frame in frames]
-    table = calibrate_sensor(images, reference.astype("uint8", copy=False), opened.source, diameter_mm, progress=report)
+    table = calibrate_sensor(
+        images, reference.astype("uint8", copy=False), opened.source, diameter_mm, progress=report
+    )
     save(table, path)
     return describe_quality(table)

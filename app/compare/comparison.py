@@ -1,11 +1,18 @@
-"""*Compare*: computes variants of the current frame in a thread of its own while the page is visible."""
+"""*Compare*: computes variants of the current frame in a thread of its own while the page is
+visible.
+"""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
-from app.compare.variant_jobs import describe_differences, format_compare_command, list_axes, open_variant
+from app.compare.variant_jobs import (
+    describe_differences,
+    format_compare_command,
+    list_axes,
+    open_variant,
+)
 from app.document.background_controller import BackgroundController
 from app.document.evaluator import Evaluator
 from app.document.requests import make_request
@@ -29,7 +36,10 @@ from widgets.compare.comparison_tab import GRID_HINT
 from widgets.style.styling import make_single_shot_timer
 
 ComparisonSteps = Callable[[JobReporter], Iterator[Comparison]]
-_NO_VARIANT = "hold the current settings and change some, or choose another recording, to compare both on one frame"
+_NO_VARIANT = (
+    "hold the current settings and change some, or choose another recording, to "
+    "compare both on one frame"
+)
 _RELEASE_DELAY_MS = 20_000  # between leaving the page and releasing its memory
 _NO_DIFFERENCE = "no setting differs yet: further changes are those of A (F3 shows the parameters)"
 
@@ -42,17 +52,23 @@ class ComparisonController(BackgroundController):
     def __init__(self, controller: SessionController) -> None:
         self._page = page = controller.window.comparison
         super().__init__("compare", controller, *(tab.run_bar for tab in page.tabs.values()))
-        self._evaluators = tuple(Evaluator(controller.catalogue, like=controller.evaluator) for _ in "AB")
+        self._evaluators = tuple(
+            Evaluator(controller.catalogue, like=controller.evaluator) for _ in "AB"
+        )
         self._method_runner = VariantRunner()
-        self._shared_runner = VariantRunner(like=self._evaluators[0].graph)  # shares what the columns computed
+        # shares what the columns computed
+        self._shared_runner = VariantRunner(like=self._evaluators[0].graph)
         self._requested: tuple[object, ...] = ()
-        self._grid: tuple[Session, GridPlan] | None = None  # that is shown, with the session it was started from
+        # that is shown, with the session it was started from
+        self._grid: tuple[Session, GridPlan] | None = None
         self._release_timer = make_single_shot_timer(self, _RELEASE_DELAY_MS, self.release_memory)
-        self._is_visible, self._summary = False, ""
+        self._is_visible = False
+        self._summary = ""
         self._shown_settings = (ComparisonSettings(), None)  # when the page was last updated
         self._builders: Mapping[str, Callable[[Session], ComparisonSteps | str]] = {
-            "methods": self._build_methods, "two": self._build_pair,
-        }  # fmt: skip
+            "methods": self._build_methods,
+            "two": self._build_pair,
+        }
         window = controller.window
         page.choice_changed.connect(self._choose)
         page.grid.start_button.clicked.connect(self._start_grid)
@@ -97,28 +113,40 @@ class ComparisonController(BackgroundController):
         now = self._controller.session
         if now.recording is not None:
             self._controller.change(
-                "set B", variant=replace(session, variant=None), comparison=replace(now.comparison, tab="two"),
+                "set B",
+                variant=replace(session, variant=None),
+                comparison=replace(now.comparison, tab="two"),
                 layout=replace(now.layout, name="compare"),
-            )  # fmt: skip
+            )
 
     def _choose(self) -> None:
         """Store the page's choices in the session."""
-        page, session = self._page, self._controller.session
+        page = self._page
+        session = self._controller.session
         old = session.comparison
         stage = old.stage if page.stage_box.currentIndex() < 0 else page.stage_box.choice
         if old.stage == LAST_STAGE and page.stage_box.currentIndex() == page.stage_box.count() - 1:
             stage = LAST_STAGE
         new = ComparisonSettings(
-            tab=cast("ComparisonTabName", page.current_name), order=page.order_box.choice, stage=stage
+            tab=cast("ComparisonTabName", page.current_name),
+            order=page.order_box.choice,
+            stage=stage,
         )
         self._controller.change("choose in Compare", comparison=new)
 
     def _build_methods(self, session: Session) -> ComparisonSteps:
         def run(report: JobReporter) -> Iterator[Comparison]:
             variant, frame = open_variant("", self._evaluators[0], session, report)
-            order, display = session.comparison.order, session.display
+            order = session.comparison.order
+            display = session.display
             return compare_methods(
-                self._method_runner, variant.translation, frame, session.params, display, order, report
+                self._method_runner,
+                variant.translation,
+                frame,
+                session.params,
+                display,
+                order,
+                report,
             )
 
         return run
@@ -127,10 +155,15 @@ class ComparisonController(BackgroundController):
         if session.variant is None:
             return _NO_VARIANT
         other = replace(
-            session.variant, frame=session.frame, params={**session.variant.params, "display": session.display}
+            session.variant,
+            frame=session.frame,
+            params={**session.variant.params, "display": session.display},
         )
         stage = self._page.stage_box.choice
-        differs = "; ".join(describe_differences(session, other, self._controller.catalogue)) or _NO_DIFFERENCE
+        differs = (
+            "; ".join(describe_differences(session, other, self._controller.catalogue))
+            or _NO_DIFFERENCE
+        )
 
         def run(report: JobReporter) -> Iterator[Comparison]:
             first, frame = open_variant("A", self._evaluators[0], session, report)
@@ -139,15 +172,23 @@ class ComparisonController(BackgroundController):
                 return open_variant("B", self._evaluators[1], other, report)[0]
 
             return compare_pair(
-                self._shared_runner, first, open_second, frame, session.display, stage, differs, report,
+                self._shared_runner,
+                first,
+                open_second,
+                frame,
+                session.display,
+                stage,
+                differs,
+                report,
                 second_may_fail=True,
-            )  # fmt: skip
+            )
 
         return run
 
     def _parse_plan(self) -> GridPlan:
         """Return the plan of the grid's controls; raises SettingProblem."""
-        opened, tab = self._controller.views.translation, self._page.grid
+        opened = self._controller.views.translation
+        tab = self._page.grid
         if opened is None:
             raise SettingProblem("there is nothing to compare; open a recording first")
         base = Variant(label="", translation=opened, params=self._controller.session.params)
@@ -156,7 +197,8 @@ class ComparisonController(BackgroundController):
         return GridPlan(across=parse_axis(base, across), down=rows, metric=tab.metric_box.choice)
 
     def _start_grid(self) -> None:
-        session, tab = self._controller.session, self._page.grid
+        session = self._controller.session
+        tab = self._page.grid
         try:
             plan = self._parse_plan()
         except TouchError as error:
@@ -168,14 +210,21 @@ class ComparisonController(BackgroundController):
         def run(report: JobReporter) -> Iterator[Comparison]:
             variant, frame = open_variant("", self._evaluators[0], session, report)
             return compare_grid(
-                self._method_runner, variant.translation, frame, session.params, session.display, plan, report
+                self._method_runner,
+                variant.translation,
+                frame,
+                session.params,
+                session.display,
+                plan,
+                report,
             )
 
         self.start(lambda report: _deliver_steps(run, report))
 
     def _follow_grid(self, session: Session) -> None:
         """Offer what the methods in use can try; drop a grid of another recording or frame."""
-        controller, tab = self._controller, self._page.grid
+        controller = self._controller
+        tab = self._page.grid
         axes = list_axes(session, controller.methods, controller.catalogue, controller.sensor_kinds)
         known = dict.fromkeys((DEFAULT_METRIC, *controller.window.frames.model.metrics))
         metrics = {name: describe_metric(name) for name in known if is_stage_error(name)}
@@ -209,7 +258,8 @@ class ComparisonController(BackgroundController):
 
     def format_command(self, opened: Translation, out: Path) -> str:
         """Return the command that writes what the page shows; raises SettingProblem."""
-        session, plan = self._controller.session, None
+        session = self._controller.session
+        plan = None
         if session.comparison.tab == "grid":
             session, plan = self._grid or (session, self._parse_plan())
         elif session.comparison.tab == "two" and session.variant is None:
@@ -218,13 +268,18 @@ class ComparisonController(BackgroundController):
 
     def _get_choices(self) -> tuple[object, ...]:
         """The choices of the current tab."""
-        page, session = self._page, self._controller.session
-        choices = {"methods": session.comparison.order, "two": (page.stage_box.choice, session.variant)}
+        page = self._page
+        session = self._controller.session
+        choices = {
+            "methods": session.comparison.order,
+            "two": (page.stage_box.choice, session.variant),
+        }
         return (page.current_name, choices.get(page.current_name))
 
     def show_session(self, session: Session) -> None:
         """Cancel what is no longer visible, and update what is."""
-        was_visible, self._is_visible = self._is_visible, session.layout.name == "compare"
+        was_visible = self._is_visible
+        self._is_visible = session.layout.name == "compare"
         if self._is_visible:
             self._release_timer.stop()
         elif was_visible:
@@ -248,8 +303,10 @@ class ComparisonController(BackgroundController):
 
     def _update(self, *_: object) -> None:
         """Compute the current tab, unless it shows that already."""
-        controller, page = self._controller, self._page
-        session, opened = controller.session, controller.views.translation
+        controller = self._controller
+        page = self._page
+        session = controller.session
+        opened = controller.views.translation
         if session.layout.name != "compare" or opened is None or controller.is_closed:
             return
         stages = {name: opened.catalogue.stage(name).title for name in opened.stages}
@@ -265,7 +322,7 @@ class ComparisonController(BackgroundController):
             tab.grid.set_comparison_mode(controller.views.comparison_mode)
         settings = session.with_updates(
             layout=Layout(), cameras_linked=True, comparison=ComparisonSettings(), variant=None
-        )  # fmt: skip
+        )
         requested = (*self._get_choices(), settings)
         if requested == self._requested:
             return
@@ -295,9 +352,15 @@ class ComparisonController(BackgroundController):
         self._summary = comparison.summary
         if page.current_name == "two":
             page.row_3d.setVisible(bool(comparison.views_3d))
-            for letter, cell in zip("AB", page.views_3d if comparison.views_3d else (), strict=False):
-                cell.legend.setText(f"{letter} · {self._controller.catalogue.views[comparison.stage].legend}")
-            self._controller.views.show_variants(comparison.stage, comparison.views_3d, self._controller.session)
+            for letter, cell in zip(
+                "AB", page.views_3d if comparison.views_3d else (), strict=False
+            ):
+                cell.legend.setText(
+                    f"{letter} · {self._controller.catalogue.views[comparison.stage].legend}"
+                )
+            self._controller.views.show_variants(
+                comparison.stage, comparison.views_3d, self._controller.session
+            )
 
     def show_result(self, result: object) -> None:
         """Show all tiles."""
@@ -309,7 +372,9 @@ class ComparisonController(BackgroundController):
 
     def show_cancelled(self) -> None:
         """Show that tiles are missing."""
-        self._page.current_tab.message.setText(f"cancelled; {self._summary}" if self._summary else "cancelled")
+        self._page.current_tab.message.setText(
+            f"cancelled; {self._summary}" if self._summary else "cancelled"
+        )
 
     def _close(self) -> None:
         for evaluator in self._evaluators:
@@ -317,7 +382,9 @@ class ComparisonController(BackgroundController):
 
 
 def _get_subject(session: Session) -> tuple[object, int]:
-    """Return what a grid is of: the recording as it is opened, and the frame, whatever its cells try."""
+    """Return what a grid is of: the recording as it is opened, and the frame, whatever its cells
+    try.
+    """
     return make_request(replace(session, methods={}, weights={})), session.frame
 
 

@@ -1,4 +1,6 @@
-"""Variants of a session: their parameters, their differences, and the commands that make the same comparisons."""
+"""Variants of a session: their parameters, their differences, and the commands that make the
+same comparisons.
+"""
 
 import os
 import shlex
@@ -20,36 +22,60 @@ from pipeline.translation.reports.export_request import format_options, format_s
 
 _FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)  # suggested values as multiples of the current one
 # Parameters that a grid offers first.
-_EFFECTIVE_PARAMETERS = "guidance", "steps", "certainty", "pressure_share", "smoothing_px", "grazing_deg"
+_EFFECTIVE_PARAMETERS = (
+    "guidance",
+    "steps",
+    "certainty",
+    "pressure_share",
+    "smoothing_px",
+    "grazing_deg",
+)
 
 
-def open_variant(label: str, evaluator: Evaluator, session: Session, report: JobReporter) -> tuple[Variant, int]:
+def open_variant(
+    label: str, evaluator: Evaluator, session: Session, report: JobReporter
+) -> tuple[Variant, int]:
     """A session's variant and its frame; raises TouchError."""
     translation, frame = evaluator.open_frame(session, report)
     return Variant(label=label, translation=translation, params=session.params), frame
 
 
 def list_axes(
-    session: Session, methods: Sequence[Method], catalogue: Catalogue, sensor_kinds: Mapping[str, str]
+    session: Session,
+    methods: Sequence[Method],
+    catalogue: Catalogue,
+    sensor_kinds: Mapping[str, str],
 ) -> dict[str, str]:
-    """What the axes of a grid can try -> suggested values, comma-separated; the most effective parameters first.
+    """What the axes of a grid can try -> suggested values, comma-separated.
 
-    These changed the error in contact most on touches of the sample when swept over their suggested values: guidance
-    and steps if the touch is sampled; the certainty that a network's contact needs; the pressure share that counts as
-    contact on a gel and the smoothing of its slopes; the steepest surface that the target may observe. `sensor_kinds`
-    is method key -> kind of sensor, where known.
+    The most effective parameters first.
+
+    These changed the error in contact most on touches of the sample when swept over their suggested
+    values: guidance and steps if the touch is sampled; the certainty that a network's contact
+    needs; the pressure share that counts as contact on a gel and the smoothing of its slopes; the
+    steepest surface that the target may observe. `sensor_kinds` is method key -> kind of sensor,
+    where known.
     """
     parameters = [
-        (name, f"{method.stage}.{name}", ", ".join(map(format_value, suggest_values(value, setting))))
+        (
+            name,
+            f"{method.stage}.{name}",
+            ", ".join(map(format_value, suggest_values(value, setting))),
+        )
         for method in methods
         for name, (value, setting) in list_settings(session.get_params(method)).items()
-        if (not isinstance(value, str) or setting.choices) and setting.applies_to(sensor_kinds.get(method.key, ""))
+        if (not isinstance(value, str) or setting.choices)
+        and setting.applies_to(sensor_kinds.get(method.key, ""))
     ]
     rank = {name: index for index, name in enumerate(_EFFECTIVE_PARAMETERS)}
     parameters.sort(key=lambda parameter: rank.get(parameter[0], len(rank)))
     axes = {title: values for _, title, values in parameters}
     for method in methods:
-        names = [m.name for m in catalogue.list_choices(method.stage) if m.fits(sensor_kinds.get(method.key, ""))]
+        names = [
+            m.name
+            for m in catalogue.list_choices(method.stage)
+            if m.fits(sensor_kinds.get(method.key, ""))
+        ]
         if len(names) > 1:
             axes[f"{method.stage}.{METHOD}"] = ", ".join(names)
         if method.weights is not None:
@@ -58,7 +84,9 @@ def list_axes(
 
 
 def suggest_values(value: Value, setting: Setting) -> tuple[Value, ...]:
-    """Values to try: all of a few choices, those of the setting, or multiples of the current value in its limits."""
+    """Values to try: all of a few choices, those of the setting, or multiples of the current
+    value in its limits.
+    """
     if isinstance(value, bool):
         return (False, True)
     if setting.choices:
@@ -68,15 +96,28 @@ def suggest_values(value: Value, setting: Setting) -> tuple[Value, ...]:
     if isinstance(value, str):
         return (value,)
     base = value or (setting.step or 1.0)
-    values = sorted({min(max(base * factor, setting.low), setting.high) for factor in _FACTORS} | {float(value)})
-    return tuple(dict.fromkeys(round(v) for v in values)) if isinstance(value, int) else tuple(values)
+    values = sorted(
+        {min(max(base * factor, setting.low), setting.high) for factor in _FACTORS} | {float(value)}
+    )
+    return (
+        tuple(dict.fromkeys(round(v) for v in values)) if isinstance(value, int) else tuple(values)
+    )
 
 
 def format_compare_command(
     session: Session, last_stage: str, target: str, out: Path, plan: GridPlan | None = None
 ) -> str:
-    """`tactoscope compare ...` for the current tab, or for a grid; `last_stage` and `target` are the opened ones."""
-    words = ["tactoscope", "compare", *_list_options(session, target), "--frame", str(session.frame)]
+    """`tactoscope compare ...` for the current tab, or for a grid.
+
+    `last_stage` and `target` are the opened ones.
+    """
+    words = [
+        "tactoscope",
+        "compare",
+        *_list_options(session, target),
+        "--frame",
+        str(session.frame),
+    ]
     settings = session.comparison
     if plan is not None:
         for option, axis in zip(("--across", "--down"), plan.axes, strict=False):
@@ -85,9 +126,14 @@ def format_compare_command(
     elif settings.tab == "methods":
         words += ["--order", settings.order]
     elif session.variant is not None:
-        words += ["--stage", last_stage if settings.stage == LAST_STAGE else settings.stage or "all"]
+        words += [
+            "--stage",
+            last_stage if settings.stage == LAST_STAGE else settings.stage or "all",
+        ]
         words += ["--variant", shlex.join(_list_options(session.variant, target))]
-    display = [word for line in format_settings({"display": session.display}) for word in ("--set", line)]
+    display = [
+        word for line in format_settings({"display": session.display}) for word in ("--set", line)
+    ]
     return shlex.join([*words, *display, "--out", os.fspath(out.absolute())])
 
 
@@ -97,13 +143,24 @@ def _spell(value: Value) -> str:
 
 def _list_options(session: Session, target: str) -> list[str]:
     """What is open, with every changed parameter, also of methods that are not in use."""
-    request = replace(make_request(session), offsets=session.offsets, target=session.target or target)
-    params = {key: value for key, value in session.params.items() if key != "display" and list_settings(value)}
-    return [*format_options(request), *(word for line in format_settings(params) for word in ("--set", line))]
+    request = replace(
+        make_request(session), offsets=session.offsets, target=session.target or target
+    )
+    params = {
+        key: value
+        for key, value in session.params.items()
+        if key != "display" and list_settings(value)
+    }
+    return [
+        *format_options(request),
+        *(word for line in format_settings(params) for word in ("--set", line)),
+    ]
 
 
 def describe_differences(one: Session, other: Session, catalogue: Catalogue) -> tuple[str, ...]:
-    """List as `name: one | other` everything that the results of a frame depend on and that differs."""
+    """List as `name: one | other` everything that the results of a frame depend on and that
+    differs.
+    """
     texts = [
         _format_pair(name.replace("_", " "), getattr(one, name), getattr(other, name))
         for name in REQUEST_FIELDS
@@ -111,11 +168,18 @@ def describe_differences(one: Session, other: Session, catalogue: Catalogue) -> 
     ]
     if one.offsets != other.offsets:
         texts.append("alignment offsets differ")
-    methods = tuple({m.stage: m for m in catalogue.methods(session.route, session.methods)} for session in (one, other))
+    methods = tuple(
+        {m.stage: m for m in catalogue.methods(session.route, session.methods)}
+        for session in (one, other)
+    )
     for stage in dict.fromkeys((*methods[0], *methods[1])):
         a, b = (by_stage.get(stage) for by_stage in methods)
         if a is None or b is None or a.key != b.key:
-            texts.append(_format_pair(stage, "nothing" if a is None else a.title, "nothing" if b is None else b.title))
+            texts.append(
+                _format_pair(
+                    stage, "nothing" if a is None else a.title, "nothing" if b is None else b.title
+                )
+            )
         else:
             texts += _compare_params(a, one, other)
     if one.weights != other.weights:
@@ -125,7 +189,11 @@ def describe_differences(one: Session, other: Session, catalogue: Catalogue) -> 
 
 def _compare_params(method: Method, one: Session, other: Session) -> list[str]:
     a, b = (list_settings(session.get_params(method)) for session in (one, other))
-    return [_format_pair(f"{method.stage}.{name}", a[name][0], b[name][0]) for name in a if a[name][0] != b[name][0]]
+    return [
+        _format_pair(f"{method.stage}.{name}", a[name][0], b[name][0])
+        for name in a
+        if a[name][0] != b[name][0]
+    ]
 
 
 def _format_pair(name: str, one: object, other: object) -> str:
@@ -135,4 +203,10 @@ def _format_pair(name: str, one: object, other: object) -> str:
 def _format_value(value: object) -> str:
     if isinstance(value, Path):
         return value.name
-    return f"{value:g}" if isinstance(value, float) else "as recorded" if value in ("", None) else str(value)
+    return (
+        f"{value:g}"
+        if isinstance(value, float)
+        else "as recorded"
+        if value in ("", None)
+        else str(value)
+    )

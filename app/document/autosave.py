@@ -1,4 +1,6 @@
-"""Autosave, recovery after a crash, the question before closing, recent files and window geometry."""
+"""Autosave, recovery after a crash, the question before closing, recent files and window
+geometry.
+"""
 
 import contextlib
 from collections.abc import Callable
@@ -44,7 +46,9 @@ class AutosaveController(Feature):
         self._window.notifications.add_bar(self.notification)
         self.recent_menu = QMenu("Open recent", self._window)
         self.recent_menu.aboutToShow.connect(self._fill_recent_menu)
-        self._window.menus["File"].insertMenu(self._window.actions_by_name["open_mesh"], self.recent_menu)
+        self._window.menus["File"].insertMenu(
+            self._window.actions_by_name["open_mesh"], self.recent_menu
+        )
         self._saves_geometry = False
         self._window.may_close = self.may_close
         controller.job.delivered.connect(self._add_recent)
@@ -58,7 +62,10 @@ class AutosaveController(Feature):
         return str(self.preferences.last_folder or "")
 
     def connect_dialog(
-        self, command: str, ask: Callable[[QWidget, str, str], T | None], then: Callable[[T], object]
+        self,
+        command: str,
+        ask: Callable[[QWidget, str, str], T | None],
+        then: Callable[[T], object],
     ) -> None:
         """Let a command ask for a file or folder, and call `then` with the answer, if any."""
 
@@ -72,7 +79,8 @@ class AutosaveController(Feature):
     @property
     def has_unsaved_changes(self) -> bool:
         """Whether parameters, methods, notes or offsets are not in the session file."""
-        current, saved = _get_work(self._controller.session), _get_work(self._controller.saved_session)
+        current = _get_work(self._controller.session)
+        saved = _get_work(self._controller.saved_session)
         is_default = current == _get_work(Session()) and self._controller.session_file is None
         return current != saved and not is_default
 
@@ -119,13 +127,18 @@ class AutosaveController(Feature):
     def ask_to_save(self) -> QMessageBox.StandardButton:
         """Ask whether to save, discard or cancel."""
         return QMessageBox.question(
-            self._window, "Unsaved changes", "Save the changes of this session?",
-            _Answer.Save | _Answer.Discard | _Answer.Cancel, _Answer.Save,
-        )  # fmt: skip
+            self._window,
+            "Unsaved changes",
+            "Save the changes of this session?",
+            _Answer.Save | _Answer.Discard | _Answer.Cancel,
+            _Answer.Save,
+        )
 
     def save_session(self) -> None:
         """Save to the session's file; ask for one if it has none."""
-        path = self._controller.session_file or dialogs.ask_save_path(self._window, "save_session", self.dialog_folder)
+        path = self._controller.session_file or dialogs.ask_save_path(
+            self._window, "save_session", self.dialog_folder
+        )
         if path is not None:
             self._controller.save_session(path)
 
@@ -169,7 +182,9 @@ class AutosaveController(Feature):
         for path in self.preferences.recent_files:
             action = QAction(escape_text(path.name), self.recent_menu)
             action.setToolTip(escape_text(str(path)))
-            action.triggered.connect(lambda _checked=False, path=path: self._controller.open_path(path))
+            action.triggered.connect(
+                lambda _checked=False, path=path: self._controller.open_path(path)
+            )
             self.recent_menu.addAction(action)
         if self.recent_menu.isEmpty():
             empty = self.recent_menu.addAction("none")
@@ -192,7 +207,8 @@ class AutosaveController(Feature):
         if self._to_recover is None:
             self.recovery_file.remove()
         else:
-            with contextlib.suppress(TouchError, OSError):  # the process is ending: no one can act on an error
+            # the process is ending: no one can act on an error
+            with contextlib.suppress(TouchError, OSError):
                 self.recovery_file.write(self._to_recover)
         if self._saves_geometry:
             self.preferences.window_geometry = (
@@ -206,12 +222,20 @@ def _get_work(session: Session) -> Session:
     """Return only what counts as unsaved work; opened files do not."""
     params = {key: value for key, value in session.params.items() if key != DISPLAY_KEY}
     return replace(
-        Session(), params=params, methods=session.methods, offsets=session.offsets, notes=session.notes
-    )  # fmt: skip
+        Session(),
+        params=params,
+        methods=session.methods,
+        offsets=session.offsets,
+        notes=session.notes,
+    )
 
 
 def _format_age(age_s: float) -> str:
-    for unit, seconds in (("day", 24 * 60 * _MINUTE_S), ("hour", 60 * _MINUTE_S), ("minute", _MINUTE_S)):
+    for unit, seconds in (
+        ("day", 24 * 60 * _MINUTE_S),
+        ("hour", 60 * _MINUTE_S),
+        ("minute", _MINUTE_S),
+    ):
         count = round(age_s / seconds)
         if count >= 1:
             return f"{count} {unit}{'s' if count > 1 else ''} ago"

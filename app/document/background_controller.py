@@ -1,4 +1,6 @@
-"""Base of controllers that run one long function in the background: progress, parts, result, failure, cancellation."""
+"""Base of controllers that run one long function in the background: progress, parts, result,
+failure, cancellation.
+"""
 
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
@@ -8,19 +10,23 @@ from widgets.style.run_bar import RunBar
 
 
 class BackgroundController(Feature):
-    """Runs one function at a time on its own thread; subclasses override the `show_` methods they need.
+    """Runs one function at a time on its own thread.
 
-    Only the newest run is shown. A run that was not interrupted by the next one still shows its result. `bar` shows the
-    progress and cancels.
+    Subclasses override the `show_` methods they need.
+
+    Only the newest run is shown. A run that was not interrupted by the next one still shows its
+    result. `bar` shows the progress and cancels.
     """
 
-    shows_errors = False  # whether `show_failure` shows a TouchError where the user looks; others are in the banner
+    # whether `show_failure` shows a TouchError where the user looks; others are in the banner
+    shows_errors = False
 
     def __init__(self, name: str, controller: SessionController, *bars: RunBar) -> None:
         super().__init__(controller)
         self._bars = bars
         self.job = LatestJob(name, self)
-        self._ticket = self._oldest_shown = 0  # the newest run, and the oldest whose result is shown; 0 = none
+        # the newest run, and the oldest whose result is shown; 0 = none
+        self._ticket = self._oldest_shown = 0
         self.job.progressed.connect(self._handle_progress)
         self.job.delivered.connect(self._handle_part)
         self.job.finished.connect(self._handle_result)
@@ -35,8 +41,12 @@ class BackgroundController(Feature):
         """Whether a run has not ended yet."""
         return not self.job.is_settled
 
-    def start(self, work: JobFunction, *, interrupt: bool = True, shows_progress: bool = True) -> None:
-        """Run `work`; without `interrupt` the run before it finishes first, and shows its result."""
+    def start(
+        self, work: JobFunction, *, interrupt: bool = True, shows_progress: bool = True
+    ) -> None:
+        """Run `work`; without `interrupt` the run before it finishes first, and shows its
+        result.
+        """
         self._ticket = 0  # the end of the run before it is not that of this one
         self._ticket = self.job.submit(work, interrupt=interrupt)
         if interrupt or not self._oldest_shown:

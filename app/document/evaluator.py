@@ -1,4 +1,6 @@
-"""Runs the pipeline for the window, on the background thread: from a session to previews and 3D layers."""
+"""Runs the pipeline for the window, on the background thread: from a session to previews and 3D
+layers.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,13 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from app.document.requests import apply_session, explain_unavailable, get_depth_params, make_request, open_request
+from app.document.requests import (
+    apply_session,
+    explain_unavailable,
+    get_depth_params,
+    make_request,
+    open_request,
+)
 from app.session.state import Session
 from app.views.stage_previews import PreviewCache, SourcePreview, add_thumbnails, summarise_frame
 from app.views.target_comparison import TargetComparison, build_target_comparison
@@ -33,7 +41,8 @@ from widgets.frames.frame_summary import FrameSummary
 
 log = logging.getLogger("tactoscope")
 _CACHE_BYTES = 50 * 1024 * 1024  # 16 frames from a 320 x 427 gel to a bubble, or 9 back
-_BACKGROUND_BYTES = 16 * 1024 * 1024  # 1 or 2 background frames, kept apart from the frames on screen
+# 1 or 2 background frames, kept apart from the frames on screen
+_BACKGROUND_BYTES = 16 * 1024 * 1024
 _TRUTH_BYTES = 24 * 1024 * 1024
 _OUTLINED = "target_depth"  # stage whose preview gets the outline of the target's own touch
 
@@ -81,18 +90,23 @@ class Evaluator:
     def __init__(self, catalogue: Catalogue = BUILT_IN, like: Evaluator | None = None) -> None:
         """Create an evaluator; it shares the result cache of `like`."""
         self._catalogue = catalogue
-        self.graph = Graph((), cache=Cache(_CACHE_BYTES)) if like is None else like.graph  # of the frames on screen
+        # of the frames on screen
+        self.graph = Graph((), cache=Cache(_CACHE_BYTES)) if like is None else like.graph
         self._background_graph = Graph((), cache=Cache(_BACKGROUND_BYTES))
         self._request: Request | None = None
         self._translation: Translation | None = None
-        self._delivered: Translation | None = None  # the same as it was delivered, before a live recording grew
+        # the same as it was delivered, before a live recording grew
+        self._delivered: Translation | None = None
         self._preview_bytes = () if like is None else (_BACKGROUND_BYTES,)
         self._previews = PreviewCache(*self._preview_bytes)
         self._first_frame = 0  # frame to show for AUTO_FRAME
-        self.unavailable: Mapping[str, Mapping[str, str]] = {}  # method key -> parameter -> why it cannot act
+        # method key -> parameter -> why it cannot act
+        self.unavailable: Mapping[str, Mapping[str, str]] = {}
         self._must_release = False  # whether a recording was opened since memory was last released
         # Kept for the open recording, so that playing and stepping back need not recompute them.
-        self._comparisons: Memo[tuple[int, DepthParams], TargetComparison] = Memo(most_bytes=_TRUTH_BYTES)
+        self._comparisons: Memo[tuple[int, DepthParams], TargetComparison] = Memo(
+            most_bytes=_TRUTH_BYTES
+        )
         self._truths: Memo[tuple[int, tuple[str, ...]], Mapping[str, object]] = Memo(
             most_bytes=_TRUTH_BYTES, weigh=_size_bytes
         )
@@ -107,11 +121,14 @@ class Evaluator:
         with_truth: bool = False,
         get_current: Callable[[], Translation | None] | None = None,
     ) -> EvaluatedFrame:
-        """Compute `stages` of the session's frame, delivering each part as soon as it is done; raises TouchError.
+        """Compute `stages` of the session's frame, delivering each part as soon as it is done.
 
-        `with_observation` outlines what the target sensor itself recorded, `with_truth` adds each stage's truth and
-        the difference to it, where the recording holds them. The translation is delivered when it opens, and again if
-        `get_current()` is another one by then: a newer request drops the parts of an older one.
+        Raises TouchError.
+
+        `with_observation` outlines what the target sensor itself recorded, `with_truth` adds each
+        stage's truth and the difference to it, where the recording holds them. The translation is
+        delivered when it opens, and again if `get_current()` is another one by then: a newer
+        request drops the parts of an older one.
         """
         delivered = self._delivered
         translation, index = self.open_frame(session, report)
@@ -124,7 +141,11 @@ class Evaluator:
         truth = loaded.ground_truth
         ms = 1e3 * (time.perf_counter() - started_s)
         source = SourcePreview(
-            frame=loaded.frame, ground_truth=truth, preview=loaded.preview, layers=(loaded.layer,), read_ms=ms
+            frame=loaded.frame,
+            ground_truth=truth,
+            preview=loaded.preview,
+            layers=(loaded.layer,),
+            read_ms=ms,
         )
         report.deliver(source)
         results: dict[str, StageResult] = {}
@@ -135,39 +156,60 @@ class Evaluator:
             result = add_truth_warnings(result, truth)
             results[result.name] = result
             compares = with_observation and result.name == _OUTLINED and "depth" in results
-            other = self._get_comparison(translation, index, results["depth"].output, session) if compares else None
+            other = (
+                self._get_comparison(translation, index, results["depth"].output, session)
+                if compares
+                else None
+            )
             known = truths if result.name in stages else None
-            report.deliver(self._previews.draw_stage(result, results, translation, session, other, known))
+            report.deliver(
+                self._previews.draw_stage(result, results, translation, session, other, known)
+            )
 
         translation.evaluate(loaded.frame, stages, report, on_stage=on_stage)
         metrics = self._previews.compute_metrics(translation, results, index, truth)
         self._release_memory(results)
         return EvaluatedFrame(
-            index=index, settings=replace(session, target=translation.target.name).settings, frame=loaded.frame,
-            results=results, metrics=metrics,
-            summary=summarise_frame(results, metrics, translation) if set(results) == set(translation.stages) else None,
-        )  # fmt: skip
+            index=index,
+            settings=replace(session, target=translation.target.name).settings,
+            frame=loaded.frame,
+            results=results,
+            metrics=metrics,
+            summary=summarise_frame(results, metrics, translation)
+            if set(results) == set(translation.stages)
+            else None,
+        )
 
     def _release_memory(self, results: Mapping[str, StageResult]) -> None:
-        """Return freed memory to the system after the first frame of a recording and after computed frames.
+        """Return freed memory to the system after the first frame of a recording and after computed
+        frames.
 
-        Fragments of temporary arrays reach 40 MB after a few frames; returning them takes milliseconds.
+        Fragments of temporary arrays reach 40 MB after a few frames; returning them takes
+        milliseconds.
         """
         if self._must_release or any(result.state == "computed" for result in results.values()):
             self._must_release = False
             release_free_memory()
 
     def open_frame(self, session: Session, report: JobReporter) -> tuple[Translation, int]:
-        """Open the session's translation with its offsets, and resolve its frame number; raises TouchError."""
+        """Open the session's translation with its offsets, and resolve its frame number.
+
+        Raises TouchError.
+        """
         translation = apply_session(session, self._open(session, report))
         return replace(translation, graph=self.graph), self._resolve_index(session, translation)
 
     def _resolve_index(self, session: Session, translation: Translation) -> int:
         """Return the session's frame number; for AUTO_FRAME the one detected on opening."""
-        return min(self._first_frame if session.frame < 0 else session.frame, translation.n_frames - 1)
+        return min(
+            self._first_frame if session.frame < 0 else session.frame, translation.n_frames - 1
+        )
 
-    def compare_with_target(self, session: Session, report: JobReporter) -> tuple[Translation, TargetComparison]:
-        """Return the translation without offsets, and the session's frame as both sensors recorded it.
+    def compare_with_target(
+        self, session: Session, report: JobReporter
+    ) -> tuple[Translation, TargetComparison]:
+        """Return the translation without offsets, and the session's frame as both sensors recorded
+        it.
 
         The comparison is cached, as a drag asks for the same frame many times.
         """
@@ -177,7 +219,9 @@ class Evaluator:
         if cached is not None:
             return opened, cached
         if "depth" not in opened.stages:
-            raise SettingProblem(f"the route {opened.request.route!r} has no depth to align; choose another route")
+            raise SettingProblem(
+                f"the route {opened.request.route!r} has no depth to align; choose another route"
+            )
         translation = replace(apply_session(session, opened), graph=self.graph)
         depth = translation.evaluate(index, ["depth"], report)["depth"]
         return opened, self._get_comparison(opened, index, depth.output, session)
@@ -185,9 +229,12 @@ class Evaluator:
     def evaluate_in_background(
         self, session: Session, index: int, report: JobReporter, *, completely: bool = False
     ) -> SummarisedFrame:
-        """Summarise a frame that is not on screen; a frame that fails has the error text as its summary.
+        """Summarise a frame that is not on screen.
 
-        `completely` adds what takes another translation: the round trip, and the cause of the error.
+        A frame that fails has the error text as its summary.
+
+        `completely` adds what takes another translation: the round trip, and the cause of the
+        error.
         """
         translation = self._open_in_background(session, report)
         try:
@@ -196,37 +243,58 @@ class Evaluator:
             metrics = translation.compute_metrics(results, index)
             truth = translation.read_ground_truth(index)
             results = {name: add_truth_warnings(result, truth) for name, result in results.items()}
-            summary = summarise_frame(results, metrics, translation) or FrameSummary(metrics=metrics)
+            summary = summarise_frame(results, metrics, translation) or FrameSummary(
+                metrics=metrics
+            )
             summary = add_thumbnails(summary, frame, translation.source, session.display)
             if completely:
                 round_trip = measure_round_trip(results, translation, report)
                 cause = _find_cause(translation, results, index, report)
-                summary = replace(summary, metrics={**summary.metrics, **round_trip}, cause=cause, is_complete=True)
+                summary = replace(
+                    summary,
+                    metrics={**summary.metrics, **round_trip},
+                    cause=cause,
+                    is_complete=True,
+                )
             self._release_memory(results)
         except TouchError as error:
             summary = FrameSummary(problem=str(error), is_complete=True)
         return SummarisedFrame(
-            index=index, settings=replace(session, target=translation.target.name).settings, summary=summary
-        )  # fmt: skip
+            index=index,
+            settings=replace(session, target=translation.target.name).settings,
+            summary=summary,
+        )
 
     def measure_force_in_background(
         self, session: Session, index: int, metric: str, report: JobReporter
     ) -> MeasuredQuantities:
-        """Measure the force of a frame, which takes its depth alone; `metric` is NaN where that fails."""
+        """Measure the force of a frame, which takes its depth alone.
+
+        `metric` is NaN where that fails.
+        """
         translation = self._open_in_background(session, report)
         quantities: Mapping[str, float] = {metric: math.nan}
         try:
-            quantities |= measure_force(translation.evaluate(index, ["depth"], report), index, translation)
+            quantities |= measure_force(
+                translation.evaluate(index, ["depth"], report), index, translation
+            )
         except TouchError as error:
             log.info("frame %d has no force: %s", index, error)
         settings = replace(session, target=translation.target.name).settings
         return MeasuredQuantities(index=index, settings=settings, quantities=quantities)
 
     def _open_in_background(self, session: Session, report: JobReporter) -> Translation:
-        return replace(apply_session(session, self._open(session, report)), graph=self._background_graph)
+        return replace(
+            apply_session(session, self._open(session, report)), graph=self._background_graph
+        )
 
-    def attribute_frame_error(self, session: Session, metric: str, report: JobReporter) -> ErrorAttribution | None:
-        """Attribute the error `metric` of the session's frame to its stages; None if the metric is unknown."""
+    def attribute_frame_error(
+        self, session: Session, metric: str, report: JobReporter
+    ) -> ErrorAttribution | None:
+        """Attribute the error `metric` of the session's frame to its stages.
+
+        None if the metric is unknown.
+        """
         translation, index = self.open_frame(session, report)
         return attribute_error(translation, index, metric, report)
 
@@ -242,8 +310,12 @@ class Evaluator:
             self._comparisons.put(key, comparison)
         return comparison
 
-    def _get_true_outputs(self, translation: Translation, index: int, stages: tuple[str, ...]) -> Mapping[str, object]:
-        """Return the same object for the same frame and stages, which is what the preview cache compares by."""
+    def _get_true_outputs(
+        self, translation: Translation, index: int, stages: tuple[str, ...]
+    ) -> Mapping[str, object]:
+        """Return the same object for the same frame and stages, which is what the preview cache
+        compares by.
+        """
         truths = self._truths.get((index, stages))
         if truths is None:
             truths = translation.read_true_outputs(index, stages)
@@ -271,7 +343,9 @@ class Evaluator:
         """Content digests of the weights that the open translation uses."""
         opened = self._translation
         all_weights = () if opened is None else opened.weights.values()
-        return frozenset(weights.content_digest for weights in all_weights if isinstance(weights, Weights))
+        return frozenset(
+            weights.content_digest for weights in all_weights if isinstance(weights, Weights)
+        )
 
     def close(self) -> None:
         """Close the recording."""
@@ -294,9 +368,12 @@ class Evaluator:
         self._clear_truths()
         if not is_first:
             release_free_memory()  # before the new recording takes its own
-        self._must_release = True  # after the first frame, when the window has dropped the old recording
+        # after the first frame, when the window has dropped the old recording
+        self._must_release = True
         self._request = make_request(replace(session, target=translation.target.name))
-        self._first_frame = find_contact_frame(translation.stream) if session.frame < 0 else session.frame
+        self._first_frame = (
+            find_contact_frame(translation.stream) if session.frame < 0 else session.frame
+        )
         if session.frame < 0:
             report.deliver(InitialFrame(index=self._first_frame))
         for note in translation.notes:
@@ -310,11 +387,17 @@ def _size_bytes(values: Mapping[str, object]) -> int:
     return sum(measure_bytes(value) for value in values.values())
 
 
-def _find_cause(translation: Translation, results: Mapping[str, StageResult], index: int, report: JobReporter) -> str:
-    """Return the stage that most of a frame's error comes from, or that has the first warning without truth."""
+def _find_cause(
+    translation: Translation, results: Mapping[str, StageResult], index: int, report: JobReporter
+) -> str:
+    """Return the stage that most of a frame's error comes from, or that has the first warning
+    without truth.
+    """
     if "touch_depth" in translation.stages:
         shares = attribute_error(translation, index, DEFAULT_METRIC, report)
         if shares is not None:
             return shares.main_cause
     stage = translation.catalogue.stage
-    return next((stage(name).title.lower() for name, result in results.items() if result.warnings), "")
+    return next(
+        (stage(name).title.lower() for name, result in results.items() if result.warnings), ""
+    )

@@ -10,4 +10,5 @@ class Feature(QObject):
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self._controller, self._window = controller, controller.window
+        self._controller = controller
+        self._window = controller.window

@@ -1,4 +1,6 @@
-"""Preloads what the first depth needs while no recording is open, and what sampling needs once a frame is shown."""
+"""Preloads what the first depth needs while no recording is open, and what sampling needs once a
+frame is shown.
+"""
 
 from collections.abc import Iterable
 
@@ -17,12 +19,17 @@ _SAMPLER_DELAY_MS = 1500  # after a frame; browsing comes first
 
 
 class PreloadController(Feature):
-    """Loads packages and kernels on a thread of its own; stops when a recording opens, which loads the same."""
+    """Loads packages and kernels on a thread of its own.
+
+    Stops when a recording opens, which loads the same.
+    """
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
         self.job = LatestJob("preload", self)
-        self.start_timer = make_single_shot_timer(self, _DELAY_MS, lambda: self.job.submit(preload_depth))
+        self.start_timer = make_single_shot_timer(
+            self, _DELAY_MS, lambda: self.job.submit(preload_depth)
+        )
         self.sampler_timer = make_single_shot_timer(self, _SAMPLER_DELAY_MS, self._preload_samplers)
         controller.frame_shown.connect(self._preload_samplers_soon)
         controller.session_shown.connect(self._stop)
@@ -45,7 +52,9 @@ class PreloadController(Feature):
 
 
 def preload_samplers(weights: Iterable[object]) -> None:
-    """Load torch and the networks whose first pass needed neither, before a slider asks for more steps."""
+    """Load torch and the networks whose first pass needed neither, before a slider asks for more
+    steps.
+    """
     for one in weights:
         if isinstance(one, Weights) and isinstance(
             predictor := network_factory.load_predictor(one), FirstPassPredictor
@@ -54,7 +63,9 @@ def preload_samplers(weights: Iterable[object]) -> None:
 
 
 def preload_depth(report: Progress) -> None:
-    """Estimate the depth of a synthetic touch, to load packages and compile kernels. Raises Cancelled."""
+    """Estimate the depth of a synthetic touch, to load packages and compile kernels. Raises
+    Cancelled.
+    """
     import numpy as np
 
     from pipeline.core.arrays import freeze
@@ -71,4 +82,6 @@ def preload_depth(report: Progress) -> None:
     dent = np.maximum(0.6 - ((y - centre_mm[0]) ** 2 + (x - centre_mm[1]) ** 2) / 12.0, 0.0)
     image = optics.render(source, dent.astype(np.float32), seed=1)
     frame = TactileFrame(sensor=source.name, image=freeze(image), reference=reference)
-    Graph((PHYSICS,)).evaluate((PHYSICS.stage,), {"frame": frame, "source": source, "calibration": None}, {}, report)
+    Graph((PHYSICS,)).evaluate(
+        (PHYSICS.stage,), {"frame": frame, "source": source, "calibration": None}, {}, report
+    )

@@ -14,13 +14,15 @@ class ReferenceController(Feature):
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
         self._actions = self._window.actions_by_name
-        choose, connect = controller.choose_reference_frames, controller.window.connect_command
+        choose = controller.choose_reference_frames
+        connect = controller.window.connect_command
         connect("reference_median", partial(choose, MEDIAN))
         connect("reference_untouched", partial(choose, UNTOUCHED))
         connect("reference_frame", lambda: choose(str(controller.session.frame)))
         connect("reference_recorded", partial(choose, ""))
         for action in (action for name, action in self._actions.items() if "reference" in name):
-            action.triggered.connect(self._show_choice)  # a choice that changes nothing keeps its mark
+            # a choice that changes nothing keeps its mark
+            action.triggered.connect(self._show_choice)
         controller.job.delivered.connect(self._show_choice)
         self._show_choice()
 
@@ -29,15 +31,22 @@ class ReferenceController(Feature):
         self._show_choice()
 
     def _show_choice(self, *_: object) -> None:
-        session, opened = self._controller.session, self._controller.views.translation
+        session = self._controller.session
+        opened = self._controller.views.translation
         frames = session.reference_frames
         chosen = {
-            "reference_median": frames == MEDIAN, "reference_untouched": frames == UNTOUCHED,
-            "reference_frame": frames == str(session.frame), "open_reference": session.reference is not None,
+            "reference_median": frames == MEDIAN,
+            "reference_untouched": frames == UNTOUCHED,
+            "reference_frame": frames == str(session.frame),
+            "open_reference": session.reference is not None,
             "reference_recorded": not frames and session.reference is None,
-        }  # fmt: skip
+        }
         for name, is_chosen in chosen.items():
             self._actions[name].setChecked(is_chosen)
             # a file may be chosen before the recording that it is for
-            self._actions[name].setEnabled(name == "open_reference" or session.recording is not None)
-        self._actions["reference_untouched"].setVisible(opened is None or opened.source.kind == "gel")
+            self._actions[name].setEnabled(
+                name == "open_reference" or session.recording is not None
+            )
+        self._actions["reference_untouched"].setVisible(
+            opened is None or opened.source.kind == "gel"
+        )

@@ -1,4 +1,6 @@
-"""Requests: what a session asks the pipeline for, and which request for the stages is on its way."""
+"""Requests: what a session asks the pipeline for, and which request for the stages is on its
+way.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,8 @@ from pipeline.translation.translate import Request, Translation, open_translatio
 def make_request(session: Session) -> Request:
     """Build the request that opens a session with a recording."""
     fields = {name: getattr(session, name) for name in REQUEST_FIELDS}
-    methods, weights = tuple(sorted(session.methods.items())), tuple(sorted(session.weights.items()))
+    methods = tuple(sorted(session.methods.items()))
+    weights = tuple(sorted(session.weights.items()))
     return Request(**fields, methods=methods, weights=weights)
 
 
@@ -38,20 +41,27 @@ def make_request_if_open(session: Session) -> Request | None:
 def find_undo_target(
     sessions: Sequence[Session], at: int, opened: Set[Request | None], failing: Set[Request | None]
 ) -> int | None:
-    """Return the undo index to go back to from `at`, which could not be opened; None if there is none.
+    """Return the undo index to go back to from `at`, which could not be opened.
 
-    It is the nearest index whose request is open. If a change after an undo has removed that one from the stack, it
-    is the nearest earlier index that is not known to fail.
+    None if there is none.
+
+    It is the nearest index whose request is open. If a change after an undo has removed that one
+    from the stack, it is the nearest earlier index that is not known to fail.
     """
     earlier = range(at - 1, -1, -1)
     for index in (*earlier, *range(at + 1, len(sessions))):
         if make_request_if_open(sessions[index]) in opened:
             return index
-    return next((i for i in earlier if (req := make_request_if_open(sessions[i])) and req not in failing), None)
+    return next(
+        (i for i in earlier if (req := make_request_if_open(sessions[i])) and req not in failing),
+        None,
+    )
 
 
 def get_depth_params(session: Session, methods: Sequence[Method]) -> DepthParams:
-    """Return the parameters of a session's depth by one of these methods, used for both sensors of a comparison."""
+    """Return the parameters of a session's depth by one of these methods, used for both sensors
+    of a comparison.
+    """
     depth = next((method for method in methods if issubclass(method.params, DepthParams)), PHYSICS)
     params = session.get_params(depth)
     assert isinstance(params, DepthParams)
@@ -79,7 +89,9 @@ def apply_session(session: Session, opened: Translation) -> Translation:
 
 
 def _choose_target(request: Request) -> str:
-    """Return the target of the alignment file, else another sensor of the recording, else one of another kind."""
+    """Return the target of the alignment file, else another sensor of the recording, else one of
+    another kind.
+    """
     with closing(
         open_recording(
             request.recording,
@@ -96,7 +108,8 @@ def _choose_target(request: Request) -> str:
     file = None if request.alignment is None else read_alignment(request.alignment)
     if file is not None and file.source == source:
         return file.target
-    kind = load_sensor(source).kind if source else ""  # of a sensor that nobody knows, which does not open
+    # of a sensor that nobody knows, which does not open
+    kind = load_sensor(source).kind if source else ""
     if others:
         return next((name for name in others if load_sensor(name).kind != kind), others[0])
     return "soft_bubble" if kind == "gel" else "gelslim"
@@ -106,13 +119,19 @@ def explain_unavailable(opened: Translation, progress: Progress) -> Mapping[str,
     """Method key -> parameter -> why it cannot act; reads the weights."""
     with reading_reported_to(progress):
         weights = opened.weights
-    return {m.key: _explain(m, weights[m.weights_name]) for m in opened.methods if m.weights is not None}
+    return {
+        m.key: _explain(m, weights[m.weights_name]) for m in opened.methods if m.weights is not None
+    }
 
 
 def _explain(method: Method, weights: object) -> Mapping[str, str]:
     if isinstance(weights, NoWeights):
         settings = list_settings(method.params()).items()
-        return {name: f"no network for this pair: {weights.why}" for name, (_, setting) in settings if setting.pinned}
+        return {
+            name: f"no network for this pair: {weights.why}"
+            for name, (_, setting) in settings
+            if setting.pinned
+        }
     has_dropout = not isinstance(weights, Weights) or weights.trained_with_condition_dropout
     return {} if has_dropout else {"guidance": NO_CONDITION_DROPOUT}
 
@@ -122,10 +141,13 @@ _INTERRUPT_DELAY_S = 0.5  # a younger request finishes, so that a drag shows int
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Requests:
-    """State of the requests for stages; every change returns another value. Tickets are those of `LatestJob`."""
+    """State of the requests for stages.
 
-    # running: stages are computed. draft: the same, for a dragged parameter, whose stage is not on screen yet. stale:
-    # the stages were dropped for a short job and must be requested again.
+    Every change returns another value. Tickets are those of `LatestJob`.
+    """
+
+    # running: stages are computed. draft: the same, for a dragged parameter, whose stage is not on
+    # screen yet. stale: the stages were dropped for a short job and must be requested again.
     state: Literal["idle", "running", "draft", "stale"] = "idle"
     ticket: int = 0  # newest request, or short job in place of one; 0 = none
     oldest_shown: int = 0  # parts of older tickets are of another recording
@@ -140,22 +162,40 @@ class Requests:
         return self.state in ("running", "draft")
 
     def must_interrupt(self, now_s: float, *, opens: bool) -> bool:
-        """Return whether a new request cancels the running one; a draft, or a young request, finishes first."""
+        """Return whether a new request cancels the running one.
+
+        A draft, or a young request, finishes first.
+        """
         is_young = self.is_running and now_s - self.started_s < _INTERRUPT_DELAY_S
         return opens or not (self.state == "draft" or is_young)
 
-    def request(self, ticket: int, now_s: float, *, opens: bool, interrupts: bool, draft_stage: str = "") -> Requests:
-        """Request stages; `opens` another recording or sensors, whose parts alone are shown from now on."""
+    def request(
+        self, ticket: int, now_s: float, *, opens: bool, interrupts: bool, draft_stage: str = ""
+    ) -> Requests:
+        """Request stages; `opens` another recording or sensors, whose parts alone are shown from
+        now on.
+        """
         return replace(
-            self, state="draft" if draft_stage else "running", draft_stage=draft_stage, ticket=ticket,
-            oldest_shown=ticket if opens else self.oldest_shown, opening=ticket if opens or self.opening else 0,
+            self,
+            state="draft" if draft_stage else "running",
+            draft_stage=draft_stage,
+            ticket=ticket,
+            oldest_shown=ticket if opens else self.oldest_shown,
+            opening=ticket if opens or self.opening else 0,
             started_s=now_s if interrupts else self.started_s,
-        )  # fmt: skip
+        )
 
     def yield_to(self, ticket: int, *, background: bool) -> Requests:
-        """Let a short job take the place of the stages, which are stale then if they were on their way."""
+        """Let a short job take the place of the stages, which are stale then if they were on
+        their way.
+        """
         state = "idle" if self.state == "idle" else "stale"
-        return replace(self.end(), state=state, ticket=ticket, background=ticket if background else self.background)
+        return replace(
+            self.end(),
+            state=state,
+            ticket=ticket,
+            background=ticket if background else self.background,
+        )
 
     def show_part(self, stage: str = "") -> Requests:
         """Show a part: the recording is open, and the draft of its stage is on screen."""

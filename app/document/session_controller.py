@@ -48,13 +48,15 @@ class SessionController(SessionDocument):
         super().__init__(window, Session())
         self.relay = LogRelay(self)
         self.catalogue = catalogue
-        self.job, self.evaluator = LatestJob("stages", self), Evaluator(catalogue)
+        self.job = LatestJob("stages", self)
+        self.evaluator = Evaluator(catalogue)
         self.probe = PixelProbe(window)
         self.views = StageViews(window, self.probe)
         self.is_closed = False
         self.requests = Requests()
         self._extras: set[str] = set()  # that panels request
-        self._open_requests: set[Request | None] = {None}  # that are open: as requested, and with names resolved
+        # that are open: as requested, and with names resolved
+        self._open_requests: set[Request | None] = {None}
         self._failed_requests: set[Request | None] = set()
         self._is_skipping = False  # over undo steps that need no computation
         self._dragged_key = ""  # method whose slider is held
@@ -69,11 +71,14 @@ class SessionController(SessionDocument):
     def choose_params(self, key: str, params: object) -> None:
         """Set the parameters of a method or of the display; a drag is one undo step.
 
-        Where guidance would not act for lack of denoising steps, these are raised, and the status bar says so.
+        Where guidance would not act for lack of denoising steps, these are raised, and the status
+        bar says so.
         """
         method = next((method for method in self.methods if method.key == key), None)
         given = params if method is None else raise_steps(self.session.get_params(method), params)
-        words = self._describe_params_change(method, self.session.get_params(method) if method else None, given)
+        words = self._describe_params_change(
+            method, self.session.get_params(method) if method else None, given
+        )
         self.change(words, key=f"params {key}", params={**self.session.params, key: given})
         if given != params:
             self.window.readout.setText(_STEPS_RAISED)
@@ -82,10 +87,19 @@ class SessionController(SessionDocument):
         """Return "change smoothing of depth" for one changed parameter, else the stage alone."""
         if method is None:
             return "change display"
-        before, after = list_settings(old), list_settings(new)
-        changed = [setting.label.lower() for name, (value, setting) in after.items() if before[name][0] != value]
+        before = list_settings(old)
+        after = list_settings(new)
+        changed = [
+            setting.label.lower()
+            for name, (value, setting) in after.items()
+            if before[name][0] != value
+        ]
         stage = self.catalogue.stage(method.stage).title.lower()
-        return f"change {changed[0]} of {stage}" if len(changed) == 1 else f"change parameters of {stage}"
+        return (
+            f"change {changed[0]} of {stage}"
+            if len(changed) == 1
+            else f"change parameters of {stage}"
+        )
 
     def hold_slider(self, key: str) -> None:
         """Compute drafts while a slider of a method is held; "" = it was let go."""
@@ -94,7 +108,10 @@ class SessionController(SessionDocument):
             self.refresh()
 
     def choose_method(self, stage: str, name: str) -> None:
-        """Compute a stage by another method; the route's own method, or "" for it, clears the choice."""
+        """Compute a stage by another method.
+
+        The route's own method, or "" for it, clears the choice.
+        """
         others = {s: m for s, m in self.session.methods.items() if s != stage}
         default = self.catalogue.route(self.session.route).methods.get(stage, "")
         name = name or default
@@ -106,10 +123,13 @@ class SessionController(SessionDocument):
         )
 
     def show_session(self, session: Session) -> None:
-        """Turn a session change into work: controls at once, stages when they are computed, then `session_shown`."""
+        """Turn a session change into work: controls at once, stages when they are computed, then
+        `session_shown`.
+        """
         if self._is_skipping:
             return
-        old, self.session = self.session, session
+        old = self.session
+        self.session = session
         if session.recording != old.recording:
             self._close_recording(session.recording)
         if session.layout != self.window.current_layout:
@@ -120,7 +140,9 @@ class SessionController(SessionDocument):
         if session.cameras_linked != old.cameras_linked or session.display != old.display:
             self.views.reset_cameras(session)
         if session.recording is not None:
-            self._request_stages(other_request=old.recording is None or make_request(old) != make_request(session))
+            self._request_stages(
+                other_request=old.recording is None or make_request(old) != make_request(session)
+            )
         self.session_shown.emit(session)
 
     @property
@@ -136,7 +158,9 @@ class SessionController(SessionDocument):
         )
 
     def request_extra(self, extra: Literal["observation", "truth"], *, wanted: bool) -> None:
-        """Compute the outline of the target's own touch or the truth of every stage as well, or no longer."""
+        """Compute the outline of the target's own touch or the truth of every stage as well, or
+        no longer.
+        """
         if wanted != (extra in self._extras):
             self._extras ^= {extra}
             self.refresh()
@@ -154,10 +178,12 @@ class SessionController(SessionDocument):
             self._request_stages(other_request=False)
 
     def submit_priority(self, work: JobFunction, *, background: bool = False) -> int:
-        """Run a short job on the open recording instead of the stages; returns its ticket, 0 if nothing is open.
+        """Run a short job on the open recording instead of the stages.
 
-        Running stages are dropped; `refresh` requests them again, and until then the controller is not idle. It counts
-        as idle during a job in the `background`, which has the lowest priority.
+        Returns its ticket, 0 if nothing is open.
+
+        Running stages are dropped; `refresh` requests them again, and until then the controller is
+        not idle. It counts as idle during a job in the `background`, which has the lowest priority.
         """
         if self.requests.opening or self.is_closed or self.views.translation is None:
             return 0
@@ -211,9 +237,14 @@ class SessionController(SessionDocument):
             self.session = replace(self.session, frame=part.index)
             self._show_controls()
         elif isinstance(part, Translation) and part is not self.views.translation:
-            resolved = replace(self.session, target=part.target.name, frame=min(self.session.frame, part.n_frames - 1))
+            resolved = replace(
+                self.session,
+                target=part.target.name,
+                frame=min(self.session.frame, part.n_frames - 1),
+            )
             visible = set(self.window.visible_columns())
-            self._open_requests, self._failed_requests = {make_request(self.session), make_request(resolved)}, set()
+            self._open_requests = {make_request(self.session), make_request(resolved)}
+            self._failed_requests = set()
             self.session = resolved
             self.views.show_translation(part, resolved)
             self._show_controls()
@@ -230,7 +261,11 @@ class SessionController(SessionDocument):
 
     def handle_frame(self, ticket: int, shown: object) -> None:
         """Show the summary of a finished frame."""
-        if self.is_closed or not self.requests.accepts(ticket) or not isinstance(shown, EvaluatedFrame):
+        if (
+            self.is_closed
+            or not self.requests.accepts(ticket)
+            or not isinstance(shown, EvaluatedFrame)
+        ):
             return
         self.latest_frame = shown
         self.views.show_frame_summary(shown, is_comparable=shown.settings == self.session.settings)
@@ -239,11 +274,19 @@ class SessionController(SessionDocument):
             self.frame_shown.emit(shown.index)
 
     def handle_failure(self, ticket: int, error: object) -> None:
-        """Show an error with what mends it; if an open recording does not open with another file, undo that."""
-        if self.is_closed or not self.requests.accepts(ticket) or not isinstance(error, BaseException):
+        """Show an error with what mends it.
+
+        If an open recording does not open with another file, undo that.
+        """
+        if (
+            self.is_closed
+            or not self.requests.accepts(ticket)
+            or not isinstance(error, BaseException)
+        ):
             return
         if ticket == self.requests.ticket:
-            cannot_open = self.requests.opening == ticket and not self._is_open()  # else one frame is damaged
+            # else one frame is damaged
+            cannot_open = self.requests.opening == ticket and not self._is_open()
             self._end_request()
             self.failed_session = self.session
             if cannot_open and isinstance(error, AlignmentMismatch) and self._drop_alignment():
@@ -257,7 +300,8 @@ class SessionController(SessionDocument):
 
     def handle_cancellation(self, ticket: int) -> None:
         """Show that the request was cancelled."""
-        # A request that a newer one replaces before it runs is cancelled before the newer one is known here.
+        # A request that a newer one replaces before it runs is cancelled before the newer one is
+        # known here.
         if ticket == self.requests.ticket == self.job.newest_ticket and not self.is_closed:
             self.views.mark_cancelled()
             self._end_request()
@@ -271,7 +315,8 @@ class SessionController(SessionDocument):
 
     def _close_recording(self, following: Path | None) -> None:
         """Show nothing of the recording on screen, as another one is opened, or none."""
-        self.latest_frame, self._open_requests = None, {None}
+        self.latest_frame = None
+        self._open_requests = {None}
         self.views.clear_recording("" if following is None else following.name)
         if following is None:
             self.job.cancel()
@@ -280,9 +325,12 @@ class SessionController(SessionDocument):
 
     def _undo_opening(self) -> None:
         """Undo to the nearest session that is open, but stay on the frame chosen meanwhile."""
-        failed, sessions = self.session, list_sessions(self.undo_stack)
+        failed = self.session
+        sessions = list_sessions(self.undo_stack)
         self._failed_requests.add(make_request_if_open(failed))
-        index = find_undo_target(sessions, self.undo_stack.index(), self._open_requests, self._failed_requests)
+        index = find_undo_target(
+            sessions, self.undo_stack.index(), self._open_requests, self._failed_requests
+        )
         if index is None:
             self.views.mark_cancelled()
             return
@@ -294,8 +342,13 @@ class SessionController(SessionDocument):
             self.choose_frame(failed.frame)
 
     def _drop_alignment(self) -> bool:
-        """Open without the alignment what was changed around it; False if the alignment itself was chosen last."""
-        failed, index, text = self.session, self.undo_stack.index(), self.undo_stack.undoText()
+        """Open without the alignment what was changed around it.
+
+        False if the alignment itself was chosen last.
+        """
+        failed = self.session
+        index = self.undo_stack.index()
+        text = self.undo_stack.undoText()
         before = list_sessions(self.undo_stack)[index - 1] if index else failed
         if before is failed or before.alignment != failed.alignment:
             return False
@@ -322,21 +375,32 @@ class SessionController(SessionDocument):
         return map_sensor_kinds(self.methods, self.catalogue, self.views.translation)
 
     def _show_controls(self) -> None:
-        opened, unavailable = self.views.translation, self.evaluator.unavailable
+        opened = self.views.translation
+        unavailable = self.evaluator.unavailable
         show_controls(self.window, self.session, self.methods, self.catalogue, opened, unavailable)
 
     def _request_stages(self, *, other_request: bool) -> None:
-        session, stages = self._session_to_compute(), self.window.visible_columns()
+        session = self._session_to_compute()
+        stages = self.window.visible_columns()
         evaluate = partial(
-            self.evaluator.evaluate_frame, with_observation="observation" in self._extras,
+            self.evaluator.evaluate_frame,
+            with_observation="observation" in self._extras,
             get_current=lambda: self.views.translation,
-            with_truth=bool(self.views.comparison_mode) or self.window.shows_truth_column or "truth" in self._extras,
-        )  # fmt: skip
+            with_truth=bool(self.views.comparison_mode)
+            or self.window.shows_truth_column
+            or "truth" in self._extras,
+        )
         now_s = time.monotonic()
         interrupts = self.requests.must_interrupt(now_s, opens=other_request)
-        ticket = self.job.submit(lambda report: evaluate(session, stages, report), interrupt=interrupts)
+        ticket = self.job.submit(
+            lambda report: evaluate(session, stages, report), interrupt=interrupts
+        )
         self.requests = self.requests.request(
-            ticket, now_s, opens=other_request, interrupts=interrupts, draft_stage=self._dragged_key.partition("/")[0]
+            ticket,
+            now_s,
+            opens=other_request,
+            interrupts=interrupts,
+            draft_stage=self._dragged_key.partition("/")[0],
         )
         self.views.mark_all_pending()
         self.window.timeline.show_ready(ready=False)
@@ -344,9 +408,13 @@ class SessionController(SessionDocument):
             self._stale_timer.start()
 
     def _session_to_compute(self) -> Session:
-        """Return the session; while a parameter is dragged, with draft parameters from its stage on."""
+        """Return the session; while a parameter is dragged, with draft parameters from its stage
+        on.
+        """
         methods = self.methods
-        first = next((i for i, method in enumerate(methods) if method.key == self._dragged_key), len(methods))
+        first = next(
+            (i for i, method in enumerate(methods) if method.key == self._dragged_key), len(methods)
+        )
         return self.session.with_draft_params(methods[first:])
 
     def _end_request(self) -> None:

@@ -29,9 +29,16 @@ from pipeline.translation.cross_section import SectionLine
 from widgets.style.notification_bar import Choice
 
 _AS_RECORDED: Mapping[str, Any] = {
-    "source": "", "target": "", "stream": "", "reference": None, "reference_frames": "", "calibration": None,
-    "mesh": None, "mesh_unit": "auto", "depth_unit": "auto",
-}  # fmt: skip
+    "source": "",
+    "target": "",
+    "stream": "",
+    "reference": None,
+    "reference_frames": "",
+    "calibration": None,
+    "mesh": None,
+    "mesh_unit": "auto",
+    "depth_unit": "auto",
+}
 
 
 class SessionDocument(QObject):
@@ -53,7 +60,8 @@ class SessionDocument(QObject):
         self.section: SectionLine | None = None  # section line through all images
         self.previous_target = ""  # of the recording before
         self.tick = 0  # of the rollout in the Task layout
-        self.find_remedies: Callable[[BaseException], Sequence[Choice]] = lambda _: ()  # buttons that mend an error
+        # buttons that mend an error
+        self.find_remedies: Callable[[BaseException], Sequence[Choice]] = lambda _: ()
 
     @abstractmethod
     def show_session(self, session: Session) -> None:
@@ -81,14 +89,19 @@ class SessionDocument(QObject):
             self.tick_changed.emit(tick)
 
     def change(self, text: str, *, key: str = "", **updates: Any) -> None:
-        """Change fields of the session as one undo step; consecutive changes with the same `key` merge."""
+        """Change fields of the session as one undo step.
+
+        Consecutive changes with the same `key` merge.
+        """
         new = self.session.with_updates(**updates)
         if new != self.session:
             self.push_session(new, text, key)
 
     def push_session(self, new: Session, text: str, key: str = "") -> None:
         """Replace the session as one undo step; see `change`."""
-        self.undo_stack.push(SessionChange(old=self.session, new=new, text=text, key=key, show=self.show_session))
+        self.undo_stack.push(
+            SessionChange(old=self.session, new=new, text=text, key=key, show=self.show_session)
+        )
 
     def restore_session(self, session: Session, text: str) -> None:
         """Replace the session, with its cameras and section line, as one undo step."""
@@ -104,7 +117,9 @@ class SessionDocument(QObject):
         self.window.banner.show_problem(sentence, details, self.find_remedies(error))
 
     def open_path(self, path: Path) -> None:
-        """Open a session, mesh, source sensor, alignment, weights, calibration or recording, whichever `path` is."""
+        """Open a session, mesh, source sensor, alignment, weights, calibration or recording,
+        whichever `path` is.
+        """
         if path.name.endswith(SESSION_SUFFIX):
             self.open_session(path)
         elif path.suffix.lower() in dialogs.MESH_SUFFIXES:
@@ -127,7 +142,9 @@ class SessionDocument(QObject):
             self.open_recording(path, keeps_choices=self.session.recording is None)
 
     def open_recording(self, path: Path, *, keeps_choices: bool = False) -> None:
-        """Open a recording; with `keeps_choices` its sensor and the files that go with it are those chosen before."""
+        """Open a recording; with `keeps_choices` its sensor and the files that go with it are
+        those chosen before.
+        """
         own = {} if keeps_choices else _AS_RECORDED
         self.previous_target = self.session.target
         self.change("open recording", key=f"open {path}", recording=path, frame=AUTO_FRAME, **own)
@@ -140,16 +157,27 @@ class SessionDocument(QObject):
 
     def open_paths(self, paths: list[Path]) -> None:
         """Open dropped files: recordings first, then meshes and calibrations for them."""
-        for path in sorted(paths, key=lambda p: p.suffix.lower() in dialogs.MESH_SUFFIXES or is_calibration_file(p)):
+        for path in sorted(
+            paths, key=lambda p: p.suffix.lower() in dialogs.MESH_SUFFIXES or is_calibration_file(p)
+        ):
             self.open_path(path)
 
     def open_mesh(self, path: Path | None, unit: str = "auto") -> None:
-        """Open the mesh of the touched object, in `unit`; None returns to the recording's own mesh."""
+        """Open the mesh of the touched object, in `unit`.
+
+        None returns to the recording's own mesh.
+        """
         self.change("close mesh" if path is None else "open mesh", mesh=path, mesh_unit=unit)
 
     def open_weights(self, path: Path | None) -> None:
-        """Open weights for the first stage whose method reads weights; None returns to the shipped weights."""
-        self.change("close weights" if path is None else "open weights", weights={} if path is None else {"": path})
+        """Open weights for the first stage whose method reads weights.
+
+        None returns to the shipped weights.
+        """
+        self.change(
+            "close weights" if path is None else "open weights",
+            weights={} if path is None else {"": path},
+        )
 
     def open_reference(self, path: Path) -> None:
         """Open the reference image of the source sensor."""
@@ -163,7 +191,8 @@ class SessionDocument(QObject):
         """Open a session file, and warn of files that changed since it was saved."""
         with self._problems_in_banner():
             opened = load_session(path)
-            self.saved_session, self.session_file = opened, path
+            self.saved_session = opened
+            self.session_file = path
             self._file_fingerprint = compute_fingerprint(path)
             self.restore_session(opened, "open session")
             for sentence in describe_changed_files(path, opened):
@@ -171,15 +200,22 @@ class SessionDocument(QObject):
                 self.window.banner.show_problem(sentence)
 
     def save_session(self, path: Path) -> None:
-        """Write the session file; refused where another window or program has changed it meanwhile."""
+        """Write the session file; refused where another window or program has changed it
+        meanwhile.
+        """
         with self._problems_in_banner():
-            if self._is_session_file(path) and compute_fingerprint(path) not in (self._file_fingerprint, ""):
+            if self._is_session_file(path) and compute_fingerprint(path) not in (
+                self._file_fingerprint,
+                "",
+            ):
                 raise FileProblem(
-                    "another window has saved this session meanwhile; save yours under another name, or open it again",
+                    "another window has saved this session meanwhile; save yours under another "
+                    "name, or open it again",
                     path,
                 )
             save_session(self.session_to_save, path, fingerprint_files(self.session))
-            self.saved_session, self.session_file = self.session, path
+            self.saved_session = self.session
+            self.session_file = path
             self._file_fingerprint = compute_fingerprint(path)
             self.undo_stack.setClean()
             self.window.setWindowModified(False)
@@ -187,7 +223,9 @@ class SessionDocument(QObject):
 
     def _is_session_file(self, path: Path) -> bool:
         """Whether a path is that of the open session's file, by whatever spelling."""
-        return self.session_file is not None and os.path.realpath(path) == os.path.realpath(self.session_file)
+        return self.session_file is not None and os.path.realpath(path) == os.path.realpath(
+            self.session_file
+        )
 
     def save_screenshot(self, path: Path) -> None:
         """Write an image of the window."""

@@ -28,10 +28,14 @@ _GENERATED = "touch"  # stage whose truth the Demo layout shows
 
 
 class StageViews:
-    """Shows finished values, and tracks which columns are up to date; runs on the window's thread only."""
+    """Shows finished values, and tracks which columns are up to date.
+
+    Runs on the window's thread only.
+    """
 
     def __init__(self, window: MainWindow, probe: PixelProbe) -> None:
-        self._window, self._probe = window, probe
+        self._window = window
+        self._probe = probe
         self.scene = SceneRenderer(window.views_3d)  # opened once the window is on screen
         self.cameras = ViewCameras(tuple(window.columns))
         self.translation: Translation | None = None  # the recording on screen
@@ -71,7 +75,10 @@ class StageViews:
         self.cameras.apply_requested_cameras(self.scene)
 
     def clear_recording(self, following: str) -> None:
-        """Show nothing in all columns, 3D views and tables, as a recording of this name is opened; "" = none is."""
+        """Show nothing in all columns, 3D views and tables, as a recording of this name is opened.
+
+        "" = none is.
+        """
         self.translation, window = None, self._window
         window.setWindowTitle(f"{following}[*] · Tactoscope" if following else "Tactoscope[*]")
         window.banner.hide()
@@ -89,18 +96,29 @@ class StageViews:
             thumbnail.show_preview(None)
         for index in self._layers:
             self.scene.show_layers(index, ())
-        self._layers, self._steps, self._shown, self._results = {}, {}, {}, {}
+        self._layers = {}
+        self._steps = {}
+        self._shown = {}
+        self._results = {}
         self._probe.set_results(self._results)
 
     def show_stage(self, part: SourcePreview | StagePreview, *, is_newest: bool = True) -> None:
-        """Show one column's preview, layers and state; unless `is_newest`, the column still counts as pending."""
+        """Show one column's preview, layers and state.
+
+        Unless `is_newest`, the column still counts as pending.
+        """
         name = part.result.name if isinstance(part, StagePreview) else "source"
-        if self._window.presented_columns:  # what the presentation does not show is shown again after it
+        # what the presentation does not show is shown again after it
+        if self._window.presented_columns:
             self._shown[name] = part
             return
         column = self._window.columns[name]
-        self._show_preview(column.view, part.preview, part.truth_view if isinstance(part, StagePreview) else None)
-        self._window.panes.filmstrip.thumbnails[name].show_preview(column.view.preview or part.preview)
+        self._show_preview(
+            column.view, part.preview, part.truth_view if isinstance(part, StagePreview) else None
+        )
+        self._window.panes.filmstrip.thumbnails[name].show_preview(
+            column.view.preview or part.preview
+        )
         if isinstance(part, StagePreview):
             if name == _GENERATED:
                 self._show_truth(part)
@@ -132,14 +150,25 @@ class StageViews:
         self._shown[name] = part
 
     def _get_truth_label(self, stage: str) -> str:
-        """Return "with true depth" for a stage that is, or comes after, one whose truth is pinned."""
+        """Return "with true depth" for a stage that is, or comes after, one whose truth is
+        pinned.
+        """
         methods = () if self.translation is None else self.translation.methods
-        before = [m.name for m in methods[: 1 + next((i for i, m in enumerate(methods) if m.stage == stage), -1)]]
-        return self.translation.truth_label if self.translation is not None and TRUTH in before else ""
+        before = [
+            m.name
+            for m in methods[: 1 + next((i for i, m in enumerate(methods) if m.stage == stage), -1)]
+        ]
+        return (
+            self.translation.truth_label if self.translation is not None and TRUTH in before else ""
+        )
 
     def _show_who_answered(self, result: StageResult) -> None:
-        """Mark the parameters of a method that did not answer: moving them changes nothing on this frame."""
-        reason = result.fallback or (next(iter(result.notes), "") if result.state == "skipped" else "")
+        """Mark the parameters of a method that did not answer: moving them changes nothing on
+        this frame.
+        """
+        reason = result.fallback or (
+            next(iter(result.notes), "") if result.state == "skipped" else ""
+        )
         self._window.columns[result.name].pinned.show_unused(reason)
         if result.method is not None:
             self._window.parameters.show_unused(result.method.key, reason)
@@ -150,12 +179,15 @@ class StageViews:
 
     def _show_preview(self, view: PreviewView, preview: Preview, other: TruthView | None) -> None:
         """Show a preview and what is known of its truth in the comparison mode."""
-        truth, difference = (None, None) if other is None else (other.truth, other.difference_to_truth)
+        truth, difference = (
+            (None, None) if other is None else (other.truth, other.difference_to_truth)
+        )
         view.show_compared(preview, truth, difference, self.comparison_mode)
 
     def _show_truth(self, part: StagePreview) -> None:
         """Show the truth of the generated touch in the column of the Demo layout."""
-        column, other = self._window.truth_column, part.truth_view
+        column = self._window.truth_column
+        other = part.truth_view
         if column.isHidden():
             return
         if other is None:
@@ -166,12 +198,16 @@ class StageViews:
         self.scene.show_layers(len(self._order), other.layers)
 
     def show_wipe(self, before: Preview, after: Preview) -> None:
-        """Show two target depth previews, divided by a handle, until the stage is computed again."""
+        """Show two target depth previews, divided by a handle, until the stage is computed
+        again.
+        """
         view = self._window.columns[_PREVIEWED].view
         view.show_preview(before)
         view.overlay.show_wipe(after)
 
-    def show_drag_preview(self, preview: Preview, other: TruthView | None, layers: tuple[Layer, ...]) -> None:
+    def show_drag_preview(
+        self, preview: Preview, other: TruthView | None, layers: tuple[Layer, ...]
+    ) -> None:
         """Show the target depth of a running drag, and mark the stages after it as stale."""
         changed = self._find_dependent_stages("alignment")
         self._fresh -= changed
@@ -188,7 +224,10 @@ class StageViews:
         self.scene.show_layers(self._order.index(_PREVIEWED), layers)
 
     def show_frame_summary(self, shown: EvaluatedFrame, *, is_comparable: bool) -> None:
-        """Show the warnings of a finished frame; its summary only if `is_comparable` with the other frames."""
+        """Show the warnings of a finished frame.
+
+        Its summary only if `is_comparable` with the other frames.
+        """
         if is_comparable and shown.summary is not None:
             self._window.frames.model.show_summary(shown.index, shown.summary)
             self._window.frames.show_frame(shown.index)
@@ -201,7 +240,11 @@ class StageViews:
                 )
             )
             common = self._window.frames.model.common_warnings
-            warnings = [(stage(key).title, warning) for key, r in shown.results.items() for warning in r.warnings]
+            warnings = [
+                (stage(key).title, warning)
+                for key, r in shown.results.items()
+                for warning in r.warnings
+            ]
             # Warnings that every frame has come last.
             warnings.sort(key=lambda pair: f"{pair[0].lower()}: {pair[1]}" in common)
             self._window.warning_line.show_warnings(warnings)
@@ -248,7 +291,8 @@ class StageViews:
         """Fit the cameras of all 3D views, and update their captions."""
         if self.translation is None:
             return
-        t, display = self.translation, session.display
+        t = self.translation
+        display = session.display
         bounds = compute_view_bounds(t)
         places = {self._order.index(name): bound for name, bound in bounds.items()}
         if _GENERATED in bounds:
@@ -267,12 +311,24 @@ class StageViews:
             show_captions(self._window, self.translation, session.display)
 
     def show_variants(
-        self, stage: str, others: Sequence[tuple[tuple[Layer, ...], Translation | None]], session: Session
+        self,
+        stage: str,
+        others: Sequence[tuple[tuple[Layer, ...], Translation | None]],
+        session: Session,
     ) -> None:
-        """Show a stage of two sessions in the 3D views of the comparison, with the cameras of the columns."""
-        old, self._variants = self._variants, tuple((stage, other) for _, other in others)
-        if [_get_view_key(*pair) for pair in old] != [_get_view_key(*pair) for pair in self._variants]:
-            kept = {column: at for column, at in self.scene.get_cameras().items() if column <= len(self._order)}
+        """Show a stage of two sessions in the 3D views of the comparison, with the cameras of
+        the columns.
+        """
+        old = self._variants
+        self._variants = tuple((stage, other) for _, other in others)
+        if [_get_view_key(*pair) for pair in old] != [
+            _get_view_key(*pair) for pair in self._variants
+        ]:
+            kept = {
+                column: at
+                for column, at in self.scene.get_cameras().items()
+                if column <= len(self._order)
+            }
             self.reset_cameras(session)
             self.scene.set_cameras(kept)
         for k, (layers, _) in enumerate(others):
@@ -282,12 +338,17 @@ class StageViews:
     def show_page_scene(
         self, page: PageScene, layers: Sequence[Layer], bounds: ViewBounds | None, session: Session
     ) -> None:
-        """Show the scene of a rollout or of a track; its camera stays where the view is the same."""
+        """Show the scene of a rollout or of a track.
+
+        Its camera stays where the view is the same.
+        """
         self._page_layers[page], old = tuple(layers), self._page_bounds.pop(page, None)
         if bounds is not None:
             self._page_bounds[page] = bounds
             if bounds != old:
-                self.scene.fit_cameras({self.page_views[page]: bounds}, linked=session.cameras_linked)
+                self.scene.fit_cameras(
+                    {self.page_views[page]: bounds}, linked=session.cameras_linked
+                )
         self.scene.show_layers(self.page_views[page], self._page_layers[page])
 
     def move_task_bodies(self, poses: Mapping[str, Doubles]) -> None:
@@ -319,5 +380,7 @@ class StageViews:
 
 
 def _get_view_key(stage: str, other: Translation | None) -> tuple[str, Request | None]:
-    """Return what decides the camera of a comparison view: stage and request, not frame or offsets."""
+    """Return what decides the camera of a comparison view: stage and request, not frame or
+    offsets.
+    """
     return stage, None if other is None else other.request

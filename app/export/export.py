@@ -1,4 +1,7 @@
-"""Exports, repro bundles, and what is on screen as a command line; written in the background, from their own files."""
+"""Exports, repro bundles, and what is on screen as a command line.
+
+Written in the background, from their own files.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -38,14 +41,19 @@ class ExportController(BackgroundController):
     """Connects the export commands with the exports of the pipeline."""
 
     def __init__(
-        self, controller: SessionController, autosave: AutosaveController, comparison: ComparisonController
+        self,
+        controller: SessionController,
+        autosave: AutosaveController,
+        comparison: ComparisonController,
     ) -> None:
         self.notification = NotificationBar("export_notification")
         super().__init__("export", controller, self.notification.run_bar)
-        self._autosave, self._comparison = autosave, comparison
+        self._autosave = autosave
+        self._comparison = comparison
         self.dialog = ExportDialog(self._window)
         self._window.notifications.add_bar(self.notification)
-        self._written: tuple[Path, str, Callable[[object], str] | None] = Path(), "", None  # see `start_writing`
+        # see `start_writing`
+        self._written: tuple[Path, str, Callable[[object], str] | None] = Path(), "", None
         self._window.connect_command("export", self.show_export_dialog)
         self._window.connect_command("copy_command", self.copy_view_command)
         self._window.section_panel.command.clicked.connect(self.copy_section_command)
@@ -60,7 +68,8 @@ class ExportController(BackgroundController):
         self, path: Path, pane: str = SHEET, content: str = "computed", frames: str = ""
     ) -> ExportRequest:
         """Build the export of what is on screen to one file."""
-        session, opened = self._controller.session, self._controller.views.translation
+        session = self._controller.session
+        opened = self._controller.views.translation
         assert opened is not None
         params = {method.stage: session.get_params(method) for method in opened.methods}
         return ExportRequest(
@@ -83,7 +92,9 @@ class ExportController(BackgroundController):
             return f"written: {escape_text(str(request.path))}{left_out}"
 
         text = f"writing {escape_text(request.path.name)}"
-        self.start_writing(text, partial(export_file, request), request.path, format_command(request), describe)
+        self.start_writing(
+            text, partial(export_file, request), request.path, format_command(request), describe
+        )
 
     def start_bundle(self, folder: Path, note: str) -> None:
         """Write a repro bundle of the frame on screen in the background."""
@@ -94,19 +105,31 @@ class ExportController(BackgroundController):
         def work(report: JobReporter) -> None:
             write_bundle(of.request, of.settings, of.frame, folder, note=note, progress=report)
 
-        self.start_writing("writing the repro bundle", work, folder, f"tactoscope replay {dialogs.quote_path(folder)}")
+        self.start_writing(
+            "writing the repro bundle",
+            work,
+            folder,
+            f"tactoscope replay {dialogs.quote_path(folder)}",
+        )
 
-    def copy_export_command(self, pane: str, content: str = "", suffix: str = ".png", frames: str = "") -> None:
+    def copy_export_command(
+        self, pane: str, content: str = "", suffix: str = ".png", frames: str = ""
+    ) -> None:
         """Copy the command that writes this export."""
         if self._controller.views.translation is None:
             self.notification.show_notification(_NOT_OPEN)
             return
         content = content or self._content_on_screen(pane)
-        self._copy(format_command(self.make_export_request(Path(f"{pane}{suffix}"), pane, content, frames)))
+        self._copy(
+            format_command(self.make_export_request(Path(f"{pane}{suffix}"), pane, content, frames))
+        )
 
     def copy_view_command(self) -> None:
-        """Copy the command that reproduces the screen: all tiles or cells of Compare, else the panes."""
-        session, opened = self._controller.session, self._controller.views.translation
+        """Copy the command that reproduces the screen: all tiles or cells of Compare, else the
+        panes.
+        """
+        session = self._controller.session
+        opened = self._controller.views.translation
         if session.layout.name != "compare" or opened is None:
             self.copy_export_command(self._pane_on_screen())
             return
@@ -149,7 +172,9 @@ class ExportController(BackgroundController):
             return
         note, accepted = QInputDialog.getText(self._window, "Export repro bundle", "What it shows")
         folder = (
-            dialogs.ask_save_path(self._window, "export_bundle", self._autosave.dialog_folder) if accepted else None
+            dialogs.ask_save_path(self._window, "export_bundle", self._autosave.dialog_folder)
+            if accepted
+            else None
         )
         if folder is not None:
             self.start_bundle(folder, note)
@@ -170,9 +195,13 @@ class ExportController(BackgroundController):
         return path
 
     def start_writing(
-        self, text: str, work: JobFunction, path: Path, command: str = "",
+        self,
+        text: str,
+        work: JobFunction,
+        path: Path,
+        command: str = "",
         describe: Callable[[object], str] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Write something in the background, unless an export is running.
 
         `command` writes the same, `describe` turns the result into a sentence.
@@ -188,7 +217,9 @@ class ExportController(BackgroundController):
         """Offer the folder and the command of the written file."""
         path, command, describe = self._written
         show_folder = partial(QDesktopServices.openUrl, QUrl.fromLocalFile(str(path.parent)))
-        choices: list[Choice] = [("Copy as command", partial(copy_text, command))] if command else []
+        choices: list[Choice] = (
+            [("Copy as command", partial(copy_text, command))] if command else []
+        )
         self.notification.show_notification(
             describe(result) if describe is not None else f"written: {escape_text(str(path))}",
             (*choices, ("Show folder", show_folder)),
@@ -203,17 +234,21 @@ class ExportController(BackgroundController):
         self.notification.show_notification("cancelled; nothing was written")
 
     def _pane_on_screen(self) -> str:
-        shown, layout = self._window.visible_columns(), self._controller.session.layout
+        shown = self._window.visible_columns()
+        layout = self._controller.session.layout
         if layout.name == "inspect" and (panes := layout.resolve_panes(self._window.route_columns)):
             return panes[min(self._window.panes.active_pane, len(panes) - 1)][0]
         return shown[0] if len(shown) == 1 else SHEET
 
     def _content_on_screen(self, pane: str) -> str:
         mode = self._controller.views.comparison_mode
-        return mode if pane not in (SHEET, SOURCE) and mode in ("truth", "difference") else "computed"
+        return (
+            mode if pane not in (SHEET, SOURCE) and mode in ("truth", "difference") else "computed"
+        )
 
     def _show_menu(self, name: str, at: QPoint) -> None:
-        column, menu = self._window.columns[name], QMenu(self._window)
+        column = self._window.columns[name]
+        menu = QMenu(self._window)
         choices: tuple[tuple[str, Callable[[], None]], ...] = (
             ("Export pane…", lambda: self.show_export_dialog(name)),
             ("Copy as command", lambda: self.copy_export_command(name)),

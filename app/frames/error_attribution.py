@@ -1,4 +1,6 @@
-"""The Attribution tab: the error of a frame at rest is attributed to the stages while the tab is visible."""
+"""The Attribution tab: the error of a frame at rest is attributed to the stages while the tab is
+visible.
+"""
 
 from PyQt6.QtCore import QEvent
 
@@ -22,7 +24,8 @@ class ErrorAttributionController(Feature):
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
         self._panel = self._window.error_attribution
-        self._metric, self._ticket = DEFAULT_METRIC, 0
+        self._metric = DEFAULT_METRIC
+        self._ticket = 0
         self._shares: tuple[ErrorShare, ...] = ()
         self._timer = make_single_shot_timer(self, _DELAY_MS, self._attribute)
         EventListener(self._panel, self._timer.start, QEvent.Type.Show)
@@ -43,7 +46,8 @@ class ErrorAttributionController(Feature):
             self._timer.start()
 
     def _attribute(self) -> None:
-        controller, latest = self._controller, self._controller.latest_frame
+        controller = self._controller
+        latest = self._controller.latest_frame
         if (
             latest is None
             or not self._panel.isVisible()
@@ -57,7 +61,8 @@ class ErrorAttributionController(Feature):
         if not metric:
             self._panel.show_empty(_NO_TRUTH)
             return
-        session, evaluator = controller.session, controller.evaluator
+        session = controller.session
+        evaluator = controller.evaluator
         self._panel.show_empty("replacing one stage after the other by its truth…")
         self._ticket = controller.submit_priority(
             lambda report: evaluator.attribute_frame_error(session, metric, report)
@@ -73,12 +78,18 @@ class ErrorAttributionController(Feature):
         self._shares = result.shares
         parts = [(part.title, part.share) for part in result.shares]
         self._panel.show_attribution(
-            result.summary, make_bars("this frame's error", result.total, parts, result.remainder), result.unit
+            result.summary,
+            make_bars("this frame's error", result.total, parts, result.remainder),
+            result.unit,
         )
 
     def _toggle_truth(self, share: int) -> None:
-        """Pin the truth of the stage of a share in its column's head; a pinned stage is computed again."""
-        controller, stage = self._controller, self._shares[share].stage
+        """Pin the truth of the stage of a share in its column's head.
+
+        A pinned stage is computed again.
+        """
+        controller = self._controller
+        stage = self._shares[share].stage
         default = controller.catalogue.route(controller.session.route).methods[stage]
         is_pinned = controller.session.methods.get(stage) == TRUTH
         controller.choose_method(stage, default if is_pinned else TRUTH)

@@ -1,7 +1,8 @@
-"""Ranks all frames of a recording, computed at lowest priority while the frames table or the timeline needs them.
+"""Ranks all frames of a recording, computed at lowest priority while the frames table or the
+timeline needs them.
 
-With truth they are ranked by an error, without it by the round trip to the target and back. Force takes the depth of
-a frame alone, so that it comes before all else where it is chosen.
+With truth they are ranked by an error, without it by the round trip to the target and back. Force
+takes the depth of a frame alone, so that it comes before all else where it is chosen.
 """
 
 from PyQt6.QtCore import Qt
@@ -22,12 +23,16 @@ _DELAY_MS = 400  # browsing and error attribution come first
 
 
 class FrameRankingController(Feature):
-    """Computes the unknown frame nearest to the one on screen, one after the other, at lowest priority."""
+    """Computes the unknown frame nearest to the one on screen, one after the other, at lowest
+    priority.
+    """
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
         self._panel = self._window.frames
-        self._chosen_metric, self._ticket = "", 0  # "" = as the recording has truth or not
+        # "" = as the recording has truth or not
+        self._chosen_metric = ""
+        self._ticket = 0
         self._timer = make_single_shot_timer(self, _DELAY_MS, self._rank_next)
         controller.window.drawers.frames.visibilityChanged.connect(self._set_visible)
         controller.frame_shown.connect(self._frame_shown)
@@ -36,7 +41,9 @@ class FrameRankingController(Feature):
         window = controller.window
         self._panel.model.dataChanged.connect(self._update_timeline_soon)
         self._panel.model.modelReset.connect(self._update_timeline_soon)
-        self._timeline_timer = make_single_shot_timer(self, _TIMELINE_DELAY_MS, self._update_timeline)
+        self._timeline_timer = make_single_shot_timer(
+            self, _TIMELINE_DELAY_MS, self._update_timeline
+        )
         self._panel.model.note_edited.connect(self._set_note)
         window.connect_command("worst_frame", self._go_to_worst)
         window.connect_command("worse_frame", lambda: self._step(-1))
@@ -77,7 +84,9 @@ class FrameRankingController(Feature):
     def _set_note(self, frame: int, text: str) -> None:
         """Store the note of a frame in the session."""
         others = {at: note for at, note in self._controller.session.notes.items() if at != frame}
-        self._controller.change(f"note on frame {frame}", notes={**others, frame: text} if text else others)
+        self._controller.change(
+            f"note on frame {frame}", notes={**others, frame: text} if text else others
+        )
 
     def show_session(self, session: Session) -> None:
         """Show the notes in the frames table."""
@@ -88,9 +97,13 @@ class FrameRankingController(Feature):
             self._timeline_timer.start()
 
     def _update_timeline(self) -> None:
-        """Show metric and warnings of the table on the timeline, without warnings that every frame has."""
+        """Show metric and warnings of the table on the timeline, without warnings that every
+        frame has.
+        """
         model = self._panel.model
-        warnings = {i: texts for i in range(model.rowCount()) if (texts := model.get_specific_warnings(i))}
+        warnings = {
+            i: texts for i in range(model.rowCount()) if (texts := model.get_specific_warnings(i))
+        }
         values = model.get_values(self._metric) if model.rowCount() > 1 else ()
         self._window.timeline.show_errors(
             describe_metric(self._metric), values, warnings, is_quantity=self._is_quantity
@@ -105,7 +118,9 @@ class FrameRankingController(Feature):
     def _is_needed(self) -> bool:
         """Whether the table is visible, or the timeline shows a recording that does not grow."""
         opened = self._controller.views.translation
-        return self._window.drawers.frames.isVisible() or (opened is not None and opened.recording.refresh is None)
+        return self._window.drawers.frames.isVisible() or (
+            opened is not None and opened.recording.refresh is None
+        )
 
     def _step(self, by: int) -> None:
         self._panel.step_by_metric(by, sort_order=_get_sort_order(self._metric))
@@ -132,22 +147,33 @@ class FrameRankingController(Feature):
             frame = model.find_unknown_frame(controller.session.frame, completely=True)
         if frame < 0 or controller.window.timeline.is_playing or not controller.is_idle:
             return
-        session, evaluator = controller.session, controller.evaluator
+        session = controller.session
+        evaluator = controller.evaluator
         self._ticket = controller.submit_priority(
-            lambda report: evaluator.evaluate_in_background(session, frame, report, completely=completely),
+            lambda report: evaluator.evaluate_in_background(
+                session, frame, report, completely=completely
+            ),
             background=True,
         )
 
     def _measure_force(self) -> bool:
-        """Measure the force of the next frame if the metric is the force; return whether any is left to measure."""
-        controller, metric = self._controller, self._metric
+        """Measure the force of the next frame if the metric is the force.
+
+        Return whether any is left to measure.
+        """
+        controller = self._controller
+        metric = self._metric
         if metric not in self._force_metrics:
             return False
-        session, evaluator = controller.session, controller.evaluator
+        session = controller.session
+        evaluator = controller.evaluator
         frame = self._panel.model.find_unknown_frame(session.frame, quantity=metric)
         if frame >= 0 and not controller.window.timeline.is_playing and controller.is_idle:
             self._ticket = controller.submit_priority(
-                lambda report: evaluator.measure_force_in_background(session, frame, metric, report), background=True
+                lambda report: evaluator.measure_force_in_background(
+                    session, frame, metric, report
+                ),
+                background=True,
             )
         return frame >= 0
 
@@ -172,7 +198,9 @@ class FrameRankingController(Feature):
         names.sort(key=lambda name: name.startswith("frame."))  # stable
         texts = {name: describe_metric(name) for name in (self._metric, *names)}
         unit = METRICS[self._metric.partition(".")[2]].unit
-        self._panel.offer_metrics(texts, self._metric, f"error\n{unit}" if self._is_error else f"value\n{unit}")
+        self._panel.offer_metrics(
+            texts, self._metric, f"error\n{unit}" if self._is_error else f"value\n{unit}"
+        )
 
     @property
     def _is_error(self) -> bool:

@@ -1,4 +1,7 @@
-"""Live source: read on its own thread; the newest frame is shown when the stages are idle, and can be recorded."""
+"""Live source: read on its own thread.
+
+The newest frame is shown when the stages are idle, and can be recorded.
+"""
 
 from pathlib import Path
 
@@ -36,7 +39,9 @@ class LiveController(Feature):
         self.dialog.show_choices(list_sensor_titles(), shapes.list_shapes())
         self.reader: LiveReader | None = None
         self.recorder: LiveRecorder | None = None
-        self.is_following, self._n_watched, self._shown_text = False, 0, ""
+        self.is_following = False
+        self._n_watched = 0
+        self._shown_text = ""
         self._path = self._opened = Path()  # of the live source, and of the one opened last
         self._timer = QTimer(self)
         self._timer.setInterval(_UPDATE_MS)
@@ -110,7 +115,8 @@ class LiveController(Feature):
 
     def stop_recording(self) -> None:
         """End the recording; its last frames are written in the background."""
-        recorder, self.recorder = self.recorder, None
+        recorder = self.recorder
+        self.recorder = None
         if recorder is None:
             return
         if self.reader is not None:
@@ -127,17 +133,24 @@ class LiveController(Feature):
 
     def _list_cameras(self) -> None:
         cameras = [
-            (c.name, f"{c.name} ({c.profile.sensor})" if c.profile.sensor else c.name) for c in list_usb_cameras()
+            (c.name, f"{c.name} ({c.profile.sensor})" if c.profile.sensor else c.name)
+            for c in list_usb_cameras()
         ]
         self.dialog.show_cameras(cameras)
 
     def _ask_folder(self) -> None:
-        chosen = QFileDialog.getExistingDirectory(self.dialog, "Folder that grows", self._autosave.dialog_folder)
+        chosen = QFileDialog.getExistingDirectory(
+            self.dialog, "Folder that grows", self._autosave.dialog_folder
+        )
         if chosen:
             self.dialog.show_folder(chosen)
 
     def _toggle_recording(self, on: bool) -> None:
-        path = dialogs.ask_export_path(self._window, "Record", ".h5", self._autosave.dialog_folder) if on else None
+        path = (
+            dialogs.ask_export_path(self._window, "Record", ".h5", self._autosave.dialog_folder)
+            if on
+            else None
+        )
         if path is not None:
             self._autosave.preferences.last_folder = path.parent
             self.start_recording(path)
@@ -162,12 +175,22 @@ class LiveController(Feature):
         mount(self._path, lambda path=self._path: reader.make_recording(path))
         self._opened = self._path
         self._controller.change(
-            "open live source", recording=self._path, frame=reader.n_frames - 1, source="", stream="", reference=None,
-            reference_frames="", calibration=None, mesh=None, mesh_unit="auto", depth_unit="auto",
-        )  # fmt: skip
+            "open live source",
+            recording=self._path,
+            frame=reader.n_frames - 1,
+            source="",
+            stream="",
+            reference=None,
+            reference_frames="",
+            calibration=None,
+            mesh=None,
+            mesh_unit="auto",
+            depth_unit="auto",
+        )
 
     def _show_new_frames(self, n_frames: int) -> None:
-        controller, opened = self._controller, self._controller.views.translation
+        controller = self._controller
+        opened = self._controller.views.translation
         if opened is None or opened.request.recording != self._path or not controller.is_idle:
             return
         if not self._window.timeline.slider.isSliderDown():
@@ -177,7 +200,10 @@ class LiveController(Feature):
             controller.choose_frame(n_frames - 1)
 
     def _show_status(self, status: ReaderStatus) -> None:
-        rates = f"{status.state} · {status.rate_hz:.1f} Hz · {status.n_frames} frames · {status.n_lost} lost"
+        rates = (
+            f"{status.state} · {status.rate_hz:.1f} Hz · {status.n_frames} frames · "
+            f"{status.n_lost} lost"
+        )
         recorder = self.recorder
         if recorder is not None:
             rates += f" · {recorder.n_written} recorded"

@@ -1,4 +1,6 @@
-"""Fingerprints of a session's files, so that opening the session reports which files changed since."""
+"""Fingerprints of a session's files, so that opening the session reports which files changed
+since.
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -27,7 +29,9 @@ def fingerprint_files(session: Session) -> dict[str, str]:
 
 
 def describe_changed_files(path: Path, session: Session) -> tuple[str, ...]:
-    """List one sentence per file that changed or is missing since the session at `path` was saved."""
+    """List one sentence per file that changed or is missing since the session at `path` was
+    saved.
+    """
     data: object = cast("dict[str, Any]", read_json(path, "the session")).get("contents", {})
     saved = cast("dict[str, object]", data) if isinstance(data, dict) else {}
     sentences: list[str] = []

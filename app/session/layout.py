@@ -16,13 +16,18 @@ DIMS: tuple[Dims, ...] = get_args(Dims)
 LAYOUT_NAMES: tuple[LayoutName, ...] = get_args(LayoutName)
 # Columns that a layout shows large; all columns of the route where a layout is not listed.
 _LARGE_COLUMNS: Mapping[str, tuple[str, ...]] = {
-    "align": ("target_depth",), "demo": ("source", "touch"), "compare": (), "track": (),
+    "align": ("target_depth",),
+    "demo": ("source", "touch"),
+    "compare": (),
+    "track": (),
     "task": ("source", "touch"),
-}  # fmt: skip
-_Panes = Annotated[tuple[tuple[Name, Dims], ...], Meta(min_length=1, max_length=3)]  # stage and views of each
+}
+# stage and views of each
+_Panes = Annotated[tuple[tuple[Name, Dims], ...], Meta(min_length=1, max_length=3)]
 ComparisonTabName = Literal["methods", "two", "grid"]
 LAST_STAGE = "last"
-DEFAULT_STAGE = "touch_depth"  # of two settings: what both methods of touch have, and can be subtracted
+# of two settings: what both methods of touch have, and can be subtracted
+DEFAULT_STAGE = "touch_depth"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

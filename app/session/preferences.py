@@ -1,4 +1,6 @@
-"""Preferences of the program between two starts: recent files, last folder, theme, window geometry."""
+"""Preferences of the program between two starts: recent files, last folder, theme, window
+geometry.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,14 +10,16 @@ from PyQt6.QtCore import QByteArray, QSettings
 
 Theme = Literal["light", "dark", "system"]
 _MAX_RECENT = 12
-_STATE_VERSION = 3  # raise it when docks or tool bars change their object names: old window states then do not apply
+# raise it when docks or tool bars change their object names: old window states then do not apply
+_STATE_VERSION = 3
 
 
 class Preferences:
     """The program's settings file; nothing in it changes a result."""
 
     def __init__(self) -> None:
-        kind, scope = QSettings.Format.IniFormat, QSettings.Scope.UserScope
+        kind = QSettings.Format.IniFormat
+        scope = QSettings.Scope.UserScope
         self._settings = QSettings(kind, scope, "Tactoscope", "Tactoscope")
 
     @property
@@ -49,9 +53,18 @@ class Preferences:
 
     @property
     def window_geometry(self) -> tuple[QByteArray, QByteArray] | None:
-        """(geometry, state) of the last window, as Qt saves them; None if there is none of this version."""
-        geometry, state = (self._settings.value(f"window{_STATE_VERSION}/{key}") for key in ("geometry", "state"))
-        return (geometry, state) if isinstance(geometry, QByteArray) and isinstance(state, QByteArray) else None
+        """(geometry, state) of the last window, as Qt saves them.
+
+        None if there is none of this version.
+        """
+        geometry, state = (
+            self._settings.value(f"window{_STATE_VERSION}/{key}") for key in ("geometry", "state")
+        )
+        return (
+            (geometry, state)
+            if isinstance(geometry, QByteArray) and isinstance(state, QByteArray)
+            else None
+        )
 
     @window_geometry.setter
     def window_geometry(self, pair: tuple[QByteArray, QByteArray]) -> None:

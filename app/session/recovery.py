@@ -57,8 +57,12 @@ class RecoveryFile:
             self._lock = None
 
 
-def find_recoverable_sessions(folder: Path, catalogue: Catalogue = BUILT_IN) -> tuple[RecoverableSession, ...]:
-    """List the sessions that no running window holds, newest first, with those that cannot be read."""
+def find_recoverable_sessions(
+    folder: Path, catalogue: Catalogue = BUILT_IN
+) -> tuple[RecoverableSession, ...]:
+    """List the sessions that no running window holds, newest first, with those that cannot be
+    read.
+    """
     sessions: list[RecoverableSession] = []
     for path in folder.glob(f"session-*{SESSION_SUFFIX}"):
         with contextlib.suppress(OSError):

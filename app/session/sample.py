@@ -2,4 +2,6 @@
 
 from pathlib import Path
 
-SAMPLE_RECORDING = Path(__file__).resolve().parents[2] / "sample_data" / "recordings" / "first_touch.h5"
+SAMPLE_RECORDING = (
+    Path(__file__).resolve().parents[2] / "sample_data" / "recordings" / "first_touch.h5"
+)

@@ -26,24 +26,38 @@ from pipeline.views.display_params import DisplayParams
 
 SESSION_SUFFIX = ".touch.json"
 DISPLAY_KEY = "display"  # key of the display parameters in `Session.params`
-AUTO_FRAME = -1  # frame number that stands for the first frame with contact, detected when the recording opens
+# frame number that stands for the first frame with contact, detected when the recording opens
+AUTO_FRAME = -1
 _VERSION = 3  # of the session file
 _N_CAMERA = 10  # numbers of a 3D view: position (3), focal point (3), view-up (3), view angle
-_SectionMm = Annotated[float, Meta(ge=-1000.0, le=1000.0)]  # of the section line's ends; beyond any sensor
+# of the section line's ends; beyond any sensor
+_SectionMm = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
 _Number = Annotated[int, Meta(ge=0, le=2**31 - 1)]  # of a frame or tick; what Qt counts with
 PATH_FIELDS = ("recording", "reference", "calibration", "mesh", "alignment")
 _TEXT_FIELDS = ("source", "target", "stream", "reference_frames", "route", "mesh_unit")
 _PLAIN_FIELDS = (
-    *_TEXT_FIELDS, "depth_unit", "cameras_linked", "offsets", "layout", "methods", "notes", "comparison", "cameras",
+    *_TEXT_FIELDS,
+    "depth_unit",
+    "cameras_linked",
+    "offsets",
+    "layout",
+    "methods",
+    "notes",
+    "comparison",
+    "cameras",
     "tick",
-)  # fmt: skip
-REQUEST_FIELDS = (*PATH_FIELDS, *_TEXT_FIELDS, "depth_unit")  # fields that a session and a request share
-_OFFSET_FIELDS = frozenset({"source", "target", "stream", "alignment"})  # offsets are valid only for these values
+)
+# fields that a session and a request share
+REQUEST_FIELDS = (*PATH_FIELDS, *_TEXT_FIELDS, "depth_unit")
+# offsets are valid only for these values
+_OFFSET_FIELDS = frozenset({"source", "target", "stream", "alignment"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Session:
-    """What is open, how it is shown, and every parameter. The undo stack holds values of this class."""
+    """What is open, how it is shown, and every parameter. The undo stack holds values of this
+    class.
+    """
 
     recording: Path | None = None
     source: str = ""  # sensor, "" = the one that the recording names
@@ -57,19 +71,25 @@ class Session:
     mesh: Path | None = None
     mesh_unit: str = "auto"
     depth_unit: DepthUnit = "auto"  # of depth arrays whose file states no unit
-    alignment: Path | None = None  # TOML with T_S->A and T_A->T; None = of the recording or the sensors
+    # TOML with T_S->A and T_A->T; None = of the recording or the sensors
+    alignment: Path | None = None
     offsets: Offsets = field(default_factory=Offsets)  # motion added by hand or by refinement
     layout: Layout = field(default_factory=Layout)
     cameras_linked: bool = True  # 3D views of one frame share their camera
-    methods: Mapping[str, str] = field(default_factory=dict)  # stage -> method that replaces the route's
-    weights: Mapping[str, Path] = field(default_factory=dict)  # stage -> file; "" = the first that reads weights
-    params: Mapping[str, object] = field(default_factory=dict)  # changed parameters: by method key, and DISPLAY_KEY
+    # stage -> method that replaces the route's
+    methods: Mapping[str, str] = field(default_factory=dict)
+    # stage -> file; "" = the first that reads weights
+    weights: Mapping[str, Path] = field(default_factory=dict)
+    # changed parameters: by method key, and DISPLAY_KEY
+    params: Mapping[str, object] = field(default_factory=dict)
     notes: Mapping[int, str] = field(default_factory=dict)  # frame -> note of the user
     comparison: ComparisonSettings = field(default_factory=ComparisonSettings)
     variant: Session | None = None  # session B of the comparison, if any
-    # 3D view -> camera. Cameras, section and tick are saved, but changing them is no undo step and no unsaved change.
+    # 3D view -> camera. Cameras, section and tick are saved, but changing them is no undo step and
+    # no unsaved change.
     cameras: Mapping[str, tuple[float, ...]] = field(default_factory=dict, compare=False)
-    section: SectionLine | None = field(default=None, compare=False)  # section line through all images
+    # section line through all images
+    section: SectionLine | None = field(default=None, compare=False)
     tick: int = field(default=0, compare=False)  # of the rollout in the Task layout
 
     def get_params(self, method: Method) -> object:
@@ -85,31 +105,50 @@ class Session:
 
         Notes and pinned truths end with their recording.
 
-        A new recording keeps offsets only with an alignment file, which holds for any recording of the two sensors.
+        A new recording keeps offsets only with an alignment file, which holds for any recording of
+        the two sensors.
         """
         new = replace(self, **updates)
         if new.recording != self.recording and "notes" not in updates:
             new = replace(new, notes={})
-        if new.recording != self.recording and "methods" not in updates:  # its truth is not that of another
-            new = replace(new, methods={stage: name for stage, name in new.methods.items() if name != TRUTH})
+        # its truth is not that of another
+        if new.recording != self.recording and "methods" not in updates:
+            new = replace(
+                new, methods={stage: name for stage, name in new.methods.items() if name != TRUTH}
+            )
         if "offsets" in updates:
             return new
-        is_other_alignment = any(getattr(new, name) != getattr(self, name) for name in _OFFSET_FIELDS)
-        is_other_alignment = is_other_alignment or (new.recording != self.recording and self.alignment is None)
+        is_other_alignment = any(
+            getattr(new, name) != getattr(self, name) for name in _OFFSET_FIELDS
+        )
+        is_other_alignment = is_other_alignment or (
+            new.recording != self.recording and self.alignment is None
+        )
         return replace(new, offsets=Offsets()) if is_other_alignment else new
 
     def with_draft_params(self, methods: Iterable[Method]) -> Session:
-        """Copy with the draft parameters of these methods, for previews while a parameter is dragged."""
+        """Copy with the draft parameters of these methods, for previews while a parameter is
+        dragged.
+        """
         drafts = {m.key: m.draft(self.get_params(m)) for m in methods if m.draft is not None}
         return replace(self, params={**self.params, **drafts}) if drafts else self
 
     @property
     def settings(self) -> Session:
-        """Copy with only what metrics depend on besides the frame; metrics of equal settings are comparable."""
+        """Copy with only what metrics depend on besides the frame.
+
+        Metrics of equal settings are comparable.
+        """
         return replace(
-            self, frame=0, cameras_linked=True, layout=Layout(), notes={}, comparison=ComparisonSettings(),
-            variant=None, params={**self.params, "display": DisplayParams()},
-        )  # fmt: skip
+            self,
+            frame=0,
+            cameras_linked=True,
+            layout=Layout(),
+            notes={},
+            comparison=ComparisonSettings(),
+            variant=None,
+            params={**self.params, "display": DisplayParams()},
+        )
 
     @property
     def display(self) -> DisplayParams:
@@ -118,7 +157,10 @@ class Session:
 
 
 def save_session(session: Session, path: Path, contents: Mapping[str, str] | None = None) -> None:
-    """Write `session` atomically; `contents` are the fingerprints of its files (`app.session.file_fingerprints`)."""
+    """Write `session` atomically.
+
+    `contents` are the fingerprints of its files (`app.session.file_fingerprints`).
+    """
     data = _plain(session, path.parent)
     if contents is not None:
         data["contents"] = dict(contents)
@@ -137,7 +179,9 @@ def _plain(session: Session, folder: Path) -> dict[str, Any]:
         for key, params in session.params.items()
     }
     data["section"] = None if session.section is None else session.section.plain
-    data["variant"] = None if session.variant is None else _plain(replace(session.variant, variant=None), folder)
+    data["variant"] = (
+        None if session.variant is None else _plain(replace(session.variant, variant=None), folder)
+    )
     return data
 
 
@@ -166,7 +210,9 @@ class _SessionFile(msgspec.Struct, kw_only=True):
     notes: dict[_Number, Note] = {}
     comparison: ComparisonSettings = msgspec.field(default_factory=ComparisonSettings)
     variant: dict[str, object] | None = None
-    cameras: dict[Name, Annotated[tuple[Number, ...], Meta(min_length=_N_CAMERA, max_length=_N_CAMERA)]] = {}
+    cameras: dict[
+        Name, Annotated[tuple[Number, ...], Meta(min_length=_N_CAMERA, max_length=_N_CAMERA)]
+    ] = {}
     section: tuple[_SectionMm, _SectionMm, _SectionMm, _SectionMm] | None = None
     tick: _Number = 0
 
@@ -182,12 +228,18 @@ def _parse_session(data: object, path: Path, catalogue: Catalogue) -> Session:
     version = cast("dict[str, Any]", data)["tactoscope session"]
     if version != _VERSION:
         advice = "open its recording and choose the files again, or use the program that saved it"
-        raise FileProblem(f"the session has version {version!r}, this program reads {_VERSION}; {advice}", path)
-    said = convert(_rename_pages(cast("dict[str, object]", data)), _SessionFile, "the session", path)
+        raise FileProblem(
+            f"the session has version {version!r}, this program reads {_VERSION}; {advice}", path
+        )
+    said = convert(
+        _rename_pages(cast("dict[str, object]", data)), _SessionFile, "the session", path
+    )
     try:
         catalogue.methods(said.route, said.methods)
     except SettingProblem as error:
-        raise FileProblem(f"the session's route or methods cannot be used ({error})", path, field="route") from error
+        raise FileProblem(
+            f"the session's route or methods cannot be used ({error})", path, field="route"
+        ) from error
     files = {name: getattr(said, name) for name in PATH_FIELDS}
     return Session(
         **{name: None if file is None else path.parent / file for name, file in files.items()},
@@ -195,15 +247,22 @@ def _parse_session(data: object, path: Path, catalogue: Catalogue) -> Session:
         frame=said.frame,
         weights={stage: path.parent / file for stage, file in said.weights.items()},
         params=_params(said.params, path, catalogue),
-        variant=None if said.variant is None else _parse_session({**said.variant, "variant": None}, path, catalogue),
-        section=None if said.section is None else SectionLine(begin_mm=said.section[:2], end_mm=said.section[2:]),
+        variant=None
+        if said.variant is None
+        else _parse_session({**said.variant, "variant": None}, path, catalogue),
+        section=None
+        if said.section is None
+        else SectionLine(begin_mm=said.section[:2], end_mm=said.section[2:]),
     )
 
 
 def _rename_pages(data: Mapping[str, object]) -> dict[str, object]:
     """Replace pages of older sessions by the grid of *Compare*, which does what they did."""
     renamed = dict(data)
-    for field_name, key, old, new in (("layout", "name", "sweep", "compare"), ("comparison", "tab", "seeds", "grid")):
+    for field_name, key, old, new in (
+        ("layout", "name", "sweep", "compare"),
+        ("comparison", "tab", "seeds", "grid"),
+    ):
         part = data.get(field_name)
         if isinstance(part, dict) and cast("dict[str, object]", part).get(key) == old:
             renamed[field_name] = {**part, key: new}
@@ -211,7 +270,9 @@ def _rename_pages(data: Mapping[str, object]) -> dict[str, object]:
 
 
 def _relative(value: Path, folder: Path) -> str:
-    """Path relative to the session file, if at most three folders up, so that a folder can be moved as a whole."""
+    """Path relative to the session file, if at most three folders up, so that a folder can be
+    moved as a whole.
+    """
     full = os.path.abspath(value)  # noqa: PTH100 - resolve() would follow links
     try:
         relative = os.path.relpath(full, os.path.abspath(folder))  # noqa: PTH100 - as above
@@ -220,13 +281,19 @@ def _relative(value: Path, folder: Path) -> str:
     return relative if relative.count("..") <= 3 else full
 
 
-def _params(data: Mapping[str, Mapping[str, Plain]], path: Path, catalogue: Catalogue) -> Mapping[str, object]:
-    defaults: dict[str, object] = {m.key: m.params() for stage in catalogue.stages for m in stage.methods}
+def _params(
+    data: Mapping[str, Mapping[str, Plain]], path: Path, catalogue: Catalogue
+) -> Mapping[str, object]:
+    defaults: dict[str, object] = {
+        m.key: m.params() for stage in catalogue.stages for m in stage.methods
+    }
     defaults[DISPLAY_KEY] = DisplayParams()
     params: dict[str, object] = {}
     for key, values in data.items():
         if key not in defaults:
-            raise FileProblem(f"params.{key} is not a method with parameters", path, field=f"params.{key}")
+            raise FileProblem(
+                f"params.{key} is not a method with parameters", path, field=f"params.{key}"
+            )
         params[key] = defaults[key]
         for name, value in values.items():
             try:

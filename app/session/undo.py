@@ -11,11 +11,19 @@ MAX_UNDO_STEPS = 1000  # each step holds a session
 
 
 class SessionChange(QUndoCommand):
-    """Change from one session to another; consecutive changes with the same `key`, as in a drag, are one step."""
+    """Change from one session to another.
 
-    def __init__(self, *, old: Session, new: Session, text: str, key: str, show: Callable[[Session], None]) -> None:
+    Consecutive changes with the same `key`, as in a drag, are one step.
+    """
+
+    def __init__(
+        self, *, old: Session, new: Session, text: str, key: str, show: Callable[[Session], None]
+    ) -> None:
         super().__init__(text)
-        self.old, self.new, self._key, self._show = old, new, key, show
+        self.old = old
+        self.new = new
+        self._key = key
+        self._show = show
 
     def id(self) -> int:
         """Return equal ids for changes that may merge, -1 for one that may not."""
@@ -38,6 +46,11 @@ class SessionChange(QUndoCommand):
 
 
 def list_sessions(stack: QUndoStack) -> list[Session]:
-    """List the session at every index of the stack; index 0 is before the first step. [] for an empty stack."""
-    steps = [step for step in map(stack.command, range(stack.count())) if isinstance(step, SessionChange)]
+    """List the session at every index of the stack.
+
+    Index 0 is before the first step. [] for an empty stack.
+    """
+    steps = [
+        step for step in map(stack.command, range(stack.count())) if isinstance(step, SessionChange)
+    ]
     return [*(step.old for step in steps), *(step.new for step in steps[-1:])]

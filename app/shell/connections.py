@@ -50,7 +50,8 @@ from widgets.views.preview_key_filter import KeyboardFocusFilter
 
 def connect(controller: SessionController, theme: Theme = "light") -> AutosaveController:
     """Create the controllers of all features and connect everything; `theme` is the current one."""
-    window, job = controller.window, controller.job
+    window = controller.window
+    job = controller.job
     _fill_choices(window, controller.catalogue)
 
     job.delivered.connect(controller.handle_part)
@@ -74,11 +75,18 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     window.route.chosen.connect(partial(_choose, controller, "route", {}))
 
     for add_feature in (
-        ErrorAttributionController, PinnedProbesController, Probe3DController, KeyboardController,
-        SectionLineController, PresentationController, PanZoomController, ColourLimitController,
-    ):  # fmt: skip
+        ErrorAttributionController,
+        PinnedProbesController,
+        Probe3DController,
+        KeyboardController,
+        SectionLineController,
+        PresentationController,
+        PanZoomController,
+        ColourLimitController,
+    ):
         add_feature(controller)
-    step_scrubber, frame_ranking = StepScrubberController(controller), FrameRankingController(controller)
+    step_scrubber = StepScrubberController(controller)
+    frame_ranking = FrameRankingController(controller)
     comparison = ComparisonController(controller)
     autosave = AutosaveController(controller)
     welcome = WelcomeController(controller, autosave)
@@ -91,12 +99,14 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     LiveController(controller, autosave)
     track = TrackController(controller, export, autosave)
     mending = MendingController(controller, BallCalibrationController(controller, export, autosave))
-    reference, alignment = ReferenceController(controller), AlignmentController(controller)
-    gizmo, layouts = AlignmentGizmoController(controller, alignment), LayoutController(controller)
+    reference = ReferenceController(controller)
+    alignment = AlignmentController(controller)
+    gizmo = AlignmentGizmoController(controller, alignment)
+    layouts = LayoutController(controller)
 
-    # A session change (`change`, undo, redo, opening) becomes work here, and only here: the stages are requested by
-    # `SessionController.show_session`, then every feature follows in this order. The layout comes last, as it may
-    # request the stages again in another comparison mode.
+    # A session change (`change`, undo, redo, opening) becomes work here, and only here: the stages
+    # are requested by `SessionController.show_session`, then every feature follows in this order.
+    # The layout comes last, as it may request the stages again in another comparison mode.
     for follow in (
         step_scrubber.show_session,  # iterations of the chosen stage
         frame_ranking.show_session,  # notes
@@ -122,12 +132,15 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     return autosave
 
 
-def _choose(controller: SessionController, field: str, others: Mapping[str, str], value: str) -> None:
+def _choose(
+    controller: SessionController, field: str, others: Mapping[str, str], value: str
+) -> None:
     controller.change(f"choose {field}", **{field: value}, **others)
 
 
 def _connect_columns(controller: SessionController) -> None:
-    window, probe = controller.window, controller.probe
+    window = controller.window
+    probe = controller.probe
     for parameters in (window.parameters, *(column.pinned for column in window.columns.values())):
         parameters.params_edited.connect(controller.choose_params)
         parameters.slider_held.connect(controller.hold_slider)
@@ -148,7 +161,8 @@ def _fill_choices(window: MainWindow, catalogue: Catalogue) -> None:
     window.route.offer({route.name: route.label for route in catalogue.routes}, tips=titles)
     window.route.setEnabled(len(catalogue.routes) > 1)
     for stage in catalogue.stages:
-        choices, column = catalogue.list_choices(stage.name), window.columns[stage.name]
+        choices = catalogue.list_choices(stage.name)
+        column = window.columns[stage.name]
         column.offer_methods([(m.name, m.title, m.help) for m in choices])
         column.pinned.offer_methods((m.key, m.params()) for m in choices)
         for method in choices:
@@ -164,11 +178,14 @@ def _connect_files(
     comparison: ComparisonController,
     track: TrackController,
 ) -> None:
-    window, connect_dialog = controller.window, autosave.connect_dialog
+    window = controller.window
+    connect_dialog = autosave.connect_dialog
     openers = {
-        "open_reference": controller.open_reference, "open_weights": controller.open_weights,
-        "set_variant_recording": comparison.set_variant_recording, "open_track": track.open_track,
-    }  # fmt: skip
+        "open_reference": controller.open_reference,
+        "open_weights": controller.open_weights,
+        "set_variant_recording": comparison.set_variant_recording,
+        "open_track": track.open_track,
+    }
     for command in dialogs.OPEN_DIALOGS:
         connect_dialog(command, dialogs.ask_open_path, openers.get(command, controller.open_path))
     connect_dialog("save_alignment", dialogs.ask_save_path, alignment.save_alignment)
@@ -184,7 +201,8 @@ def _connect_files(
 def _connect_playback(controller: SessionController) -> None:
     """Connect the playback commands with the frames, or with the ticks in the Task layout."""
     window = controller.window
-    play, loop = window.actions_by_name["play"], window.actions_by_name["loop"]
+    play = window.actions_by_name["play"]
+    loop = window.actions_by_name["loop"]
 
     def show_playing(playing: bool) -> None:
         play.setChecked(playing)
@@ -206,25 +224,38 @@ def _connect_playback(controller: SessionController) -> None:
     connect("last", lambda line: line.step_to(line.slider.maximum()))
     for command, by in (("previous", -1), ("next", 1), ("back_10", -10), ("forward_10", 10)):
         connect(command, lambda line, by=by: line.step_to(line.frame + by))
-    connect("loop_from", lambda line: set_loop_range(line, line.frame, max(line.frame, line.loop_range[1])))
-    connect("loop_to", lambda line: set_loop_range(line, min(line.frame, line.loop_range[0]), line.frame))
+    connect(
+        "loop_from",
+        lambda line: set_loop_range(line, line.frame, max(line.frame, line.loop_range[1])),
+    )
+    connect(
+        "loop_to",
+        lambda line: set_loop_range(line, min(line.frame, line.loop_range[0]), line.frame),
+    )
     connect("loop_all", lambda line: set_loop_range(line, 0, line.slider.maximum()))
 
 
 def _connect_view(controller: SessionController, layouts: LayoutController) -> None:
-    window, probe = controller.window, controller.probe
+    window = controller.window
+    probe = controller.probe
     pin = window.actions_by_name["pin_probe"]
     window.connect_command("pin_probe", lambda: probe.set_pinned(pin.isChecked()))
     probe.pin_changed.connect(pin.setChecked)
     link = window.actions_by_name["link_cameras"]
     link.setChecked(controller.session.cameras_linked)
-    window.connect_command("link_cameras", lambda: controller.change("link cameras", cameras_linked=link.isChecked()))
+    window.connect_command(
+        "link_cameras", lambda: controller.change("link cameras", cameras_linked=link.isChecked())
+    )
     window.connect_command("reset_view", lambda: controller.views.reset_cameras(controller.session))
     for mode in get_args(ComparisonMode)[1:]:
-        window.connect_command(f"show_{mode}", lambda mode=mode: _toggle_comparison_mode(controller, mode))
+        window.connect_command(
+            f"show_{mode}", lambda mode=mode: _toggle_comparison_mode(controller, mode)
+        )
     window.connect_command("cancel", controller.cancel)
     for i, name in enumerate(window.columns):
-        window.connect_command(f"only_{i + 1}", lambda name=name: _show_column(controller, layouts, name))
+        window.connect_command(
+            f"only_{i + 1}", lambda name=name: _show_column(controller, layouts, name)
+        )
 
 
 def _show_column(controller: SessionController, layouts: LayoutController, name: str) -> None:
@@ -241,12 +272,17 @@ def _toggle_comparison_mode(controller: SessionController, mode: ComparisonMode)
 
 
 def _connect_palette(window: MainWindow) -> None:
-    """Connect the command palette, the shortcuts page, the keyboard focus filter and the copy of tables."""
-    palette, command = CommandPalette(window), window.actions_by_name["palette"]
+    """Connect the command palette, the shortcuts page, the keyboard focus filter and the copy of
+    tables.
+    """
+    palette = CommandPalette(window)
+    command = window.actions_by_name["palette"]
     command.setShortcuts([command.shortcut(), QKeySequence("Ctrl+Shift+P")])
 
     def list_commands() -> list[QAction]:
-        commands = [action for action in window.actions() if action is not command and action.text()]
+        commands = [
+            action for action in window.actions() if action is not command and action.text()
+        ]
         return commands + make_parameter_actions(window, palette)
 
     window.connect_command("palette", lambda: palette.show_commands(list_commands()))
@@ -254,12 +290,16 @@ def _connect_palette(window: MainWindow) -> None:
     TableCopier(window)
     shortcuts = ShortcutsPage(window)
     window.connect_command(
-        "keys", lambda: shortcuts.show_commands({title: menu.actions() for title, menu in window.menus.items()})
+        "keys",
+        lambda: shortcuts.show_commands(
+            {title: menu.actions() for title, menu in window.menus.items()}
+        ),
     )
 
 
 def _connect_undo(controller: SessionController) -> None:
-    stack, actions = controller.undo_stack, controller.window.actions_by_name
+    stack = controller.undo_stack
+    actions = controller.window.actions_by_name
 
     def make_text_setter(action: QAction, word: str) -> Callable[[str], None]:
         return lambda text: action.setText(f"{word} {text}".strip())
@@ -273,4 +313,6 @@ def _connect_undo(controller: SessionController) -> None:
         text_changed.connect(make_text_setter(actions[name], word))
     controller.window.connect_command("undo", stack.undo)
     controller.window.connect_command("redo", stack.redo)
-    controller.window.connect_command("reset_all", lambda: controller.change("reset parameters", params={}))
+    controller.window.connect_command(
+        "reset_all", lambda: controller.change("reset parameters", params={})
+    )

@@ -20,7 +20,8 @@ class LayoutController(Feature):
         self._mode_before_align: ComparisonMode | None = None  # None outside Align
         self._opened_drawer = False  # whether Align opened the alignment drawer
         self._shown_layout: LayoutName = "stages"
-        window, panes = self._window, self._window.panes
+        window = self._window
+        panes = self._window.panes
         for name in LAYOUT_NAMES:
             window.connect_command(f"layout_{name}", partial(self.choose_layout, name))
         window.connect_command("toggle_inspect", self._toggle_inspect)
@@ -33,7 +34,9 @@ class LayoutController(Feature):
     def _resolved_layout(self) -> Layout:
         """The layout with panes of stages that the route computes."""
         layout = self._controller.session.layout
-        return replace(layout, panes=layout.resolve_panes(self._window.route_columns) or layout.panes)
+        return replace(
+            layout, panes=layout.resolve_panes(self._window.route_columns) or layout.panes
+        )
 
     def choose_layout(self, name: LayoutName) -> None:
         """Change to a layout."""
@@ -46,7 +49,9 @@ class LayoutController(Feature):
         self._arrange(self._resolved_layout.with_stage(self._window.panes.active_pane, stage))
 
     def _toggle_inspect(self) -> None:
-        self.choose_layout("stages" if self._controller.session.layout.name == "inspect" else "inspect")
+        self.choose_layout(
+            "stages" if self._controller.session.layout.name == "inspect" else "inspect"
+        )
 
     def _arrange(self, layout: Layout) -> None:
         self._controller.change("arrange panes", key=_PANES_KEY, layout=layout)
@@ -62,19 +67,24 @@ class LayoutController(Feature):
         self._arrange(self._resolved_layout.with_dims(pane, chosen))
 
     def show_session(self, session: Session) -> None:
-        """Open drawer and difference mode for Align, close all drawers for Demo, and undo that afterwards."""
-        drawer, name = self._window.drawers.alignment, session.layout.name
+        """Open drawer and difference mode for Align, close all drawers for Demo, and undo that
+        afterwards.
+        """
+        drawer = self._window.drawers.alignment
+        name = session.layout.name
         is_align = name == "align"
         if name == "demo" and self._shown_layout != "demo":
             for other in self._window.drawers.all_drawers:
                 other.hide()
         self._shown_layout = name
         if is_align and self._mode_before_align is None:
-            self._mode_before_align, self._opened_drawer = self._controller.views.comparison_mode, drawer.isHidden()
+            self._mode_before_align = self._controller.views.comparison_mode
+            self._opened_drawer = drawer.isHidden()
             self._window.show_drawer(drawer)
             self._controller.set_comparison_mode(self._mode_before_align or "difference")
         elif not is_align and self._mode_before_align is not None:
-            mode, self._mode_before_align = self._mode_before_align, None
+            mode = self._mode_before_align
+            self._mode_before_align = None
             if self._opened_drawer:
                 drawer.hide()
             self._controller.set_comparison_mode(mode)

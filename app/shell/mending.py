@@ -1,4 +1,6 @@
-"""What mends a recording that does not open, or a touch that misses the target: buttons with the error or warning."""
+"""What mends a recording that does not open, or a touch that misses the target: buttons with the
+error or warning.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -34,7 +36,9 @@ from widgets.style.notification_bar import Choice, NotificationBar
 class MendingController(Feature):
     """Finds what mends an error or a warning, and offers what else a recording holds."""
 
-    def __init__(self, controller: SessionController, calibration: BallCalibrationController) -> None:
+    def __init__(
+        self, controller: SessionController, calibration: BallCalibrationController
+    ) -> None:
         super().__init__(controller)
         self._calibration = calibration
         self.notification = NotificationBar("mending_notification")
@@ -43,27 +47,48 @@ class MendingController(Feature):
         self._alternatives: tuple[Path, ...] = ()  # recordings of the folder that was opened last
         self._shown: set[Path | None] = set()  # recordings of which a frame was on screen
         controller.find_remedies = self.find_remedies
-        self._dropped: AlignmentMismatch | None = None  # alignment of other sensors that is not used any more
+        # alignment of other sensors that is not used any more
+        self._dropped: AlignmentMismatch | None = None
         controller.opening_cancelled.connect(self._offer_opening)
         controller.alignment_dropped.connect(self._remember_dropped)
         controller.frame_shown.connect(self._show_frame)
 
     def find_remedies(self, error: BaseException) -> tuple[Choice, ...]:
-        """Buttons that mend an error; () where only the file itself can be mended and nothing else was open."""
+        """Buttons that mend an error.
+
+        () where only the file itself can be mended and nothing else was open.
+        """
         remedies: list[Choice] = []
         if isinstance(error, UnknownSensor | SensorMismatch):
             remedies.append(("Choose sensor…", self._list_sensors()))
         if isinstance(error, MissingReference):
             choices = [self._window.actions_by_name[command.name] for command in REFERENCE_COMMANDS]
-            remedies.append(("Choose reference…", tuple((a.text(), a.trigger) for a in choices if a.isEnabled())))
+            remedies.append(
+                (
+                    "Choose reference…",
+                    tuple((a.text(), a.trigger) for a in choices if a.isEnabled()),
+                )
+            )
         if isinstance(error, UnitProblem):
             open_in = partial(self._controller.open_mesh, error.path)
-            remedies += [(f"Open in {dialogs.UNIT_NAMES[unit]}", partial(open_in, unit)) for unit in error.fits]
+            remedies += [
+                (f"Open in {dialogs.UNIT_NAMES[unit]}", partial(open_in, unit))
+                for unit in error.fits
+            ]
         failed = self._controller.failed_session
         if isinstance(error, AlignmentMismatch) and error.field == "target":
             with_target = replace(failed, target=error.target)
-            remedies.append((f"Target {load_sensor(error.target).title}", self._restore("choose target", with_target)))
-        if isinstance(error, FileProblem) and failed.alignment is not None and error.path == failed.alignment:
+            remedies.append(
+                (
+                    f"Target {load_sensor(error.target).title}",
+                    self._restore("choose target", with_target),
+                )
+            )
+        if (
+            isinstance(error, FileProblem)
+            and failed.alignment is not None
+            and error.path == failed.alignment
+        ):
             without = failed.with_updates(alignment=None)
             remedies.append(("Without this alignment", self._restore("use no alignment", without)))
         if isinstance(error, TouchError) and error.alternatives:
@@ -85,14 +110,20 @@ class MendingController(Feature):
 
     def _remember_dropped(self, dropped: AlignmentMismatch) -> None:
         """Say at the next frame on screen that an alignment is not used."""
-        self._dropped, self._offered = dropped, None
+        self._dropped = dropped
+        self._offered = None
 
     def _offer_opening(self) -> None:
         """Offer to go on with an opening that was cancelled."""
         recording = self._controller.session.recording
         if recording is not None:
-            choices: list[Choice] = [("Open again", self._controller.refresh), *self._offer_return()]
-            self.notification.show_notification(f"the opening of {recording.name} was cancelled", choices, stays=True)
+            choices: list[Choice] = [
+                ("Open again", self._controller.refresh),
+                *self._offer_return(),
+            ]
+            self.notification.show_notification(
+                f"the opening of {recording.name} was cancelled", choices, stays=True
+            )
 
     def _list_sensors(self) -> tuple[tuple[str, Callable[[], object]], ...]:
         change = self._controller.change
@@ -103,13 +134,19 @@ class MendingController(Feature):
 
     def _offer_alternatives(self, paths: tuple[Path, ...]) -> Choice:
         if all(path.suffix.lower() in dialogs.MESH_SUFFIXES for path in paths):
-            return f"Which of {len(paths)} meshes", tuple((p.name, partial(self._open_mesh, p)) for p in paths)
+            return f"Which of {len(paths)} meshes", tuple(
+                (p.name, partial(self._open_mesh, p)) for p in paths
+            )
         self._alternatives = paths
         open_path = partial(self._controller.open_recording, keeps_choices=True)
-        return f"Which of {len(paths)} recordings", tuple((p.name, partial(open_path, p)) for p in paths)
+        return f"Which of {len(paths)} recordings", tuple(
+            (p.name, partial(open_path, p)) for p in paths
+        )
 
     def _open_mesh(self, path: Path) -> None:
-        """Open a mesh for the recording that was open before the folder of meshes, or for the next one."""
+        """Open a mesh for the recording that was open before the folder of meshes, or for the
+        next one.
+        """
         before = self._find_previous()
         if before is None:
             self._controller.change("open mesh", recording=None, mesh=path, mesh_unit="auto")
@@ -123,19 +160,27 @@ class MendingController(Feature):
         if before is None:
             return []
         index, recording = before
-        return [(f"Return to {recording.name}", partial(self._controller.undo_stack.setIndex, index))]
+        return [
+            (f"Return to {recording.name}", partial(self._controller.undo_stack.setIndex, index))
+        ]
 
     def _find_previous(self) -> tuple[int, Path] | None:
-        """Return undo index and recording of the last session with another recording that was on screen."""
-        stack, now = self._controller.undo_stack, self._controller.session.recording
+        """Return undo index and recording of the last session with another recording that was on
+        screen.
+        """
+        stack = self._controller.undo_stack
+        now = self._controller.session.recording
         for index, session in reversed(list(enumerate(list_sessions(stack)[: stack.index()]))):
             if session.recording is not None and session.recording in self._shown - {now}:
                 return index, session.recording
         return None
 
     def _show_frame(self, _index: int) -> None:
-        """Offer remedies for the warnings of the frame on screen, and once what else its recording holds."""
-        opened, latest = self._controller.views.translation, self._controller.latest_frame
+        """Offer remedies for the warnings of the frame on screen, and once what else its
+        recording holds.
+        """
+        opened = self._controller.views.translation
+        latest = self._controller.latest_frame
         if opened is None or latest is None:
             return
         warnings = [warning for result in latest.results.values() for warning in result.warnings]
@@ -154,17 +199,23 @@ class MendingController(Feature):
         """Offer the other recordings of the folder, and targets that the recording holds."""
         choices: list[Choice] = []
         sentences: list[str] = []
-        recording, name = opened.request.recording, opened.target.name
-        alternatives = opened.recording.alternatives or (self._alternatives if recording in self._alternatives else ())
+        recording = opened.request.recording
+        name = opened.target.name
+        alternatives = opened.recording.alternatives or (
+            self._alternatives if recording in self._alternatives else ()
+        )
         if alternatives:
             which = recording.name if recording in alternatives else alternatives[0].name
             sentences.append(f"the folder holds {len(alternatives)} recordings, {which} is open")
             choices.append(self._offer_alternatives(alternatives))
-        own = [s.sensor for s in opened.recording.streams if s.sensor not in ("", opened.source.name)]
+        own = [
+            s.sensor for s in opened.recording.streams if s.sensor not in ("", opened.source.name)
+        ]
         if own and name not in own:
             titles = [load_sensor(sensor).title for sensor in own]
             sentences.append(
-                f"the recording holds touches of {' and '.join(titles)}, the target is {opened.target.title}"
+                f"the recording holds touches of {' and '.join(titles)}, the target is "
+                f"{opened.target.title}"
             )
             choices += [
                 (f"Target {title}", self._make_change("choose target", target=sensor))
@@ -173,13 +224,19 @@ class MendingController(Feature):
         old = self._controller.previous_target
         if old not in ("", name, opened.source.name) and old not in own:
             sentences.append(f"the target is {opened.target.title} now")
-            choices.append((f"Target {load_sensor(old).title}", self._make_change("choose target", target=old)))
+            choices.append(
+                (f"Target {load_sensor(old).title}", self._make_change("choose target", target=old))
+            )
         self._controller.previous_target = ""
         if self._dropped is not None:
-            sentences.append(f"the alignment {self._dropped.path.name} is of other sensors and not used")
+            sentences.append(
+                f"the alignment {self._dropped.path.name} is of other sensors and not used"
+            )
             choices += self._offer_dropped(self._dropped, opened)
         if sentences:
-            self.notification.show_notification("; ".join(sentences), choices, stays=self._dropped is not None)
+            self.notification.show_notification(
+                "; ".join(sentences), choices, stays=self._dropped is not None
+            )
 
     def _offer_dropped(self, dropped: AlignmentMismatch, opened: Translation) -> list[Choice]:
         """Offer the alignment where the recording holds its source."""
@@ -194,15 +251,21 @@ class MendingController(Feature):
         return lambda: self._controller.change(text, **fields)
 
     def centre_touch(self) -> None:
-        """Move the alignment so that the touch of the frame on screen lies in the middle of the target."""
+        """Move the alignment so that the touch of the frame on screen lies in the middle of the
+        target.
+        """
         from pipeline.translation.alignment.nudge import compute_centring_offset_mm
 
-        opened, latest = self._controller.views.translation, self._controller.latest_frame
+        opened = self._controller.views.translation
+        latest = self._controller.latest_frame
         cloud, indentation_mm = _get_touch(latest)
         if opened is None or cloud is None:
             return
         offsets = self._controller.session.offsets
-        moved = compute_centring_offset_mm(cloud, indentation_mm, opened.target) + offsets.translation_mm
+        moved = (
+            compute_centring_offset_mm(cloud, indentation_mm, opened.target)
+            + offsets.translation_mm
+        )
         x, y, z = (float(value) for value in moved)
         self._controller.change("centre touch", offsets=replace(offsets, translation_mm=(x, y, z)))
 
@@ -210,7 +273,9 @@ class MendingController(Feature):
 def _get_touch(latest: EvaluatedFrame | None) -> tuple[Cloud | None, float]:
     """Return the cloud of a frame, None without one, and how far the source was pushed in, mm."""
     results = {} if latest is None else latest.results
-    cloud, depth = (results[name].output if name in results else None for name in ("cloud", "depth"))
+    cloud, depth = (
+        results[name].output if name in results else None for name in ("cloud", "depth")
+    )
     if not isinstance(cloud, Cloud) or not isinstance(depth, DepthMap) or not depth.contact.any():
         return None, 0.0
     return cloud, float(depth.indentation_mm[depth.contact].max())

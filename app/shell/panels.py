@@ -1,4 +1,6 @@
-"""Panels that other installed packages add to the Diagnostics drawer, by the entry point group `tactoscope.panels`."""
+"""Panels that other installed packages add to the Diagnostics drawer, by the entry point group
+`tactoscope.panels`.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,13 +16,19 @@ class Panel:
     """A tab of the Diagnostics drawer."""
 
     title: str
-    build: Callable[[SessionController], QWidget]  # called once, and connects the widget with the session
+    # called once, and connects the widget with the session
+    build: Callable[[SessionController], QWidget]
 
 
 def add_panels(controller: SessionController) -> None:
-    """Add the panels of installed packages; one that cannot be built is left out with a warning in the log."""
+    """Add the panels of installed packages.
+
+    One that cannot be built is left out with a warning in the log.
+    """
     tabs = controller.window.tabs
     for panel in load_entry_points("tactoscope.panels", Panel):
         call_package(
-            lambda panel=panel: tabs.addTab(panel.build(controller), panel.title), 0, f"the panel {panel.title!r}"
+            lambda panel=panel: tabs.addTab(panel.build(controller), panel.title),
+            0,
+            f"the panel {panel.title!r}",
         )

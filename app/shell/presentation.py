@@ -19,7 +19,17 @@ from widgets.shell.presentation_view import PresentationView
 from widgets.views.magnifier import Magnifier
 
 # commands whose shortcuts act in the presentation too
-_COMMANDS = ("full_screen", "play", "first", "previous", "next", "last", "back_10", "forward_10", "loop")
+_COMMANDS = (
+    "full_screen",
+    "play",
+    "first",
+    "previous",
+    "next",
+    "last",
+    "back_10",
+    "forward_10",
+    "loop",
+)
 
 
 class PresentationController(Feature):
@@ -27,7 +37,9 @@ class PresentationController(Feature):
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self._full_screen, self._magnify = (self._window.actions_by_name[name] for name in ("full_screen", "magnify"))
+        self._full_screen, self._magnify = (
+            self._window.actions_by_name[name] for name in ("full_screen", "magnify")
+        )
         self.magnifier = Magnifier(self._window)
         self._window.connect_command("full_screen", self._set_full_screen)
         self._window.connect_command("copy_image", self.copy_image)
@@ -42,7 +54,8 @@ class PresentationController(Feature):
 
     def copy_image(self) -> None:
         """Copy an image of the only or active pane, else of the window."""
-        clipboard, shown = QGuiApplication.clipboard(), self._window.visible_columns()
+        clipboard = QGuiApplication.clipboard()
+        shown = self._window.visible_columns()
         panes = self._window.panes
         widget: QWidget = self._window
         if panes.isVisible():
@@ -55,14 +68,19 @@ class PresentationController(Feature):
             self._window.readout.setText(f"image of {size.width()} x {size.height()} pixels copied")
 
     def present(self) -> None:
-        """Show source, generated touch and truth on the full screen of the window; Esc or F11 leaves."""
-        opened, screen = self._controller.views.translation, self._window.screen()
+        """Show source, generated touch and truth on the full screen of the window.
+
+        Esc or F11 leaves.
+        """
+        opened = self._controller.views.translation
+        screen = self._window.screen()
         if opened is None:
             self._window.readout.setText("nothing to present; open a recording first")
             self._full_screen.setChecked(False)
             return
         self._full_screen.setChecked(True)
-        self._contrast, self.view = FittedContrast(), PresentationView()
+        self._contrast = FittedContrast()
+        self.view = PresentationView()
         self.view.left.connect(self.leave)
         self.view.addActions([self._window.actions_by_name[name] for name in _COMMANDS])
         if screen is not None:
@@ -73,7 +91,8 @@ class PresentationController(Feature):
 
     def leave(self) -> None:
         """Close the presentation; the window is as it was, on the frame shown last."""
-        view, self.view = self.view, None
+        view = self.view
+        self.view = None
         self._full_screen.setChecked(False)
         if view is not None:
             self._window.presented_columns = ()
@@ -83,7 +102,8 @@ class PresentationController(Feature):
 
     def _show_frame(self, _index: int) -> None:
         """Show the frame once all of it is there: the one before stays as it is until then."""
-        opened, views = self._controller.views.translation, self._controller.views
+        opened = self._controller.views.translation
+        views = self._controller.views
         if self.view is None or opened is None:
             return
         shown = {name: views.get_shown_stage(name) for name in self._window.presented_columns}
@@ -137,6 +157,11 @@ class PresentationVideoController(Feature):
                 evaluator.close()
 
         def describe(codec: object) -> str:
-            return f"written as {codec}: {escape_text(str(path))}{_NO_H264 if codec == 'MJPEG' else ''}"
+            return (
+                f"written as {codec}: "
+                f"{escape_text(str(path))}{_NO_H264 if codec == 'MJPEG' else ''}"
+            )
 
-        self._export.start_writing(f"writing {escape_text(path.name)}", work, path, describe=describe)
+        self._export.start_writing(
+            f"writing {escape_text(path.name)}", work, path, describe=describe
+        )

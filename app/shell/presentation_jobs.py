@@ -1,4 +1,6 @@
-"""What a presentation shows of a frame on screen and in a video: source, generated touch, recorded touch if known."""
+"""What a presentation shows of a frame on screen and in a video: source, generated touch,
+recorded touch if known.
+"""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -18,23 +20,35 @@ from pipeline.translation.translate import Translation
 from pipeline.views.contrast import FittedContrast
 from widgets.shell.presentation_view import PresentedPane, compose
 
-SOURCE, GENERATED = "source", "touch"
+SOURCE = "source"
+GENERATED = "touch"
 
 
 def choose_presented_stages(opened: Translation) -> tuple[str, ...]:
-    """Return the columns of a presentation: the source, and the touch or else the last stage of the route."""
+    """Return the columns of a presentation: the source, and the touch or else the last stage of
+    the route.
+    """
     return (SOURCE, GENERATED if GENERATED in opened.stages else opened.stages[-1])
 
 
-def make_panes(opened: Translation, shown: Mapping[str, object], contrast: FittedContrast) -> tuple[PresentedPane, ...]:
-    """Return two panes, or three where the truth is known; () until both columns of the frame are there."""
+def make_panes(
+    opened: Translation, shown: Mapping[str, object], contrast: FittedContrast
+) -> tuple[PresentedPane, ...]:
+    """Return two panes, or three where the truth is known.
+
+    () until both columns of the frame are there.
+    """
     stage = choose_presented_stages(opened)[1]
-    source, part = shown.get(SOURCE), shown.get(stage)
+    source = shown.get(SOURCE)
+    part = shown.get(stage)
     if not isinstance(source, SourcePreview) or not isinstance(part, StagePreview):
         return ()
     by = ", ".join(filter(None, (part.result.answered_by, opened.truth_label)))
     target = opened.source.title if stage == "depth" else opened.target.title
-    titles = [f"{opened.source.title}, recorded", f"{target}, {opened.catalogue.stage(stage).title.lower()}: {by}"]
+    titles = [
+        f"{opened.source.title}, recorded",
+        f"{target}, {opened.catalogue.stage(stage).title.lower()}: {by}",
+    ]
     previews = [source.preview, part.preview]
     if part.truth_view is not None:
         titles.append(f"{target}, recorded")
@@ -48,7 +62,9 @@ def make_panes(opened: Translation, shown: Mapping[str, object], contrast: Fitte
 RATE_HZ = 10.0  # as the timeline plays
 
 
-def write_presentation(session: Session, evaluator: Evaluator, size: QSize, path: Path, report: JobReporter) -> str:
+def write_presentation(
+    session: Session, evaluator: Evaluator, size: QSize, path: Path, report: JobReporter
+) -> str:
     """Write every frame of the session's recording as it is presented at `size`; returns the codec.
 
     Frames are at even sizes and `RATE_HZ`. Raises TouchError for a file that cannot be written.
@@ -57,9 +73,12 @@ def write_presentation(session: Session, evaluator: Evaluator, size: QSize, path
     return write_video(path, _draw_frames(session, evaluator, even, report), RATE_HZ)
 
 
-def _draw_frames(session: Session, evaluator: Evaluator, size: QSize, report: JobReporter) -> Iterator[Image]:
+def _draw_frames(
+    session: Session, evaluator: Evaluator, size: QSize, report: JobReporter
+) -> Iterator[Image]:
     opened, _ = evaluator.open_frame(session, report)
-    contrast, stages = FittedContrast(), choose_presented_stages(opened)
+    contrast = FittedContrast()
+    stages = choose_presented_stages(opened)
     for index in range(opened.n_frames):
         report.step(index / opened.n_frames, f"frame {index}")
         parts = _Parts(report)

@@ -13,7 +13,8 @@ from widgets.style.base import EventListener
 from widgets.views.preview_key_filter import PreviewKeyFilter
 
 _HINT = (
-    "arrow keys move the pixel or the section line (Ctrl: end A, Alt: end B), Shift: 10 times as far; "
+    "arrow keys move the pixel or the section line (Ctrl: end A, Alt: end B), Shift: 10 times as "
+    "far; "
     "Enter pins; + and \N{MINUS SIGN} zoom; , and . move the wipe; Tab: next image; P ends"
 )
 
@@ -33,23 +34,36 @@ class KeyboardController(Feature):
         self._window.connect_command("probe_by_keys", self._toggle)
         self._window.connect_command("cancel", self._end)
         self._window.connect_command("edit_alignment", self._edit_alignment)
-        self._box, self._wants_focus = self._window.alignment.rows["x"].box, False
+        self._box = self._window.alignment.rows["x"].box
+        self._wants_focus = False
         EventListener(self._box, self._focus_box, QEvent.Type.EnabledChange)
 
     @property
     def focused_column(self) -> str:
         """The column whose image has the keyboard focus; "" if none."""
-        return next((name for name, column in self._window.columns.items() if column.view.canvas.hasFocus()), "")
+        return next(
+            (
+                name
+                for name, column in self._window.columns.items()
+                if column.view.canvas.hasFocus()
+            ),
+            "",
+        )
 
     @property
     def _visible_columns(self) -> list[str]:
-        return [name for name, column in self._window.columns.items() if column.isVisible() and column.view.preview]
+        return [
+            name
+            for name, column in self._window.columns.items()
+            if column.isVisible() and column.view.preview
+        ]
 
     def _toggle(self) -> None:
         if self.focused_column:
             self._end()
             return
-        panes, shown = self._window.panes, self._visible_columns
+        panes = self._window.panes
+        shown = self._visible_columns
         active = panes.active_stage if panes.isVisible() else ""
         if shown:
             self._focus(active if active in shown else shown[0])
@@ -82,7 +96,10 @@ class KeyboardController(Feature):
 
 
 def make_parameter_actions(window: MainWindow, parent: QObject) -> list[QAction]:
-    """One action per parameter of the methods in use; those made before for `parent` are deleted."""
+    """One action per parameter of the methods in use.
+
+    Those made before for `parent` are deleted.
+    """
     for old in parent.findChildren(QAction):
         old.deleteLater()
     actions: list[QAction] = []
@@ -95,7 +112,9 @@ def make_parameter_actions(window: MainWindow, parent: QObject) -> list[QAction]
 
 
 def _focus_parameter(window: MainWindow, control: QWidget, _checked: bool = False) -> None:
-    """Give the keyboard to a control, in its column if it is visible there, else in the Parameters drawer."""
+    """Give the keyboard to a control, in its column if it is visible there, else in the
+    Parameters drawer.
+    """
     key, _, name = control.objectName().rpartition(".")
     column = window.columns[key.partition("/")[0]] if "/" in key else None
     if column is not None and name in column.pinned.names and column.pinned.isVisible():
@@ -103,7 +122,9 @@ def _focus_parameter(window: MainWindow, control: QWidget, _checked: bool = Fals
     else:
         window.show_drawer(window.drawers.parameters)
         window.parameters.ensureWidgetVisible(control)
-    target = next((child for child in control.findChildren(QWidget) if _takes_focus(child)), control)
+    target = next(
+        (child for child in control.findChildren(QWidget) if _takes_focus(child)), control
+    )
     target.setFocus(Qt.FocusReason.ShortcutFocusReason)
 
 

@@ -16,14 +16,18 @@ from widgets.style.theme import use_palette
 def apply_theme(theme: Theme) -> None:
     """Set the palette of the application."""
     hints = QGuiApplication.styleHints()
-    is_system_dark = theme == "system" and hints is not None and hints.colorScheme() == Qt.ColorScheme.Dark
+    is_system_dark = (
+        theme == "system" and hints is not None and hints.colorScheme() == Qt.ColorScheme.Dark
+    )
     use_palette(dark=theme == "dark" or is_system_dark)
 
 
 class ThemeController(Feature):
     """Connects the theme commands with the palette and the preferences."""
 
-    def __init__(self, controller: SessionController, autosave: AutosaveController, theme: Theme) -> None:
+    def __init__(
+        self, controller: SessionController, autosave: AutosaveController, theme: Theme
+    ) -> None:
         super().__init__(controller)
         self._autosave = autosave
         self.theme: Theme = theme

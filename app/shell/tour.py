@@ -14,9 +14,11 @@ _EVENTS_MS = 20
 
 
 def run_tour(controller: SessionController, out: Path, *, show_frame: int | None = None) -> int:
-    """Show every frame, write `window.png`, `frame_NNNN/` and `report.json` under `out`, print the table.
+    """Show every frame, write `window.png`, `frame_NNNN/` and `report.json` under `out`, print the
+    table.
 
-    Returns 0, or 2 if a frame failed. The screenshot shows `show_frame`, by default the frame with most contact.
+    Returns 0, or 2 if a frame failed. The screenshot shows `show_frame`, by default the frame with
+    most contact.
     """
     from pipeline.cli.translate import print_stage_table
     from pipeline.translation.reports.frame_report import FrameReport
@@ -32,7 +34,10 @@ def run_tour(controller: SessionController, out: Path, *, show_frame: int | None
         controller.choose_frame(index)
         shown = wait_until_shown(controller)
         if controller.is_closed:
-            print_line(f"the window was closed; {index} of {translation.n_frames} frames are complete in {out}")
+            print_line(
+                f"the window was closed; {index} of {translation.n_frames} frames are complete in "
+                f"{out}"
+            )
             return 2
         latest = controller.latest_frame
         if not shown or latest is None or latest.index != index:
@@ -82,7 +87,11 @@ def save_window_screenshot(controller: SessionController, path: Path) -> None:
 
 def pin_deepest_pixel(controller: SessionController) -> None:
     """Pin the target pixel with the deepest indentation."""
-    stage = controller.latest_frame.results.get("target_depth") if controller.latest_frame is not None else None
+    stage = (
+        controller.latest_frame.results.get("target_depth")
+        if controller.latest_frame is not None
+        else None
+    )
     if stage is not None and stage.output.contact.any():
         depth = stage.output
         row, col = divmod(int(depth.indentation_mm.argmax()), depth.camera.cols)

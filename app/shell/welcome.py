@@ -22,9 +22,14 @@ class WelcomeController(Feature):
         centre = window.centralWidget()
         assert centre is not None
         actions = window.actions_by_name
-        formats = "; ".join(f"{f.title} ({' '.join(f.suffixes[:_MAX_SUFFIXES]) or 'folder'})" for f in list_formats())
+        formats = "; ".join(
+            f"{f.title} ({' '.join(f.suffixes[:_MAX_SUFFIXES]) or 'folder'})"
+            for f in list_formats()
+        )
         sensors = ", ".join(list_sensor_titles().values())
-        self.page = WelcomePage(centre, window.pages, [actions[name] for name in _COMMANDS], formats, sensors)
+        self.page = WelcomePage(
+            centre, window.pages, [actions[name] for name in _COMMANDS], formats, sensors
+        )
         self.page.recent_chosen.connect(controller.open_path)
         self.page.hide()
         actions["open_sample"].setEnabled(SAMPLE_RECORDING.exists())
@@ -37,7 +42,8 @@ class WelcomeController(Feature):
 
     def show_session(self, session: Session) -> None:
         """Show the page if nothing is open."""
-        is_empty = session.recording is None and session.layout.name != "track"  # whose page may read a folder
+        # whose page may read a folder
+        is_empty = session.recording is None and session.layout.name != "track"
         if is_empty and self.page.isHidden():
             self.page.show_recent(self._autosave.preferences.recent_files)
             self.page.raise_()

@@ -1,4 +1,6 @@
-"""The images of all columns: pan and zoom, fitted and linked in millimetres, and colour limits dragged on them."""
+"""The images of all columns: pan and zoom, fitted and linked in millimetres, and colour limits
+dragged on them.
+"""
 
 from collections.abc import Mapping
 from functools import partial
@@ -30,7 +32,9 @@ class PanZoomController(Feature):
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
         self._views = {name: column.view for name, column in self._window.columns.items()}
-        self._fit, self._link = (self._window.actions_by_name[name] for name in ("fit_contact", "link_previews"))
+        self._fit, self._link = (
+            self._window.actions_by_name[name] for name in ("fit_contact", "link_previews")
+        )
         for name, view in self._views.items():
             view.view_changed.connect(partial(self._follow_view, name))
         self._fit.toggled.connect(self._fit_all)
@@ -62,13 +66,18 @@ class PanZoomController(Feature):
         box = view.find_contact_box_px() or other_view.find_contact_box_px()
         if box is None or view.preview is None or other_view.preview is None:
             return None
-        zoom = 1.0 if view.find_contact_box_px() else view.preview.pixels.shape[1] / other_view.preview.pixels.shape[1]
+        zoom = (
+            1.0
+            if view.find_contact_box_px()
+            else view.preview.pixels.shape[1] / other_view.preview.pixels.shape[1]
+        )
         left, top, right, below = box
         return left * zoom, top * zoom, right * zoom, below * zoom
 
     def _follow_view(self, name: str, *_: object) -> None:
         """Set the views of the other images to the place and scale of one, if images are linked."""
-        opened, view = self._controller.views.translation, self._views.get(name)
+        opened = self._controller.views.translation
+        view = self._views.get(name)
         if not self._link.isChecked() or opened is None or view is None or view.preview is None:
             return
         moved = view.preview
@@ -79,7 +88,8 @@ class PanZoomController(Feature):
             preview = other_panel.preview
             if other == name or preview is None:
                 continue
-            x, y = x_mm, y_mm
+            x = x_mm
+            y = y_mm
             if (opened.get_role(other) == "source") != at_source:
                 x, y = _transfer_point(opened, (x_mm, y_mm), to_target=at_source)
             centre = _to_px(preview, opened.get_sensor(other), x, y)
@@ -103,12 +113,16 @@ def _to_px(preview: Preview, sensor: SensorSpec, x_mm: float, y_mm: float) -> QP
     return QPointF(x + x_mm / preview.pixel_mm, y + y_mm / preview.pixel_mm)
 
 
-def _transfer_point(opened: Translation, at_mm: tuple[float, float], *, to_target: bool) -> tuple[float, float]:
+def _transfer_point(
+    opened: Translation, at_mm: tuple[float, float], *, to_target: bool
+) -> tuple[float, float]:
     """Transfer a point x, y in mm to the other sensor by the alignment."""
     target_from_source = opened.alignment.target_from_source
     sensor = opened.source if to_target else opened.target
     z_mm = float(sensor.rest_depth_mm[sensor.camera.rows // 2, sensor.camera.cols // 2])
-    x, y, _ = rigid.apply(target_from_source if to_target else rigid.invert(target_from_source), (*at_mm, z_mm))
+    x, y, _ = rigid.apply(
+        target_from_source if to_target else rigid.invert(target_from_source), (*at_mm, z_mm)
+    )
     return float(x), float(y)
 
 
@@ -118,21 +132,27 @@ class ColourLimitController(Feature):
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
         window = controller.window
-        bars = [column.view.colour_bar for column in (*window.columns.values(), window.truth_column)]
+        bars = [
+            column.view.colour_bar for column in (*window.columns.values(), window.truth_column)
+        ]
         for source in (*bars, *(tab.grid for tab in window.comparison.tile_tabs)):
             source.limit_dragged.connect(self.set_limit)
             source.limits_fitted.connect(self.set_limits)
 
     def set_limit(self, name: str, value: float) -> None:
         """Set a limit within its range; a drag is one undo step."""
-        self._controller.choose_params(DISPLAY_KEY, _replace_limit(self._controller.session.display, name, value))
+        self._controller.choose_params(
+            DISPLAY_KEY, _replace_limit(self._controller.session.display, name, value)
+        )
 
     def set_limits(self, limits: Mapping[str, float]) -> None:
         """Set limits fitted to the shown values, as one undo step."""
         display = self._controller.session.display
         for name, value in limits.items():
             display = _replace_limit(display, name, value)
-        self._controller.change("fit colour limits", params={**self._controller.session.params, DISPLAY_KEY: display})
+        self._controller.change(
+            "fit colour limits", params={**self._controller.session.params, DISPLAY_KEY: display}
+        )
 
 
 def _replace_limit(display: DisplayParams, name: str, value: float) -> DisplayParams:

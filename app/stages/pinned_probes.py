@@ -1,4 +1,6 @@
-"""The Probes tab: marks of the pinned pixels in all previews, and a table of value and error of every stage there."""
+"""The Probes tab: marks of the pinned pixels in all previews, and a table of value and error of
+every stage there.
+"""
 
 import math
 
@@ -19,7 +21,9 @@ _NOT_THERE = "not there: the trace ends before"
 
 
 class PinnedProbesController(Feature):
-    """Shows the probe's pins; the errors need the truth of every stage, which is read while the tab is visible."""
+    """Shows the probe's pins; the errors need the truth of every stage, which is read while the
+    tab is visible.
+    """
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
@@ -36,18 +40,29 @@ class PinnedProbesController(Feature):
             self._timer.start()
 
     def _show(self) -> None:
-        probe, columns = self._controller.probe, self._window.columns
+        probe = self._controller.probe
+        columns = self._window.columns
         traces = {number: probe.locate(*pixel) for number, pixel in sorted(probe.pins.items())}
         for name, column in columns.items():
-            marks = [(number, place) for number, (_, places) in traces.items() if (place := places[name]) is not None]
+            marks = [
+                (number, place)
+                for number, (_, places) in traces.items()
+                if (place := places[name]) is not None
+            ]
             column.view.canvas.show_marks(tuple(marks))
         is_visible = self._panel.isVisible()
         self._controller.request_extra("truth", wanted=is_visible and bool(traces))
         if is_visible:
-            names = [name for name in self._window.visible_columns() if self._get_preview(name) is not None]
+            names = [
+                name
+                for name in self._window.visible_columns()
+                if self._get_preview(name) is not None
+            ]
             titles = ["probe", *(title for name in names for title in self._make_titles(name))]
-            rows = [ProbeRow(number=number, **self._make_cells(number, places, names))
-                    for number, (_, places) in traces.items()]  # fmt: skip
+            rows = [
+                ProbeRow(number=number, **self._make_cells(number, places, names))
+                for number, (_, places) in traces.items()
+            ]
             self._panel.show_probes(titles if rows else (), rows)
 
     def _get_preview(self, name: str) -> Preview | None:
@@ -61,8 +76,11 @@ class PinnedProbesController(Feature):
         return None if other is None else other.difference_to_truth
 
     def _make_titles(self, name: str) -> list[str]:
-        preview, difference = self._get_preview(name), self._get_difference(name)
-        title = "source" if name == "source" else self._controller.catalogue.stage(name).title.lower()
+        preview = self._get_preview(name)
+        difference = self._get_difference(name)
+        title = (
+            "source" if name == "source" else self._controller.catalogue.stage(name).title.lower()
+        )
         unit = "rgb" if preview is None or preview.scale is None else preview.scale.unit
         titles = [f"{title} pixel"] if name == "source" else []
         titles.append(f"{title}, {unit}")
@@ -72,15 +90,25 @@ class PinnedProbesController(Feature):
             else [*titles, f"{title} error, {difference.scale.unit}"]
         )
 
-    def _make_cells(self, number: int, places: Places, names: list[str]) -> dict[str, tuple[str, ...]]:
-        cells, tips = [str(number)], ["The crosshair stays here while this row is chosen"]
+    def _make_cells(
+        self, number: int, places: Places, names: list[str]
+    ) -> dict[str, tuple[str, ...]]:
+        cells = [str(number)]
+        tips = ["The crosshair stays here while this row is chosen"]
         for name in names:
-            preview, difference, place = self._get_preview(name), self._get_difference(name), places[name]
-            texts = [] if name != "source" else [_NONE if place is None else f"({place[1]}, {place[0]})"]
+            preview = self._get_preview(name)
+            difference = self._get_difference(name)
+            place = places[name]
+            texts = (
+                []
+                if name != "source"
+                else [_NONE if place is None else f"({place[1]}, {place[0]})"]
+            )
             texts.append(_format(preview, place))
             texts += [] if difference is None else [_format(difference, place, sign="+")]
             tip = _NOT_THERE if place is None else f"pixel ({place[1]}, {place[0]})"
-            cells, tips = [*cells, *texts], [*tips, *[tip] * len(texts)]
+            cells = [*cells, *texts]
+            tips = [*tips, *[tip] * len(texts)]
         return {"cells": tuple(cells), "tips": tuple(tips)}
 
 

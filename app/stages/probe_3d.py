@@ -30,7 +30,9 @@ class _Surface:
 
 
 class Probe3DController(Feature):
-    """Connects the 3D views with the probe: the pixel under the pointer is probed, a click pins it."""
+    """Connects the 3D views with the probe: the pixel under the pointer is probed, a click pins
+    it.
+    """
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
@@ -59,26 +61,37 @@ class Probe3DController(Feature):
             self._controller.probe.toggle_pin(name, *pixel)
 
     def _find_pixel(self, name: str, at: QPointF) -> tuple[int, int] | None:
-        """Return (row, col) of the preview pixel nearest to a point of the 3D view; None if none is near."""
+        """Return (row, col) of the preview pixel nearest to a point of the 3D view.
+
+        None if none is near.
+        """
         surface = self._get_surface(name)
         if surface is None or not len(surface.points_mm):
             return None
         column = list(self._window.columns).index(name)
         index = self._controller.views.scene.find_nearest_point(column, at, surface.points_mm)
-        return None if index < 0 else (int(surface.pixel_row_col[index, 0]), int(surface.pixel_row_col[index, 1]))
+        return (
+            None
+            if index < 0
+            else (int(surface.pixel_row_col[index, 0]), int(surface.pixel_row_col[index, 1]))
+        )
 
     def _get_surface(self, name: str) -> _Surface | None:
-        opened, preview = self._controller.views.translation, self._window.columns[name].view.preview
+        opened = self._controller.views.translation
+        preview = self._window.columns[name].view.preview
         if opened is None or preview is None:
             return None
-        sensor, stretch = opened.get_sensor(name), get_depth_stretch(name, opened, self._controller.session.display)
+        sensor = opened.get_sensor(name)
+        stretch = get_depth_stretch(name, opened, self._controller.session.display)
         cached = self._surfaces.get(name)
         if cached is not None and cached.preview is preview and cached.depth_stretch == stretch:
             return cached
         positions = preview.compute_positions_mm()
         if positions is None and name == SOURCE:  # a gel's image lies on its rest surface
             camera = sensor.camera.scale(preview.pixels.shape[1] / sensor.camera.cols)
-            positions = camera.back_project(compute_rest_depth_mm(sensor, camera)).astype(np.float32)
+            positions = camera.back_project(compute_rest_depth_mm(sensor, camera)).astype(
+                np.float32
+            )
         if positions is None:
             return None
         step = max(1, int(np.ceil(np.sqrt(positions.shape[0] * positions.shape[1] / _MAX_POINTS))))
@@ -86,8 +99,12 @@ class Probe3DController(Feature):
         points = positions[::step, ::step].reshape(-1, 3)
         finite = np.isfinite(points).all(axis=1)
         surface = _Surface(
-            preview=preview, depth_stretch=stretch, points_mm=stretch_depth(points[finite], sensor, stretch),
-            pixel_row_col=np.stack([rows.ravel()[finite], cols.ravel()[finite]], axis=-1).astype(np.float64),
-        )  # fmt: skip
+            preview=preview,
+            depth_stretch=stretch,
+            points_mm=stretch_depth(points[finite], sensor, stretch),
+            pixel_row_col=np.stack([rows.ravel()[finite], cols.ravel()[finite]], axis=-1).astype(
+                np.float64
+            ),
+        )
         self._surfaces[name] = surface
         return surface

@@ -28,7 +28,10 @@ class SectionLineController(Feature):
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self._panel, self._action = self._window.section_panel, self._window.actions_by_name["section_line"]
+        self._panel, self._action = (
+            self._window.section_panel,
+            self._window.actions_by_name["section_line"],
+        )
         self._last_line: SectionLine | None = None  # before it was removed
         self._views = {name: column.view for name, column in self._window.columns.items()}
         self._views[_TRUTH] = self._window.truth_column.view
@@ -50,7 +53,8 @@ class SectionLineController(Feature):
         controller.closing.connect(self._close)
 
     def _toggle(self) -> None:
-        controller, window = self._controller, self._window
+        controller = self._controller
+        window = self._window
         if controller.section is not None:
             controller.set_section(None)
             return
@@ -62,21 +66,28 @@ class SectionLineController(Feature):
         window.show_diagnostics(self._panel)
 
     def _make_default_line(self) -> SectionLine | None:
-        """Return a horizontal line on the source through the deepest indentation; None if nothing is open."""
+        """Return a horizontal line on the source through the deepest indentation.
+
+        None if nothing is open.
+        """
         opened = self._controller.views.translation
         if opened is None:
             return None
-        camera, part = opened.source.camera, self._controller.views.get_shown_stage("depth")
-        x_px, y_px = 0.5 * (camera.cols - 1), 0.5 * (camera.rows - 1)
+        camera = opened.source.camera
+        part = self._controller.views.get_shown_stage("depth")
+        x_px = 0.5 * (camera.cols - 1)
+        y_px = 0.5 * (camera.rows - 1)
         depth = part.result.output if isinstance(part, StagePreview) else None
         if isinstance(depth, DepthMap) and depth.contact.any():
             inside = np.where(depth.contact, depth.indentation_mm, -np.inf)
-            camera, y_px = depth.camera, float(np.nanargmax(inside) // depth.camera.cols)
+            camera = depth.camera
+            y_px = float(np.nanargmax(inside) // depth.camera.cols)
             x_px = 0.5 * (camera.cols - 1)
         plane = cross_section.build_plane(opened, "source", camera)
         reach_px = 0.5 * _DEFAULT_SHARE * camera.cols
         return _make_line(
-            plane.backproject_to_mm(x_px - reach_px, y_px), plane.backproject_to_mm(x_px + reach_px, y_px)
+            plane.backproject_to_mm(x_px - reach_px, y_px),
+            plane.backproject_to_mm(x_px + reach_px, y_px),
         )
 
     def _close(self) -> None:
@@ -87,7 +98,9 @@ class SectionLineController(Feature):
     def _move_end(self, name: str, begin: QPointF, end: QPointF) -> None:
         plane = self._get_plane(name)
         if plane is not None:
-            line = _make_line(*(plane.backproject_to_mm(at.x() - 0.5, at.y() - 0.5) for at in (begin, end)))
+            line = _make_line(
+                *(plane.backproject_to_mm(at.x() - 0.5, at.y() - 0.5) for at in (begin, end))
+            )
             if line is not None:
                 self._controller.set_section(line)
 
@@ -113,9 +126,15 @@ class SectionLineController(Feature):
             return
         for name, tool in self._tools.items():
             plane = self._get_plane(name)
-            ends = None if plane is None else plane.project_to_px(np.array([line.begin_mm, line.end_mm])) + 0.5
+            ends = (
+                None
+                if plane is None
+                else plane.project_to_px(np.array([line.begin_mm, line.end_mm])) + 0.5
+            )
             is_finite = ends is not None and bool(np.isfinite(ends).all())
-            tool.show_line((QPointF(*ends[0]), QPointF(*ends[1])) if ends is not None and is_finite else None)
+            tool.show_line(
+                (QPointF(*ends[0]), QPointF(*ends[1])) if ends is not None and is_finite else None
+            )
         if not self._curve_timer.isActive():
             self._curve_timer.start()
 
@@ -128,7 +147,8 @@ class SectionLineController(Feature):
 
     def _collect_height_maps(self) -> tuple[HeightMap, ...]:
         """Return the truth and every visible stage that has heights, in column order."""
-        opened, views = self._controller.views.translation, self._controller.views
+        opened = self._controller.views.translation
+        views = self._controller.views
         if opened is None:
             return ()
         source = views.get_shown_stage(SOURCE)
@@ -139,15 +159,20 @@ class SectionLineController(Feature):
             for name, part in parts.items()
             if part is not None and self._window.columns[name].state not in _OUTDATED
         ]
-        return cross_section.collect_height_maps(opened, truth, shown, self._controller.session.offsets)
+        return cross_section.collect_height_maps(
+            opened, truth, shown, self._controller.session.offsets
+        )
 
     def _get_plane(self, name: str) -> SectionPlane | None:
         """Return the section plane of a column's image; None if it is empty."""
-        opened, preview = self._controller.views.translation, self._views[name].preview
+        opened = self._controller.views.translation
+        preview = self._views[name].preview
         if opened is None or preview is None:
             return None
         role = "target" if name == _TRUTH else opened.get_role(name)
-        camera = cross_section.find_image_camera(preview, opened.source if role == "source" else opened.target)
+        camera = cross_section.find_image_camera(
+            preview, opened.source if role == "source" else opened.target
+        )
         return cross_section.build_plane(opened, role, camera, self._controller.session.offsets)
 
 

@@ -1,4 +1,6 @@
-"""Step through: the kept iterations of a stage, by a slider under its 3D view and as curves in a tab."""
+"""Step through: the kept iterations of a stage, by a slider under its 3D view and as curves in a
+tab.
+"""
 
 from functools import partial
 
@@ -12,16 +14,21 @@ from pipeline.core.params import list_settings, replace_value
 _KEEP_PREFIX = "keep_"  # of the parameters that keep iterations
 _DEFAULT_STAGE = "pose"
 _NO_STEPS = "The method of {} keeps no iterations. Choose another method."
-_NOT_YET, _NO_ITERATIONS = "Iterations are kept from the next result on.", "This result took no iterations."
+_NOT_YET = "Iterations are kept from the next result on."
+_NO_ITERATIONS = "This result took no iterations."
 
 
 class StepScrubberController(Feature):
-    """Connects the tab and the sliders under the 3D views with the session; iterations are kept only on request."""
+    """Connects the tab and the sliders under the 3D views with the session.
+
+    Iterations are kept only on request.
+    """
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
         self._panel = self._window.steps_panel
-        window, panel = controller.window, self._panel
+        window = controller.window
+        panel = self._panel
         panel.stage_box.chosen.connect(self.show_session)
         panel.keep_steps_requested.connect(self.set_keep_steps)
         panel.plot.step_chosen.connect(self._set_step)
@@ -30,12 +37,14 @@ class StepScrubberController(Feature):
             slider.slider.valueChanged.connect(partial(self._show_step, stage))
         controller.frame_shown.connect(self.show_session)
         window.connect_command(
-            "step_through", lambda: self.show_steps_of(self._panel.stage_box.choice or _DEFAULT_STAGE)
+            "step_through",
+            lambda: self.show_steps_of(self._panel.stage_box.choice or _DEFAULT_STAGE),
         )
 
     def show_steps_of(self, stage: str) -> None:
         """Show the tab, and keep the iterations of a stage from now on."""
-        window, layout = self._window, self._controller.session.layout
+        window = self._window
+        layout = self._controller.session.layout
         window.show_diagnostics(self._panel)
         self._panel.stage_box.setCurrentIndex(max(0, self._panel.stage_box.findData(stage)))
         if stage in window.route_columns and stage not in window.visible_columns():
@@ -48,32 +57,49 @@ class StepScrubberController(Feature):
         method = self._get_method(stage)
         if method is not None and (name := _find_keep_parameter(method)):
             session = self._controller.session
-            params = {**session.params, method.key: replace_value(session.get_params(method), name, keep)}
+            params = {
+                **session.params,
+                method.key: replace_value(session.get_params(method), name, keep),
+            }
             self._controller.change("keep iterations" if keep else "drop iterations", params=params)
 
     def _get_method(self, stage: str) -> Method | None:
         opened = self._controller.views.translation
-        return None if opened is None else next((m for m in opened.methods if m.stage == stage), None)
+        return (
+            None if opened is None else next((m for m in opened.methods if m.stage == stage), None)
+        )
 
     def show_session(self, *_: object) -> None:
         """Show the iterations of the chosen stage, and whether they are kept."""
-        controller, window, panel = self._controller, self._window, self._panel
+        controller = self._controller
+        window = self._window
+        panel = self._panel
         titles = {
-            stage: controller.catalogue.stage(stage).title for stage in window.route_columns if stage in window.steps
+            stage: controller.catalogue.stage(stage).title
+            for stage in window.route_columns
+            if stage in window.steps
         }
         panel.offer_stages(titles)
         for stage, slider in window.steps.items():
             slider.set_can_keep_steps(
-                can_keep=(method := self._get_method(stage)) is not None and bool(_find_keep_parameter(method))
+                can_keep=(method := self._get_method(stage)) is not None
+                and bool(_find_keep_parameter(method))
             )
         chosen = panel.stage_box.choice
-        method, part = self._get_method(chosen), controller.views.get_shown_stage(chosen)
+        method = self._get_method(chosen)
+        part = controller.views.get_shown_stage(chosen)
         name = "" if method is None else _find_keep_parameter(method)
         is_kept = (
-            bool(name) and method is not None and bool(list_settings(controller.session.get_params(method))[name][0])
+            bool(name)
+            and method is not None
+            and bool(list_settings(controller.session.get_params(method))[name][0])
         )
         history = part.step_history if isinstance(part, StagePreview) else None
-        why_not = _NO_STEPS.format(titles.get(chosen, "this stage")) if method is not None and not name else ""
+        why_not = (
+            _NO_STEPS.format(titles.get(chosen, "this stage"))
+            if method is not None and not name
+            else ""
+        )
         if is_kept and history is None:
             why_not = _NO_ITERATIONS if controller.is_idle else _NOT_YET
         panel.show_history(history, keeps_steps=is_kept, can_keep_steps=bool(name), why_not=why_not)
@@ -90,4 +116,6 @@ class StepScrubberController(Feature):
 
 def _find_keep_parameter(method: Method) -> str:
     """Return the parameter that makes a method keep its iterations, "" if none."""
-    return next((name for name in list_settings(method.params()) if name.startswith(_KEEP_PREFIX)), "")
+    return next(
+        (name for name in list_settings(method.params()) if name.startswith(_KEEP_PREFIX)), ""
+    )

@@ -1,4 +1,6 @@
-"""Error attribution in the *Task* layout: stored shares at once, others by running the rollout again when asked."""
+"""Error attribution in the *Task* layout: stored shares at once, others by running the rollout
+again when asked.
+"""
 
 from functools import partial
 from pathlib import Path
@@ -18,7 +20,8 @@ class RolloutAttributionController(BackgroundController):
 
     def __init__(self, controller: SessionController, rollouts: RolloutController) -> None:
         super().__init__("rollout attribution", controller, controller.window.task.decision.run_bar)
-        self._rollouts, self._panel = rollouts, controller.window.task.decision
+        self._rollouts = rollouts
+        self._panel = controller.window.task.decision
         self._results: dict[Path, tuple[Decision, ...]] = {}  # computed in this window
         self._running: Path | None = None
         self._panel.run_bar.start_button.clicked.connect(self.attribute)
@@ -58,7 +61,8 @@ class RolloutAttributionController(BackgroundController):
 
     def _show_decision(self, _: int = 0) -> None:
         """Show the decision at the tick on screen, or else the one whose error is attributed."""
-        opened, decisions = self._rollouts.shown, self.decisions
+        opened = self._rollouts.shown
+        decisions = self.decisions
         can = self._can_attribute
         self._window.actions_by_name["attribute_rollout"].setEnabled(can)
         if self.job.is_busy and self._running is not None:
@@ -67,7 +71,9 @@ class RolloutAttributionController(BackgroundController):
             self._panel.show_decision("", None, can_attribute=False)
             return
         current = decisions[min(self._rollouts.decision, len(decisions) - 1)]
-        shown = current if current.shares else next((one for one in decisions if one.shares), current)
+        shown = (
+            current if current.shares else next((one for one in decisions if one.shares), current)
+        )
         succeeds = opened.rollout.summary.succeeds
         sentence = describe_error(shown, opened.error_title, succeeds=succeeds)
         if shown is not current and not succeeds:

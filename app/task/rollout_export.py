@@ -1,4 +1,6 @@
-"""Exports of the rollout on screen: video and repro bundle, written in the background from its own file."""
+"""Exports of the rollout on screen: video and repro bundle, written in the background from its
+own file.
+"""
 
 from functools import partial
 from pathlib import Path
@@ -10,8 +12,14 @@ from app.export.export import ExportController
 from app.task.rollouts import RolloutController
 from app.window import dialogs
 
-_COMMANDS = ("export_rollout_video", "export_rollout_bundle", "copy_trials", "next_trial", "previous_trial",
-             "next_decision")  # fmt: skip
+_COMMANDS = (
+    "export_rollout_video",
+    "export_rollout_bundle",
+    "copy_trials",
+    "next_trial",
+    "previous_trial",
+    "next_decision",
+)
 
 
 class RolloutExportController(Feature):
@@ -25,7 +33,8 @@ class RolloutExportController(Feature):
         autosave: AutosaveController,
     ) -> None:
         super().__init__(controller)
-        self._rollouts, self._export = rollouts, export
+        self._rollouts = rollouts
+        self._export = export
         self._window.connect_command("export_rollout_video", self._ask_video)
         autosave.connect_dialog("export_rollout_bundle", dialogs.ask_save_path, self.write_bundle)
         rollouts.rollout_shown.connect(self._enable)
@@ -38,7 +47,10 @@ class RolloutExportController(Feature):
         opened = self._rollouts.shown
         if opened is not None:
             source = opened.rollout.path
-            command = f"tactoscope rollout video {dialogs.quote_path(source)} --out {dialogs.quote_path(path)}"
+            command = (
+                f"tactoscope rollout video {dialogs.quote_path(source)} --out "
+                f"{dialogs.quote_path(path)}"
+            )
             self._export.start_writing(
                 f"writing {path.name}", partial(write_rollout_video, source, path), path, command
             )
@@ -49,9 +61,13 @@ class RolloutExportController(Feature):
 
         opened = self._rollouts.shown
         if opened is not None:
-            source, command = opened.rollout.path, f"tactoscope replay {dialogs.quote_path(folder)}"
+            source = opened.rollout.path
+            command = f"tactoscope replay {dialogs.quote_path(folder)}"
             self._export.start_writing(
-                "writing the rollout bundle", lambda _: write_rollout_bundle(source, folder), folder, command
+                "writing the rollout bundle",
+                lambda _: write_rollout_bundle(source, folder),
+                folder,
+                command,
             )
 
     def _enable(self) -> None:

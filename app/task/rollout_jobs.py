@@ -1,4 +1,6 @@
-"""Background work of the *Task* layout: rows of a folder, one rollout with its scene, and its attribution."""
+"""Background work of the *Task* layout: rows of a folder, one rollout with its scene, and its
+attribution.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -38,17 +40,24 @@ class OpenRollout:
 
 
 def list_trial_folder(path: Path, report: JobReporter) -> TrialFolder:
-    """List the rollouts of a folder, or of that of a file; raises FileProblem where there is none."""
+    """List the rollouts of a folder, or of that of a file.
+
+    Raises FileProblem where there is none.
+    """
     from pipeline.lab.tasks.rollout_file import may_be_rollout
     from pipeline.lab.tasks.trial_rows import list_trials
 
     if path.is_file() and not may_be_rollout(path):
         raise FileProblem(
-            "this recording is no rollout of a task; open one that `tactoscope task --record` wrote", path
+            "this recording is no rollout of a task; open one that `tactoscope task --record` "
+            "wrote",
+            path,
         )
     trials = list_trials(path, report)
     choices = {trial.path: _choose_fields(trial) for trial in trials if not trial.problem}
-    return TrialFolder(folder=path if path.is_dir() else path.parent, trials=trials, choices=choices)
+    return TrialFolder(
+        folder=path if path.is_dir() else path.parent, trials=trials, choices=choices
+    )
 
 
 def _choose_fields(trial: TrialRow) -> Mapping[str, Any]:
@@ -59,32 +68,48 @@ def _choose_fields(trial: TrialRow) -> Mapping[str, Any]:
     task = load_task(trial.task)
     asked = make_touch_request(trial.touch, trial.path, task.source, task.target)
     return {
-        "source": asked.source, "target": asked.target, "route": asked.route, "methods": dict(asked.methods),
+        "source": asked.source,
+        "target": asked.target,
+        "route": asked.route,
+        "methods": dict(asked.methods),
         "weights": dict(asked.weights),
-    }  # fmt: skip
+    }
 
 
 def open_rollout(path: Path, report: JobReporter) -> OpenRollout:
     """Read a rollout and build its scene; raises FileProblem."""
     from pipeline.core.errors import TouchError
     from pipeline.lab.tasks.rollout_file import list_places, read_rollout
-    from pipeline.lab.tasks.scene_view import build_scene, compute_bounds, make_plain_scene, make_scene_layers
+    from pipeline.lab.tasks.scene_view import (
+        build_scene,
+        compute_bounds,
+        make_plain_scene,
+        make_scene_layers,
+    )
     from pipeline.lab.tasks.task import load_task
     from pipeline.lab.tasks.traces import make_traces
 
     report.step(0.0, "reading the rollout")
     rollout = read_rollout(path)
     report.step(0.5, "building the scene")
-    reason, error_title = "", "error"
+    reason = ""
+    error_title = "error"
     try:
-        scene, error_title = build_scene(rollout), load_task(rollout.plan.task).error_title
+        scene = build_scene(rollout)
+        error_title = load_task(rollout.plan.task).error_title
     except TouchError as error:
-        scene, reason = make_plain_scene(rollout), str(error)
+        scene = make_plain_scene(rollout)
+        reason = str(error)
     return OpenRollout(
-        rollout=rollout, layers=make_scene_layers(scene), bounds=compute_bounds(scene),
-        poses=tuple(scene.place(tick) for tick in range(rollout.n_ticks)), curves=make_traces(rollout),
-        places=list_places(path), error_title=error_title, unavailable=reason,
-    )  # fmt: skip
+        rollout=rollout,
+        layers=make_scene_layers(scene),
+        bounds=compute_bounds(scene),
+        poses=tuple(scene.place(tick) for tick in range(rollout.n_ticks)),
+        curves=make_traces(rollout),
+        places=list_places(path),
+        error_title=error_title,
+        unavailable=reason,
+    )
 
 
 def attribute_decisions(rollout: RecordedRollout, report: JobReporter) -> tuple[Decision, ...]:

@@ -1,4 +1,6 @@
-"""The *Task* layout: opens rollouts, and shows one tick of the current one in scene, plot and touches."""
+"""The *Task* layout: opens rollouts, and shows one tick of the current one in scene, plot and
+touches.
+"""
 
 from dataclasses import replace
 from functools import partial
@@ -21,8 +23,9 @@ from pipeline.lab.tasks.trial_rows import SUFFIXES, TrialRow
 
 _NOTHING = "Open a folder that `tactoscope task NAME --record FOLDER` wrote, or drop it here."
 _NOT_READ = {
-    "true": "not read: the controller has the true touch", "none": "not read: the controller acts as planned",
-}  # fmt: skip
+    "true": "not read: the controller has the true touch",
+    "none": "not read: the controller acts as planned",
+}
 
 
 class RolloutController(BackgroundController):
@@ -38,8 +41,10 @@ class RolloutController(BackgroundController):
         self.folder: TrialFolder | None = None
         self.shown: OpenRollout | None = None
         self._requested: Path | None = None  # rollout that is read or shown
-        self._opening: Path | None = None  # that the user opened: a folder, or a recording that may be a rollout
-        page, window = self._page, self._window
+        # that the user opened: a folder, or a recording that may be a rollout
+        self._opening: Path | None = None
+        page = self._page
+        window = self._window
         page.trials.trial_chosen.connect(self.choose_trial)
         page.place_box.chosen.connect(self._choose_place)
         page.ticks.frame_chosen.connect(controller.set_tick)
@@ -57,13 +62,19 @@ class RolloutController(BackgroundController):
 
     def open_rollouts(self, path: Path) -> None:
         """Open a folder of rollouts, or one of them; a folder without any opens as a recording."""
-        self._opening, self._requested = path, None  # what is being read is dropped
+        # what is being read is dropped
+        self._opening = path
+        self._requested = None
         self.start(partial(list_trial_folder, path))
 
     def choose_trial(self, path: Path) -> None:
         """Open one of the listed rollouts."""
         folder = self.folder
-        row = next((trial for trial in folder.trials if trial.path == path), None) if folder is not None else None
+        row = (
+            next((trial for trial in folder.trials if trial.path == path), None)
+            if folder is not None
+            else None
+        )
         if folder is None or row is None:
             return
         if row.problem:
@@ -103,7 +114,8 @@ class RolloutController(BackgroundController):
             return
         path = session.recording
         if path is not None and path != self._requested and not is_mounted(path):
-            self._requested, self._opening = path, None
+            self._requested = path
+            self._opening = None
             needs_folder = self.folder is None or self.folder.folder != path.parent
             self.start(partial(_read_rollout, path, needs_folder=needs_folder))
         elif self.shown is not None and path == self.shown.rollout.path:
@@ -126,14 +138,16 @@ class RolloutController(BackgroundController):
         if isinstance(result, OpenRollout):
             self._show_rollout(result)
         elif isinstance(result, TrialFolder):
-            opening, self._opening = self._opening, None
+            opening = self._opening
+            self._opening = None
             chosen = opening if opening in result.choices else _choose_first(result.trials)
             if opening is not None and chosen is not None:
                 self.choose_trial(chosen)
 
     def show_failure(self, error: BaseException) -> None:
         """Show why nothing can be shown, in one sentence."""
-        opening, self._opening = self._opening, None
+        opening = self._opening
+        self._opening = None
         is_expected = opening is not None and isinstance(error, TouchError)
         if opening is not None and is_expected and opening.is_dir():
             self._controller.open_recording(opening)
@@ -158,7 +172,9 @@ class RolloutController(BackgroundController):
         page.offer_places(opened.places, session.stream)
         page.views["touch"].show_message(_NOT_READ.get(run.summary.touch, ""))
         page.show_legend(
-            ESTIMATE_COLOUR, OBJECT_COLOUR, has_estimate=any(layer.name == ESTIMATE_NAME for layer in opened.layers)
+            ESTIMATE_COLOUR,
+            OBJECT_COLOUR,
+            has_estimate=any(layer.name == ESTIMATE_NAME for layer in opened.layers),
         )
         self._controller.views.show_page_scene("task", opened.layers, opened.bounds, session)
         self._show_tick()
@@ -166,7 +182,9 @@ class RolloutController(BackgroundController):
 
     def _show_tick(self, _: int = 0) -> None:
         """Show one tick everywhere: scene, plot, slider, frames and decision."""
-        opened, page, tick = self.shown, self._page, self._tick
+        opened = self.shown
+        page = self._page
+        tick = self._tick
         if opened is None:
             return
         page.plot.show_step(tick)
@@ -188,7 +206,11 @@ class RolloutController(BackgroundController):
             self._controller.set_tick(decisions[frame].tick)
 
     def _go_to_next_decision(self) -> None:
-        ticks = [one.tick for one in self.shown.rollout.summary.decisions] if self.shown is not None else []
+        ticks = (
+            [one.tick for one in self.shown.rollout.summary.decisions]
+            if self.shown is not None
+            else []
+        )
         later = [tick for tick in ticks if tick > self._tick]
         if ticks:
             self._controller.set_tick((later or ticks)[0])
@@ -216,5 +238,7 @@ def _read_rollout(path: Path, report: JobReporter, *, needs_folder: bool) -> Ope
 
 def _choose_first(trials: tuple[TrialRow, ...]) -> Path | None:
     """The first rollout that fails, else the first that can be read; None without one."""
-    good = sorted((trial for trial in trials if not trial.problem), key=lambda trial: trial.succeeds)
+    good = sorted(
+        (trial for trial in trials if not trial.problem), key=lambda trial: trial.succeeds
+    )
     return good[0].path if good else None

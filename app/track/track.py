@@ -1,4 +1,6 @@
-"""The *Track* layout: follows the object through the recording, opens a track from its folder, and writes it."""
+"""The *Track* layout: follows the object through the recording, opens a track from its folder,
+and writes it.
+"""
 
 from __future__ import annotations
 
@@ -24,20 +26,28 @@ if TYPE_CHECKING:
     from app.track.track_jobs import TrackView
 
 _NO_RECORDING = "Open a recording, or the folder that `tactoscope track` wrote."
-_READY = "Track follows the touched object from frame to frame, without its mesh, and fuses what was touched."
+_READY = (
+    "Track follows the touched object from frame to frame, without its mesh, and fuses what "
+    "was touched."
+)
 
 
 class TrackController(BackgroundController):
     """Connects the page with the session; a track runs on its own copy of the recording."""
 
-    def __init__(self, controller: SessionController, export: ExportController, autosave: AutosaveController) -> None:
+    def __init__(
+        self, controller: SessionController, export: ExportController, autosave: AutosaveController
+    ) -> None:
         super().__init__("track", controller, controller.window.track.run_bar)
-        self._page, self._export = self._window.track, export
+        self._page = self._window.track
+        self._export = export
         self.view: TrackView | None = None
-        self._tracked: Session | None = None  # what the track on screen was computed from; None = read from a folder
+        # what the track on screen was computed from; None = read from a folder
+        self._tracked: Session | None = None
         self._of: Path | None = None  # recording, or the folder that is read
         self._beside: Path | None = None  # recording that was open then
-        page, window = self._page, self._window
+        page = self._page
+        window = self._window
         page.run_bar.start_button.clicked.connect(lambda: self.start_track(page.stage_box.choice))
         page.plot.step_chosen.connect(self._choose_row)
         controller.tracks_requested.connect(self.open_track)
@@ -48,7 +58,8 @@ class TrackController(BackgroundController):
 
     def start_track(self, stage: str) -> None:
         """Follow the membrane of a stage through the session's recording."""
-        session, catalogue = self._controller.session, self._controller.catalogue
+        session = self._controller.session
+        catalogue = self._controller.catalogue
         if session.recording is None or not stage:
             return
 
@@ -57,7 +68,9 @@ class TrackController(BackgroundController):
 
             return track_session(session, stage, catalogue, report)
 
-        self._tracked, self._of, self._beside = session, session.recording, session.recording
+        self._tracked = session
+        self._of = session.recording
+        self._beside = session.recording
         self._show_none("")
         self.start(work)
 
@@ -77,23 +90,37 @@ class TrackController(BackgroundController):
 
     def write_track(self, folder: Path) -> None:
         """Write the track on screen into a folder, as `tactoscope track` does."""
-        view, session = self.view, self._tracked
+        view = self.view
+        session = self._tracked
         if view is None or session is None:
             return
         record = view.record
-        words = ["tactoscope", "track", *format_options(replace(make_request(session), offsets=session.offsets))]
+        words = [
+            "tactoscope",
+            "track",
+            *format_options(replace(make_request(session), offsets=session.offsets)),
+        ]
         settings = format_settings(session.collect_params(self._controller.methods))
         words += ["--stage", record.stage, *(word for line in settings for word in ("--set", line))]
         command = f"{shlex.join(words)} --out {dialogs.quote_path(folder)}"
-        self._export.start_writing(f"writing {folder.name}", lambda _: write_record(folder, record), folder, command)
+        self._export.start_writing(
+            f"writing {folder.name}", lambda _: write_record(folder, record), folder, command
+        )
 
     def show_session(self, session: Session) -> None:
-        """Drop the track of another recording, offer what can be followed, and mark the current frame."""
+        """Drop the track of another recording, offer what can be followed, and mark the current
+        frame.
+        """
         if self._of is not None and session.recording != self._beside:
             self.abandon()
             self._tracked = self._of = None
             self._show_none(_READY if session.recording is not None else _NO_RECORDING)
-        elif self.view is None and not self.is_busy and self._of is None and session.recording is not None:
+        elif (
+            self.view is None
+            and not self.is_busy
+            and self._of is None
+            and session.recording is not None
+        ):
             self._show_none(_READY)
         self._offer_stages(session)
         self._show_frame()
@@ -106,7 +133,9 @@ class TrackController(BackgroundController):
         """Show the track with its surface."""
         self.view = view = cast("TrackView", result)
         self._page.show_record(view.record, self._of.name if self._of is not None else "")
-        self._controller.views.show_page_scene("track", view.layers, view.bounds, self._controller.session)
+        self._controller.views.show_page_scene(
+            "track", view.layers, view.bounds, self._controller.session
+        )
         self._window.actions_by_name["export_track"].setEnabled(self._tracked is not None)
         self._show_frame()
 
@@ -125,7 +154,9 @@ class TrackController(BackgroundController):
     def _offer_stages(self, session: Session) -> None:
         opened = self._controller.views.translation
         stages = () if opened is None or session.recording is None else opened.stages
-        self._page.offer_stages({name: title for name, title in TRACKED_STAGES.items() if name in stages})
+        self._page.offer_stages(
+            {name: title for name, title in TRACKED_STAGES.items() if name in stages}
+        )
 
     def _show_none(self, text: str) -> None:
         self.view = None
@@ -151,7 +182,9 @@ class TrackController(BackgroundController):
         path = np.zeros((0, 3)) if self.view is None else self.view.path_mm
         place = path[row] if 0 <= row < len(path) and np.isfinite(path[row]).all() else None
         views = self._controller.views
-        views.scene.mark_point(views.page_views["track"], None if place is None else (place[0], place[1], place[2]))
+        views.scene.mark_point(
+            views.page_views["track"], None if place is None else (place[0], place[1], place[2])
+        )
 
 
 def _find_row(record: TrackRecord, frame: int) -> int:

@@ -1,4 +1,6 @@
-"""Tracks for the window, on a background thread: from a session or a folder to rows and 3D layers."""
+"""Tracks for the window, on a background thread: from a session or a folder to rows and 3D
+layers.
+"""
 
 import time
 from dataclasses import dataclass
@@ -18,7 +20,8 @@ from pipeline.views.colours import OBJECT_COLOUR, REGISTERED_POINT_COLOUR, repea
 from pipeline.views.layers import Layer, ViewBounds, make_lines_layer, make_mesh_layer
 
 _REPORT_INTERVAL_S = 0.3  # between deliveries of the rows so far
-_MARGIN, _LEAST_RADIUS_MM = 1.1, 1.0
+_MARGIN = 1.1
+_LEAST_RADIUS_MM = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,8 +34,13 @@ class TrackView:
     path_mm: Doubles  # (frames, 3) of the sensor on the object, NaN where unknown
 
 
-def track_session(session: Session, stage: str, catalogue: Catalogue, report: JobReporter) -> TrackView:
-    """Track a session's recording by the depth of a stage, delivering the rows so far; raises TouchError."""
+def track_session(
+    session: Session, stage: str, catalogue: Catalogue, report: JobReporter
+) -> TrackView:
+    """Track a session's recording by the depth of a stage, delivering the rows so far.
+
+    Raises TouchError.
+    """
     rows: list[TrackRow] = []
     delivered_s = time.monotonic()
 
@@ -46,7 +54,9 @@ def track_session(session: Session, stage: str, catalogue: Catalogue, report: Jo
     report.step(0.0, "opening the recording")
     with open_request(make_request(session), catalogue) as opened:
         return make_view(
-            track_recording(apply_session(session, opened), stage, range(opened.n_frames), report, add_row)
+            track_recording(
+                apply_session(session, opened), stage, range(opened.n_frames), report, add_row
+            )
         )
 
 
@@ -56,7 +66,9 @@ def read_track(folder: Path) -> TrackView:
 
 
 def make_view(record: TrackRecord) -> TrackView:
-    """Return the fused surface, and the path of the sensor's axis on it, of the first part of a track."""
+    """Return the fused surface, and the path of the sensor's axis on it, of the first part of a
+    track.
+    """
     patch = record.patch
     depth_mm = 0.0 if patch is None else float(np.median(patch.vertices_mm[:, 2]))
     path = np.full((len(record.rows), 3), np.nan)
@@ -70,17 +82,22 @@ def make_view(record: TrackRecord) -> TrackView:
     if len(ends):
         layers = (
             *layers,
-            make_lines_layer("path", ends.astype(np.float32), repeat_colour(REGISTERED_POINT_COLOUR, len(ends))),
+            make_lines_layer(
+                "path", ends.astype(np.float32), repeat_colour(REGISTERED_POINT_COLOUR, len(ends))
+            ),
         )
     known = path[np.isfinite(path).all(axis=1)]
     points = known if patch is None else np.concatenate([known, patch.vertices_mm])
-    return TrackView(record=record, layers=layers, bounds=_make_bounds(points), path_mm=freeze(path))
+    return TrackView(
+        record=record, layers=layers, bounds=_make_bounds(points), path_mm=freeze(path)
+    )
 
 
 def _make_bounds(points_mm: Doubles) -> ViewBounds | None:
     if not len(points_mm):
         return None
-    low, high = points_mm.min(axis=0), points_mm.max(axis=0)
+    low = points_mm.min(axis=0)
+    high = points_mm.max(axis=0)
     x, y, z = (float(v) for v in 0.5 * (low + high))
     radius = max(_LEAST_RADIUS_MM, 0.5 * _MARGIN * float(np.linalg.norm(high - low)))
     return ViewBounds(centre_mm=(x, y, z), radius_mm=radius, frame="track")

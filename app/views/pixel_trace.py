@@ -1,4 +1,7 @@
-"""The probe: one pixel traced through all stages, as crosshairs, 3D points and text; up to five pixels are pinned."""
+"""The probe: one pixel traced through all stages, as crosshairs, 3D points and text.
+
+Up to five pixels are pinned.
+"""
 
 from collections.abc import Mapping
 
@@ -17,7 +20,8 @@ from pipeline.views.view import ProbePoint
 from widgets.style.styling import make_single_shot_timer
 from widgets.views.scene_renderer import SceneRenderer
 
-_NO_SOURCE, _NOT_COMPUTED = "no source pixel maps here", "not computed yet"
+_NO_SOURCE = "no source pixel maps here"
+_NOT_COMPUTED = "not computed yet"
 _POINTS_DELAY_MS = 40  # shortest interval between updates of the 3D points
 MAX_PINS = 5
 _FULL = f"{MAX_PINS} pixels are pinned; a click on a mark releases it"
@@ -28,7 +32,9 @@ Places = dict[str, tuple[int, int] | None]  # column -> row and col of a traced 
 
 
 class PixelProbe(QObject):
-    """Traces the pixel under the mouse, or the pinned one that was chosen last, through the computed stages."""
+    """Traces the pixel under the mouse, or the pinned one that was chosen last, through the
+    computed stages.
+    """
 
     pin_changed = pyqtSignal(bool)  # whether the crosshair stays at a pinned pixel
     pins_changed = pyqtSignal()
@@ -56,20 +62,29 @@ class PixelProbe(QObject):
         frame: TactileFrame | None = None,
         ground_truth: GroundTruth | None = None,
     ) -> None:
-        """Set the results to trace through, and the frame and truth if given; the probed pixel is traced again."""
+        """Set the results to trace through, and the frame and truth if given.
+
+        The probed pixel is traced again.
+        """
         self._results, self._frame, self._ground_truth = (
             results,
             frame or self._frame,
             ground_truth or self._ground_truth,
         )
-        self.pins = {number: pixel for number, pixel in self.pins.items() if self._is_inside(*pixel)}
+        self.pins = {
+            number: pixel for number, pixel in self.pins.items() if self._is_inside(*pixel)
+        }
         if self._pixel is not None:
             self._trace(*self._pixel)
         self.results_changed.emit()
 
-    def set_scene(self, scene: SceneRenderer, display: DisplayParams, translation: Translation) -> None:
+    def set_scene(
+        self, scene: SceneRenderer, display: DisplayParams, translation: Translation
+    ) -> None:
         """Set the 3D views for the points, and the display parameters with their depth stretch."""
-        self._scene, self._display, self._translation = scene, display, translation
+        self._scene = scene
+        self._display = display
+        self._translation = translation
 
     def probe_pixel(self, column: str, row: int, col: int) -> None:
         """Probe the pixel under the mouse; (-1, -1) for none."""
@@ -109,7 +124,8 @@ class PixelProbe(QObject):
 
     def move_to_pixel(self, column: str, row: int, col: int) -> None:
         """Move the probe, and the pin it stays at if there is one, to another pixel."""
-        number, self._active = self._active, None
+        number = self._active
+        self._active = None
         self.probe_pixel(column, row, col)
         if number is not None:
             self.pins[number] = (column, row, col)
@@ -149,23 +165,29 @@ class PixelProbe(QObject):
 
     def clear_trace(self) -> None:
         """Clear the probe and all pins."""
-        self.pins, self._active = {}, None
+        self.pins = {}
+        self._active = None
         self._clear_crosshair()
         self._report_pins()
 
     def _clear_crosshair(self) -> None:
-        self._pixel, self._points = None, ()
+        self._pixel = None
+        self._points = ()
         for column in self._window.columns.values():
             column.view.canvas.show_crosshair(None)
         self._window.trace.show_steps(())
         self._points_timer.start()
 
     def locate(self, column: str, row: int, col: int) -> tuple[tuple[ProbePoint, ...], Places]:
-        """Return a pixel's points in all computed stages, and where it is in every column's preview."""
+        """Return a pixel's points in all computed stages, and where it is in every column's
+        preview.
+        """
         points = self._trace_pixel(column, row, col)
         places: Places = dict.fromkeys(self._window.columns)
         for point in points:
-            places[point.stage] = (point.row, point.col) if point.row >= 0 else self._project_point(point)
+            places[point.stage] = (
+                (point.row, point.col) if point.row >= 0 else self._project_point(point)
+            )
         places[column] = (row, col)
         return points, places
 
@@ -189,7 +211,10 @@ class PixelProbe(QObject):
         if true:
             steps.append(("truth", true))
         self._window.trace.show_steps(
-            steps, pinned=self._active is not None, ending=ending, is_waiting=ending == _NOT_COMPUTED
+            steps,
+            pinned=self._active is not None,
+            ending=ending,
+            is_waiting=ending == _NOT_COMPUTED,
         )
         self._points = points
         if not self._points_timer.isActive():
@@ -208,7 +233,9 @@ class PixelProbe(QObject):
     def _describe_truth(self, column: str, row: int, col: int) -> str:
         opened = self._translation
         return (
-            "" if opened is None else pixel_trace.describe_truth(column, row, col, self._ground_truth, opened.catalogue)
+            ""
+            if opened is None
+            else pixel_trace.describe_truth(column, row, col, self._ground_truth, opened.catalogue)
         )
 
     def _trace_pixel(self, column: str, row: int, col: int) -> tuple[ProbePoint, ...]:
@@ -218,10 +245,19 @@ class PixelProbe(QObject):
         rows, cols = preview.pixels.shape[:2]
         if not (0 <= row < rows and 0 <= col < cols):
             return ()
-        index = row * cols + col if preview.element_index is None else int(preview.element_index[row, col])
-        catalogue, wide = self._translation.catalogue, self._frame.image.shape[1]
+        index = (
+            row * cols + col
+            if preview.element_index is None
+            else int(preview.element_index[row, col])
+        )
+        catalogue = self._translation.catalogue
+        wide = self._frame.image.shape[1]
         pixel = pixel_trace.trace_to_source(self._results, column, index, catalogue)
-        return pixel_trace.trace_forward(self._results, *divmod(pixel, wide), wide, catalogue) if pixel >= 0 else ()
+        return (
+            pixel_trace.trace_forward(self._results, *divmod(pixel, wide), wide, catalogue)
+            if pixel >= 0
+            else ()
+        )
 
     def _project_point(self, point: ProbePoint) -> tuple[int, int] | None:
         """Return (row, col) of a 3D point in its column's preview; None outside."""

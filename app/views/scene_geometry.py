@@ -1,4 +1,6 @@
-"""What the 3D views show around their layers: bounds, probe points, captions and cameras by name."""
+"""What the 3D views show around their layers: bounds, probe points, captions and cameras by
+name.
+"""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -23,15 +25,22 @@ _MARGIN = 1.4  # radius of the target's view, in radii of the source's, if the s
 
 
 def compute_view_bounds(translation: Translation) -> dict[str, ViewBounds]:
-    """Return column -> bounds of its 3D view: the source, or the part of the target that the source can touch."""
-    source, target = translation.source, translation.target
-    z, radius = float(np.median(source.rest_depth_mm)), _radius_mm(source)
+    """Return column -> bounds of its 3D view: the source, or the part of the target that the
+    source can touch.
+    """
+    source = translation.source
+    target = translation.target
+    z = float(np.median(source.rest_depth_mm))
+    radius = _radius_mm(source)
     at_source = ViewBounds(centre_mm=(0.0, 0.0, z), radius_mm=radius, frame=source.name)
     centre = to_xyz(rigid.apply(translation.alignment.target_from_source, (0.0, 0.0, z)))
-    reach = min(_radius_mm(target), _MARGIN * radius) if source.gel is not None else _radius_mm(target)
+    reach = (
+        min(_radius_mm(target), _MARGIN * radius) if source.gel is not None else _radius_mm(target)
+    )
     at_target = ViewBounds(centre_mm=centre, radius_mm=reach, frame=f"target {target.name}")
     places = {
-        stage.name: at_source if stage.sensor_role == "source" else at_target for stage in translation.catalogue.stages
+        stage.name: at_source if stage.sensor_role == "source" else at_target
+        for stage in translation.catalogue.stages
     }
     return {SOURCE: at_source, **places}
 
@@ -39,15 +48,22 @@ def compute_view_bounds(translation: Translation) -> dict[str, ViewBounds]:
 def compute_trace_points(
     points: Iterable[ProbePoint], translation: Translation, display: DisplayParams
 ) -> dict[str, tuple[float, float, float]]:
-    """Return column -> x, y, z in mm of the probed pixel on the drawn (stretched) surface; missing if not there."""
+    """Return column -> x, y, z in mm of the probed pixel on the drawn (stretched) surface.
+
+    Missing if not there.
+    """
     positions: dict[str, tuple[float, float, float]] = {}
     for point in points:
         if point.point_mm is None or point.stage == SOURCE:
             continue
-        sensor, stretch = translation.get_sensor(point.stage), get_depth_stretch(point.stage, translation, display)
+        sensor = translation.get_sensor(point.stage)
+        stretch = get_depth_stretch(point.stage, translation, display)
         positions[point.stage] = _stretch_point(point.point_mm, sensor, stretch)
-        if sensor is translation.source:  # gel images lie on the rest surface, bubble images on the measured one
-            positions[SOURCE] = _stretch_point(point.point_mm, sensor, 1.0 if sensor.sensor_kind.is_depth else 0.0)
+        # gel images lie on the rest surface, bubble images on the measured one
+        if sensor is translation.source:
+            positions[SOURCE] = _stretch_point(
+                point.point_mm, sensor, 1.0 if sensor.sensor_kind.is_depth else 0.0
+            )
     return positions
 
 
@@ -64,7 +80,8 @@ def _stretch_point(
 
 
 def _radius_mm(sensor: SensorSpec) -> float:
-    z, camera = float(np.median(sensor.rest_depth_mm)), sensor.camera
+    z = float(np.median(sensor.rest_depth_mm))
+    camera = sensor.camera
     return 0.5 * math.hypot(camera.cols * z / camera.fx_px, camera.rows * z / camera.fy_px)
 
 
@@ -95,7 +112,8 @@ def _show_caption(panel: View3DPanel, legend: str, frame: str, stretch: float) -
 def _format_captions(frame: str, stretch: float) -> tuple[str, str, str]:
     """Return frame, axes and depth stretch at three lengths, from full to shortest."""
     stretched = "" if stretch == 1.0 else f"{_TIMES}{stretch:g}"
-    end, frame = f", depth {stretched}" if stretched else "", escape(frame)
+    end = f", depth {stretched}" if stretched else ""
+    frame = escape(frame)
     return (
         f"{frame} frame {_format_axes()}{end}",
         f"{frame} {_format_axes()} {stretched}".rstrip(),
@@ -108,11 +126,15 @@ def _format_axes() -> str:
     return " ".join(f"<b style='color:{to_hex(colour)}'>{name}</b>" for name, colour in colours)
 
 
-_OTHER_VIEWS = ("truth", "compare_a", "compare_b", "track", "task")  # after the views of the columns
+# after the views of the columns
+_OTHER_VIEWS = ("truth", "compare_a", "compare_b", "track", "task")
 
 
 class ViewCameras:
-    """Translates view names to positions in the scene; keeps requested cameras until the views exist."""
+    """Translates view names to positions in the scene.
+
+    Keeps requested cameras until the views exist.
+    """
 
     def __init__(self, columns: Sequence[str]) -> None:
         self._views = (*columns, *_OTHER_VIEWS)
@@ -122,7 +144,9 @@ class ViewCameras:
         """Return view -> camera."""
         return {self._views[column]: camera for column, camera in scene.get_cameras().items()}
 
-    def request_cameras(self, cameras: Mapping[str, CameraState], scene: SceneRenderer | None) -> None:
+    def request_cameras(
+        self, cameras: Mapping[str, CameraState], scene: SceneRenderer | None
+    ) -> None:
         """Set cameras now, or at the next `apply_requested_cameras`."""
         self._requested = cameras
         self.apply_requested_cameras(scene)
@@ -131,5 +155,7 @@ class ViewCameras:
         """Set the requested cameras; `scene` is None while nothing is open."""
         if scene is not None and self._requested:
             places = {name: column for column, name in enumerate(self._views)}
-            scene.set_cameras({places[name]: camera for name, camera in self._requested.items() if name in places})
+            scene.set_cameras(
+                {places[name]: camera for name, camera in self._requested.items() if name in places}
+            )
             self._requested = {}

@@ -51,7 +51,8 @@ class StagePreview:
     layers: tuple[Layer, ...]
     truth_view: TruthView | None = None  # if requested and known
     step_previews: tuple[Preview, ...] = ()  # of the kept steps
-    step_layers: tuple[tuple[Layer, ...], ...] = ()  # of the kept steps; an empty entry has no 3D layer
+    # of the kept steps; an empty entry has no 3D layer
+    step_layers: tuple[tuple[Layer, ...], ...] = ()
     step_history: StepHistory | None = None
 
 
@@ -74,24 +75,38 @@ class PreviewCache:
         self._compared: Memo[object, tuple[object, object, StagePreview]] = Memo(
             most_bytes=min(most_bytes, _TRUTH_BYTES), weigh=lambda entry: _size_bytes(entry[2])
         )
-        self._frames: Memo[int, LoadedFrame] = Memo(most_bytes=min(most_bytes, _FRAME_BYTES), weigh=_size_loaded_bytes)
+        self._frames: Memo[int, LoadedFrame] = Memo(
+            most_bytes=min(most_bytes, _FRAME_BYTES), weigh=_size_loaded_bytes
+        )
         self._metrics: Memo[object, dict[str, float]] = Memo(_MAX_METRICS)
 
-    def load_frame(self, translation: Translation, index: int, display: DisplayParams) -> LoadedFrame:
+    def load_frame(
+        self, translation: Translation, index: int, display: DisplayParams
+    ) -> LoadedFrame:
         """Return a frame with its ground truth and preview, cached unless the recording is live."""
         loaded = self._frames.get(index)
-        if loaded is None or (loaded.frame.is_depth and loaded.display != display):  # colour maps apply to depth only
-            frame = translation.stream.frame(translation.check_index(index)) if loaded is None else loaded.frame
+        # colour maps apply to depth only
+        if loaded is None or (loaded.frame.is_depth and loaded.display != display):
+            frame = (
+                translation.stream.frame(translation.check_index(index))
+                if loaded is None
+                else loaded.frame
+            )
             truth = translation.read_ground_truth(index) if loaded is None else loaded.ground_truth
             preview, camera = make_recorded_preview(frame, translation.source, display)
             layer = make_frame_layer("source", frame.image, camera, preview, translation.source)
             loaded = LoadedFrame(frame, truth, preview, layer, display)
-            if translation.recording.refresh is None:  # the zero and the oldest frames of a live recording change
+            # the zero and the oldest frames of a live recording change
+            if translation.recording.refresh is None:
                 self._frames.put(index, loaded)
         return loaded
 
     def compute_metrics(
-        self, translation: Translation, results: Mapping[str, StageResult], index: int, truth: GroundTruth
+        self,
+        translation: Translation,
+        results: Mapping[str, StageResult],
+        index: int,
+        truth: GroundTruth,
     ) -> dict[str, float]:
         """Return metric -> value of a frame, cached by the digests of its results."""
         key = (index, *((name, result.digest) for name, result in results.items()))
@@ -110,7 +125,10 @@ class PreviewCache:
         other: TargetComparison | None,
         truths: Mapping[str, object] | None,
     ) -> StagePreview:
-        """Return the preview of a result; equal results return the same images, which the window need not redraw."""
+        """Return the preview of a result.
+
+        Equal results return the same images, which the window need not redraw.
+        """
         view = translation.catalogue.views[result.name]
         inputs = tuple(results[name].digest for name in view.preview_stages if name in results)
         n_steps = len(getattr(result.output, "steps", ()))  # not part of the digest
@@ -118,7 +136,9 @@ class PreviewCache:
         cached = None if truths is None and other is None else self._compared.get(key)
         if cached is not None and cached[0] is other and cached[1] is truths:
             return replace(cached[2], result=result)
-        shown = self._previews.get_or_make(key, lambda: _draw_stage(view, result, results, translation, session))
+        shown = self._previews.get_or_make(
+            key, lambda: _draw_stage(view, result, results, translation, session)
+        )
         if truths is not None or other is not None:
             shown = _add_comparison(view, shown, results, translation, session, other, truths)
             self._compared.put(key, (other, truths, shown))
@@ -126,7 +146,11 @@ class PreviewCache:
 
 
 def _draw_stage(
-    view: View, result: StageResult, results: Mapping[str, StageResult], translation: Translation, session: Session
+    view: View,
+    result: StageResult,
+    results: Mapping[str, StageResult],
+    translation: Translation,
+    session: Session,
 ) -> StagePreview:
     context = translation.make_preview_context(results, session.display)
     preview = view.make_preview(result.output, context)
@@ -137,7 +161,9 @@ def _draw_stage(
         preview=preview,
         layers=view.make_layers(result.output, context, preview),
         step_previews=previews,
-        step_layers=tuple(view.make_step_layers(s, context, p) for s, p in zip(steps, previews, strict=True)),
+        step_layers=tuple(
+            view.make_step_layers(s, context, p) for s, p in zip(steps, previews, strict=True)
+        ),
         step_history=view.summarise_steps(result.output),
     )
 
@@ -145,15 +171,22 @@ def _draw_stage(
 def _size_bytes(shown: StagePreview) -> int:
     """Size without the result itself, which the graph's cache counts."""
     return measure_bytes(
-        (shown.preview, shown.layers, shown.truth_view, shown.step_previews, shown.step_layers), shown.result.output
+        (shown.preview, shown.layers, shown.truth_view, shown.step_previews, shown.step_layers),
+        shown.result.output,
     )
 
 
 def _size_loaded_bytes(loaded: LoadedFrame) -> int:
     """Size without what all frames of a recording share."""
     observed = loaded.ground_truth.target_observation
-    layer = None if loaded.frame.is_depth else replace(loaded.layer, rgb=np.empty((0, 3), np.uint8))  # of a gel at rest
-    shared = loaded.frame.reference, loaded.ground_truth.mesh, None if observed is None else observed.reference, layer
+    # of a gel at rest
+    layer = None if loaded.frame.is_depth else replace(loaded.layer, rgb=np.empty((0, 3), np.uint8))
+    shared = (
+        loaded.frame.reference,
+        loaded.ground_truth.mesh,
+        None if observed is None else observed.reference,
+        layer,
+    )
     return measure_bytes(loaded, shared)
 
 
@@ -168,22 +201,34 @@ def _add_comparison(
 ) -> StagePreview:
     """Add the target's own touch if it is compared, else the truth if it is requested."""
     if other is not None and other.paired_touch is not None:
-        observed = build_observation_view(shown.preview, other.paired_touch.target, translation.target, session.display)
+        observed = build_observation_view(
+            shown.preview, other.paired_touch.target, translation.target, session.display
+        )
         return replace(
-            shown, preview=add_observed_outline(shown.preview, other.observed_outline_px), truth_view=observed
+            shown,
+            preview=add_observed_outline(shown.preview, other.observed_outline_px),
+            truth_view=observed,
         )
     if truths is None:
         return shown
     context = translation.make_preview_context(results, session.display)
-    return replace(shown, truth_view=build_truth_view(shown.result.name, view, shown.preview, truths, context))
+    return replace(
+        shown, truth_view=build_truth_view(shown.result.name, view, shown.preview, truths, context)
+    )
 
 
 def add_thumbnails(
     summary: FrameSummary, frame: TactileFrame, sensor: SensorSpec, display: DisplayParams
 ) -> FrameSummary:
-    """Return the summary with a small image (rows, cols, 3) of its frame for either theme, for the frames table."""
+    """Return the summary with a small image (rows, cols, 3) of its frame for either theme, for
+    the frames table.
+    """
     preview, _ = make_recorded_preview(frame, sensor, display)
-    dark = None if preview.scale is None else _shrink(recolour_for_theme(preview.pixels, preview.scale, DARK_COLOURS))
+    dark = (
+        None
+        if preview.scale is None
+        else _shrink(recolour_for_theme(preview.pixels, preview.scale, DARK_COLOURS))
+    )
     return replace(summary, thumbnail=_shrink(preview.pixels), dark_thumbnail=dark)
 
 

@@ -1,4 +1,6 @@
-"""One frame as both sensors recorded it: the transferred touch and the target's own, for judging the alignment."""
+"""One frame as both sensors recorded it: the transferred touch and the target's own, for judging
+the alignment.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,8 +16,17 @@ from pipeline.stages.cloud.back_projection import BackProjectionParams, back_pro
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.stages.target_depth.surface_projection import ProjectionParams, project_cloud
 from pipeline.translation.alignment.nudge import compute_pivot_mm
-from pipeline.translation.alignment.score import AlignmentScore, Sensitivity, compute_sensitivities, score_preview
-from pipeline.translation.alignment.target_observation import TargetObservation, choose_preview_factor, observe_target
+from pipeline.translation.alignment.score import (
+    AlignmentScore,
+    Sensitivity,
+    compute_sensitivities,
+    score_preview,
+)
+from pipeline.translation.alignment.target_observation import (
+    TargetObservation,
+    choose_preview_factor,
+    observe_target,
+)
 from pipeline.translation.alignment.touches import AlignmentTouch
 from pipeline.translation.translate import Translation, estimate_camera_shift_mm
 from pipeline.views.preview import trace_outline
@@ -23,7 +34,10 @@ from pipeline.views.preview import trace_outline
 
 @dataclass(frozen=True, kw_only=True)  # cached properties need __dict__
 class TargetComparison:
-    """One frame of both sensors; without `paired_touch`, `unavailable_reason` says why there is none."""
+    """One frame of both sensors.
+
+    Without `paired_touch`, `unavailable_reason` says why there is none.
+    """
 
     index: int
     target: SensorSpec
@@ -33,9 +47,14 @@ class TargetComparison:
     unavailable_reason: str
 
     def compute_pivot_mm(self, opened: Alignment) -> Doubles:
-        """Centre of contact (3,) mm in the target frame under the opened alignment: the pivot of rotations."""
+        """Centre of contact (3,) mm in the target frame under the opened alignment: the pivot of
+        rotations.
+        """
         return compute_pivot_mm(
-            self.source, shift_alignment_along_z(opened, source_shift_mm=self.source_shift_mm, target_shift_mm=0.0)
+            self.source,
+            shift_alignment_along_z(
+                opened, source_shift_mm=self.source_shift_mm, target_shift_mm=0.0
+            ),
         )
 
     @cached_property
@@ -49,25 +68,39 @@ class TargetComparison:
         if self.paired_touch is None:
             return {}
         touch = self.paired_touch.target
-        return {n: observe_target(touch, self.target, factor=n) for n in (1, self.preview_downsampling)}
+        return {
+            n: observe_target(touch, self.target, factor=n) for n in (1, self.preview_downsampling)
+        }
 
     @cached_property
     def observed_outline_px(self) -> Floats | None:
         """Contact border (n, 2) x, y in pixels of the target's own touch."""
-        return None if self.paired_touch is None else trace_outline(self.paired_touch.target.contact)
+        return (
+            None if self.paired_touch is None else trace_outline(self.paired_touch.target.contact)
+        )
 
     def project_touch(
         self, alignment: Alignment, params: ProjectionParams, downsampling: int = 1
     ) -> tuple[TargetDepth, AlignmentScore | None]:
-        """Project the touch into the target at full or preview resolution, and score it against a paired touch."""
+        """Project the touch into the target at full or preview resolution, and score it against
+        a paired touch.
+        """
         if self.paired_touch is not None:
-            return score_preview(self.paired_touch, alignment, self._observations[downsampling], params)
-        shifted = shift_alignment_along_z(alignment, source_shift_mm=self.source_shift_mm, target_shift_mm=0.0)
+            return score_preview(
+                self.paired_touch, alignment, self._observations[downsampling], params
+            )
+        shifted = shift_alignment_along_z(
+            alignment, source_shift_mm=self.source_shift_mm, target_shift_mm=0.0
+        )
         target = self.target.with_camera(self.target.camera.scale(1.0 / downsampling))
-        cloud = back_project_depth(self.source, shifted, BackProjectionParams(stride=min(2, downsampling)))
+        cloud = back_project_depth(
+            self.source, shifted, BackProjectionParams(stride=min(2, downsampling))
+        )
         return project_cloud(cloud, target, params), None
 
-    def compute_score(self, alignment: Alignment, params: ProjectionParams) -> AlignmentScore | None:
+    def compute_score(
+        self, alignment: Alignment, params: ProjectionParams
+    ) -> AlignmentScore | None:
         """Score the agreement at full resolution; None without a paired touch."""
         return None if self.paired_touch is None else self.project_touch(alignment, params)[1]
 
@@ -78,38 +111,52 @@ class TargetComparison:
         if self.paired_touch is None:
             return ()
         coarse = self._observations[self.preview_downsampling]
-        return compute_sensitivities(self.paired_touch, alignment, coarse, params, pivot=pivot, progress=progress)
+        return compute_sensitivities(
+            self.paired_touch, alignment, coarse, params, pivot=pivot, progress=progress
+        )
 
 
 def build_target_comparison(
     translation: Translation, index: int, params: DepthParams, source: DepthMap
 ) -> TargetComparison:
-    """Compare frame `index` of both sensors; `source` is its depth, the target's is computed here."""
+    """Compare frame `index` of both sensors.
+
+    `source` is its depth, the target's is computed here.
+    """
     frame = translation.stream.frame(index)
     shift_mm = estimate_camera_shift_mm(frame, translation.source)
-    touch, reason = None, ""
+    touch = None
+    reason = ""
     try:
         touch, reason = _pair_touches(translation, index, source, shift_mm, params)
     except TouchError as error:
         reason = f"the recorded {translation.target.name} touch cannot be used: {error}"
     return TargetComparison(
-        index=index, target=translation.target, source=source, source_shift_mm=shift_mm, paired_touch=touch,
+        index=index,
+        target=translation.target,
+        source=source,
+        source_shift_mm=shift_mm,
+        paired_touch=touch,
         unavailable_reason=reason,
-    )  # fmt: skip
+    )
 
 
 def _pair_touches(
     translation: Translation, index: int, source: DepthMap, shift_mm: float, params: DepthParams
 ) -> tuple[AlignmentTouch | None, str]:
-    spec, other = translation.target, translation.read_target_observation(index)
+    spec = translation.target
+    other = translation.read_target_observation(index)
     if other is None:
         return None, f"the recording has no {spec.name} touch to compare with"
     frame = other[0]
     depth = estimate_depth(frame, spec, None, params)
     touch = AlignmentTouch(
-        index=index, source=source, target=depth, source_shift_mm=shift_mm,
+        index=index,
+        source=source,
+        target=depth,
+        source_shift_mm=shift_mm,
         target_shift_mm=estimate_camera_shift_mm(frame, spec),
-    )  # fmt: skip
+    )
     if not touch.has_contact_on_both:
         return None, f"frame {index} has no contact on both sensors"
     return touch, ""

@@ -1,4 +1,7 @@
-"""The commands of the window; menus, tool bar, timeline and shortcuts share one action per command."""
+"""The commands of the window.
+
+Menus, tool bar, timeline and shortcuts share one action per command.
+"""
 
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
@@ -22,46 +25,126 @@ class Command:
     checkable: bool = False
 
 
-# fmt: off
 FILE_COMMANDS = (
     Command("open_sample", "Open sample", "Open the sample recording", icon="sample"),
     Command("open_recording", "Open recording…", "Open a recording", icon="open", key="Ctrl+O"),
-    Command("open_folder", "Open folder…", "Open a folder of images", icon="folder", key="Ctrl+Shift+O"),
-    Command("open_mesh", "Open mesh…", "Open the mesh of the touched object, for its pose", icon="cube", key="Ctrl+M"),
+    Command(
+        "open_folder", "Open folder…", "Open a folder of images", icon="folder", key="Ctrl+Shift+O"
+    ),
+    Command(
+        "open_mesh",
+        "Open mesh…",
+        "Open the mesh of the touched object, for its pose",
+        icon="cube",
+        key="Ctrl+M",
+    ),
     Command("close_mesh", "Close mesh", "Return to the mesh of the recording, if any"),
-    Command("open_calibration", "Open calibration…",
-            "Open a calibration table written by `tactoscope calibrate balls`"),
-    Command("open_weights", "Open weights…", "Open network weights for a method that reads weights"),
+    Command(
+        "open_calibration",
+        "Open calibration…",
+        "Open a calibration table written by `tactoscope calibrate balls`",
+    ),
+    Command(
+        "open_weights", "Open weights…", "Open network weights for a method that reads weights"
+    ),
     Command("close_weights", "Close weights", "Return to the shipped weights"),
     Command("open_session", "Open session…", "Open a saved session", icon="session"),
-    Command("save_session", "Save session", "Save the session: files, settings and layout", icon="save", key="Ctrl+S"),
-    Command("save_session_as", "Save session as…", "Save the session under another name", key="Ctrl+Shift+S"),
-    Command("export", "Export…", "Write panes as image, points, arrays, table or video", icon="image", key="Ctrl+E"),
-    Command("export_bundle", "Export repro bundle…", "Write this frame and everything that reproduces it to a folder"),
+    Command(
+        "save_session",
+        "Save session",
+        "Save the session: files, settings and layout",
+        icon="save",
+        key="Ctrl+S",
+    ),
+    Command(
+        "save_session_as",
+        "Save session as…",
+        "Save the session under another name",
+        key="Ctrl+Shift+S",
+    ),
+    Command(
+        "export",
+        "Export…",
+        "Write panes as image, points, arrays, table or video",
+        icon="image",
+        key="Ctrl+E",
+    ),
+    Command(
+        "export_bundle",
+        "Export repro bundle…",
+        "Write this frame and everything that reproduces it to a folder",
+    ),
     Command("quit", "Quit", "Close the window", icon="close", key="Ctrl+Q"),
 )
 REFERENCE_COMMANDS = (
-    Command("reference_median", "Median of this recording",
-            "Use the median of all frames as the reference: touches at different places vanish", checkable=True),
-    Command("reference_untouched", "Median of untouched frames",
-            "Use the median of the frames with least contact as the reference", checkable=True),
+    Command(
+        "reference_median",
+        "Median of this recording",
+        "Use the median of all frames as the reference: touches at different places vanish",
+        checkable=True,
+    ),
+    Command(
+        "reference_untouched",
+        "Median of untouched frames",
+        "Use the median of the frames with least contact as the reference",
+        checkable=True,
+    ),
     Command("reference_frame", "This frame", "Use this frame as the reference", checkable=True),
-    Command("open_reference", "Choose file…", "Open the reference image of the source sensor", checkable=True),
-    Command("reference_recorded", "As recorded", "Return to the reference of the recording, if any", checkable=True),
+    Command(
+        "open_reference",
+        "Choose file…",
+        "Open the reference image of the source sensor",
+        checkable=True,
+    ),
+    Command(
+        "reference_recorded",
+        "As recorded",
+        "Return to the reference of the recording, if any",
+        checkable=True,
+    ),
 )
 CAPTURE_COMMANDS = (
-    Command("live", "Live…", "Open a live source: a simulated sensor, a camera, or a folder that grows", icon="live",
-            key="Ctrl+Shift+L"),
-    Command("copy_image", "Copy image", "Copy an image of the active pane, or of the window", key="Ctrl+C"),
-    Command("save_video", "Save video…", "Write the presentation of all frames as a video", key="Ctrl+Shift+V"),
-    Command("save_screenshot", "Save screenshot…", "Save an image of the window", key="Ctrl+Shift+E"),
-    Command("copy_command", "Copy as command", "Copy the command line that reproduces the screen", key="Ctrl+Shift+C"),
+    Command(
+        "live",
+        "Live…",
+        "Open a live source: a simulated sensor, a camera, or a folder that grows",
+        icon="live",
+        key="Ctrl+Shift+L",
+    ),
+    Command(
+        "copy_image",
+        "Copy image",
+        "Copy an image of the active pane, or of the window",
+        key="Ctrl+C",
+    ),
+    Command(
+        "save_video",
+        "Save video…",
+        "Write the presentation of all frames as a video",
+        key="Ctrl+Shift+V",
+    ),
+    Command(
+        "save_screenshot", "Save screenshot…", "Save an image of the window", key="Ctrl+Shift+E"
+    ),
+    Command(
+        "copy_command",
+        "Copy as command",
+        "Copy the command line that reproduces the screen",
+        key="Ctrl+Shift+C",
+    ),
 )
 EDIT_COMMANDS = (
     Command("undo", "Undo", "Undo the last change", icon="undo", key="Ctrl+Z"),
     Command("redo", "Redo", "Redo the change", icon="redo", key="Ctrl+Shift+Z"),
-    Command("reset_all", "Reset parameters", "Reset the parameters of every stage to their defaults", icon="reset"),
-    Command("cancel", "Cancel", "Cancel the computation and clear the probe", icon="stop", key="Esc"),
+    Command(
+        "reset_all",
+        "Reset parameters",
+        "Reset the parameters of every stage to their defaults",
+        icon="reset",
+    ),
+    Command(
+        "cancel", "Cancel", "Cancel the computation and clear the probe", icon="stop", key="Esc"
+    ),
 )
 PLAYBACK_COMMANDS = (
     Command("first", "First frame", "Go to the first frame", icon="first", key="Home"),
@@ -71,96 +154,262 @@ PLAYBACK_COMMANDS = (
     Command("last", "Last frame", "Go to the last frame", icon="last", key="End"),
     Command("back_10", "Back 10 frames", "Go 10 frames back", key="Shift+Left"),
     Command("forward_10", "Forward 10 frames", "Go 10 frames forward", key="Shift+Right"),
-    Command("worse_frame", "Worse frame", "Go to the next worse frame by the metric of the frames table", key="J"),
-    Command("worst_frame", "Worst frame", "Go to the frame with the largest known error", icon="worst", key="Shift+J"),
-    Command("better_frame", "Better frame", "Go to the next better frame by the metric of the frames table", key="K"),
-    Command("loop", "Loop", "Restart after the last frame", icon="loop", key="Ctrl+L", checkable=True),
+    Command(
+        "worse_frame",
+        "Worse frame",
+        "Go to the next worse frame by the metric of the frames table",
+        key="J",
+    ),
+    Command(
+        "worst_frame",
+        "Worst frame",
+        "Go to the frame with the largest known error",
+        icon="worst",
+        key="Shift+J",
+    ),
+    Command(
+        "better_frame",
+        "Better frame",
+        "Go to the next better frame by the metric of the frames table",
+        key="K",
+    ),
+    Command(
+        "loop", "Loop", "Restart after the last frame", icon="loop", key="Ctrl+L", checkable=True
+    ),
     Command("loop_from", "Loop from here", "Start the loop at this frame", key="["),
     Command("loop_to", "Loop to here", "End the loop at this frame", key="]"),
     Command("loop_all", "Loop all frames", "Loop over the whole recording"),
 )
 VIEW_COMMANDS = (
-    Command("link_cameras", "Link cameras", "Rotate all 3D views of one frame together", icon="link", key="L",
-            checkable=True),
+    Command(
+        "link_cameras",
+        "Link cameras",
+        "Rotate all 3D views of one frame together",
+        icon="link",
+        key="L",
+        checkable=True,
+    ),
     Command("reset_view", "Reset view", "Fit every image and 3D view", icon="fit", key="R"),
-    Command("fit_contact", "Fit contact", "Zoom every image to the contact, or back to the sensor",
-            key="Z", checkable=True),
-    Command("link_previews", "Link images", "Pan and zoom all images together, in millimetres",
-            key="Shift+L", checkable=True),
-    Command("pin_probe", "Pin probe", "Keep the probed pixel", icon="target", key="F", checkable=True),
-    Command("magnify", "Magnifier", "Show the pixel values around the pointer in a corner of the image",
-            icon="magnifier", key="M", checkable=True),
-    Command("full_screen", "Presentation", "Show source, generated touch and truth on the full screen; Esc leaves",
-            key="F11", checkable=True),
-    Command("probe_by_keys", "Probe by keys",
-            "Move the probe or the section line by arrow keys; Enter pins, Tab goes to the next image, Esc ends",
-            key="P"),
-    Command("section_line", "Section line", "Draw a line through all images and plot the heights along it",
-            icon="section", key="X", checkable=True),
+    Command(
+        "fit_contact",
+        "Fit contact",
+        "Zoom every image to the contact, or back to the sensor",
+        key="Z",
+        checkable=True,
+    ),
+    Command(
+        "link_previews",
+        "Link images",
+        "Pan and zoom all images together, in millimetres",
+        key="Shift+L",
+        checkable=True,
+    ),
+    Command(
+        "pin_probe", "Pin probe", "Keep the probed pixel", icon="target", key="F", checkable=True
+    ),
+    Command(
+        "magnify",
+        "Magnifier",
+        "Show the pixel values around the pointer in a corner of the image",
+        icon="magnifier",
+        key="M",
+        checkable=True,
+    ),
+    Command(
+        "full_screen",
+        "Presentation",
+        "Show source, generated touch and truth on the full screen; Esc leaves",
+        key="F11",
+        checkable=True,
+    ),
+    Command(
+        "probe_by_keys",
+        "Probe by keys",
+        "Move the probe or the section line by arrow keys; Enter pins, Tab goes to the next "
+        "image, Esc ends",
+        key="P",
+    ),
+    Command(
+        "section_line",
+        "Section line",
+        "Draw a line through all images and plot the heights along it",
+        icon="section",
+        key="X",
+        checkable=True,
+    ),
 )
 COMPARISON_MODE_COMMANDS = (
-    Command("show_truth", "Truth", "Show the truth instead of the result", icon="tick", key="T", checkable=True),
-    Command("show_difference", "Difference", "Show the result minus the truth", icon="minus", key="D",
-            checkable=True),
-    Command("show_wipe", "Wipe", "Show the result left of a handle, the truth right of it", icon="wipe", key="W",
-            checkable=True),
-    Command("show_blink", "Blink", "Alternate between the result and the truth", icon="blink", key="B",
-            checkable=True),
+    Command(
+        "show_truth",
+        "Truth",
+        "Show the truth instead of the result",
+        icon="tick",
+        key="T",
+        checkable=True,
+    ),
+    Command(
+        "show_difference",
+        "Difference",
+        "Show the result minus the truth",
+        icon="minus",
+        key="D",
+        checkable=True,
+    ),
+    Command(
+        "show_wipe",
+        "Wipe",
+        "Show the result left of a handle, the truth right of it",
+        icon="wipe",
+        key="W",
+        checkable=True,
+    ),
+    Command(
+        "show_blink",
+        "Blink",
+        "Alternate between the result and the truth",
+        icon="blink",
+        key="B",
+        checkable=True,
+    ),
 )
 VARIANT_COMMANDS = (
-    Command("set_variant_settings", "Set B to settings", "Keep the current settings as session B of Compare",
-            key="Ctrl+H"),
-    Command("set_variant_recording", "Set B to recording…",
-            "Use another recording with the current settings as session B of Compare"),
+    Command(
+        "set_variant_settings",
+        "Set B to settings",
+        "Keep the current settings as session B of Compare",
+        key="Ctrl+H",
+    ),
+    Command(
+        "set_variant_recording",
+        "Set B to recording…",
+        "Use another recording with the current settings as session B of Compare",
+    ),
     Command("clear_variant", "Clear B", "Remove session B of Compare"),
 )
 REGISTRATION_COMMANDS = (
-    Command("open_alignment", "Open alignment…",
-            "Open the alignment of the two sensors, a .toml as `tactoscope align refine` writes it"),
+    Command(
+        "open_alignment",
+        "Open alignment…",
+        "Open the alignment of the two sensors, a .toml as `tactoscope align refine` writes it",
+    ),
     Command("save_alignment", "Save alignment as…", "Save the alignment with its offsets as .toml"),
-    Command("edit_alignment", "Edit alignment", "Open the alignment dock and focus its first number", icon="axes",
-            key="A"),
+    Command(
+        "edit_alignment",
+        "Edit alignment",
+        "Open the alignment dock and focus its first number",
+        icon="axes",
+        key="A",
+    ),
     Command("step_through", "Step through", "Keep the iterations of the pose and show them"),
     Command("open_track", "Open track…", "Open a folder that `tactoscope track` wrote"),
-    Command("export_track", "Export track…", "Write table, summary and surface of the track to a folder"),
+    Command(
+        "export_track", "Export track…", "Write table, summary and surface of the track to a folder"
+    ),
 )
 LAYOUT_COMMANDS = (
-    Command("layout_stages", "Stages", "Show all stages side by side, images above 3D views", key="Ctrl+1",
-            checkable=True),
-    Command("layout_inspect", "Inspect", "Show up to three large panes under a filmstrip of all stages", key="Ctrl+2",
-            checkable=True),
-    Command("layout_align", "Align", "Show the target depth against the recorded touch, with the alignment handles",
-            key="Ctrl+3", checkable=True),
-    Command("layout_demo", "Demo", "Show source, generated touch and truth, large", key="Ctrl+4", checkable=True),
-    Command("layout_compare", "Compare", "Compare methods, settings, or values on a grid, on one frame", key="Ctrl+5",
-            checkable=True),
-    Command("layout_track", "Track", "Show the motion of the touched object and its fused surface", key="Ctrl+6",
-            checkable=True),
-    Command("layout_task", "Task", "Show the rollouts of a task: why a trial fails", key="Ctrl+7", checkable=True),
-    Command("toggle_inspect", "Toggle Inspect", "Switch between Inspect and Stages", icon="panes", key="I"),
+    Command(
+        "layout_stages",
+        "Stages",
+        "Show all stages side by side, images above 3D views",
+        key="Ctrl+1",
+        checkable=True,
+    ),
+    Command(
+        "layout_inspect",
+        "Inspect",
+        "Show up to three large panes under a filmstrip of all stages",
+        key="Ctrl+2",
+        checkable=True,
+    ),
+    Command(
+        "layout_align",
+        "Align",
+        "Show the target depth against the recorded touch, with the alignment handles",
+        key="Ctrl+3",
+        checkable=True,
+    ),
+    Command(
+        "layout_demo",
+        "Demo",
+        "Show source, generated touch and truth, large",
+        key="Ctrl+4",
+        checkable=True,
+    ),
+    Command(
+        "layout_compare",
+        "Compare",
+        "Compare methods, settings, or values on a grid, on one frame",
+        key="Ctrl+5",
+        checkable=True,
+    ),
+    Command(
+        "layout_track",
+        "Track",
+        "Show the motion of the touched object and its fused surface",
+        key="Ctrl+6",
+        checkable=True,
+    ),
+    Command(
+        "layout_task",
+        "Task",
+        "Show the rollouts of a task: why a trial fails",
+        key="Ctrl+7",
+        checkable=True,
+    ),
+    Command(
+        "toggle_inspect",
+        "Toggle Inspect",
+        "Switch between Inspect and Stages",
+        icon="panes",
+        key="I",
+    ),
 )
 TASK_COMMANDS = (
-    Command("open_rollouts", "Open rollouts…", "Open a folder that `tactoscope task --record` wrote"),
+    Command(
+        "open_rollouts", "Open rollouts…", "Open a folder that `tactoscope task --record` wrote"
+    ),
     Command("previous_trial", "Previous trial", "Open the trial above in the table", key="Ctrl+Up"),
     Command("next_trial", "Next trial", "Open the trial below in the table", key="Ctrl+Down"),
     Command("next_decision", "Next decision", "Go to the tick of the next decision", key="N"),
-    Command("attribute_rollout", "Attribute decision",
-            "Run the rollout again with the truth in place of one stage after the other", key="Ctrl+Return"),
+    Command(
+        "attribute_rollout",
+        "Attribute decision",
+        "Run the rollout again with the truth in place of one stage after the other",
+        key="Ctrl+Return",
+    ),
     Command("copy_trials", "Copy trials", "Copy the listed trials as a table"),
-    Command("export_rollout_video", "Export rollout video…", "Write scene, touches and force of every tick as video"),
-    Command("export_rollout_bundle", "Export rollout bundle…",
-            "Write this rollout and what runs it again to a folder, for `tactoscope replay`"),
+    Command(
+        "export_rollout_video",
+        "Export rollout video…",
+        "Write scene, touches and force of every tick as video",
+    ),
+    Command(
+        "export_rollout_bundle",
+        "Export rollout bundle…",
+        "Write this rollout and what runs it again to a folder, for `tactoscope replay`",
+    ),
 )
 THEME_COMMANDS = (
-    Command("theme_light", "Light theme", "Use dark text on a light background", icon="sun", checkable=True),
-    Command("theme_dark", "Dark theme", "Use light text on a dark background", icon="moon", checkable=True),
+    Command(
+        "theme_light",
+        "Light theme",
+        "Use dark text on a light background",
+        icon="sun",
+        checkable=True,
+    ),
+    Command(
+        "theme_dark",
+        "Dark theme",
+        "Use light text on a dark background",
+        icon="moon",
+        checkable=True,
+    ),
     Command("theme_system", "System theme", "Follow the desktop's theme", checkable=True),
 )
 HELP_COMMANDS = (
     Command("palette", "Commands…", "Search all commands", key="Ctrl+K"),
     Command("keys", "Shortcuts", "Search all commands and their shortcuts", icon="help", key="F1"),
 )
-# fmt: on
 MENUS: Mapping[str, tuple[Command, ...]] = {  # title -> commands; every command is in one menu
     "&File": FILE_COMMANDS,
     "&Edit": EDIT_COMMANDS,
@@ -172,7 +421,7 @@ MENUS: Mapping[str, tuple[Command, ...]] = {  # title -> commands; every command
     "&Registration": REGISTRATION_COMMANDS,
     "&Task": TASK_COMMANDS,
     "&Help": HELP_COMMANDS,
-}  # fmt: skip
+}
 
 
 def make_stage_commands(titles: tuple[str, ...]) -> tuple[Command, ...]:

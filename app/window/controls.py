@@ -20,10 +20,12 @@ def show_controls(
     opened: Translation | None,
     unavailable: Mapping[str, Mapping[str, str]],
 ) -> None:
-    """Show a session with these methods on the controls, without change signals; `opened` is on screen.
+    """Show a session with these methods on the controls, without change signals.
 
-    Only the parameters for the sensors' kinds are shown; those in `unavailable` (method key -> parameter -> reason) are
-    greyed out.
+    `opened` is on screen.
+
+    Only the parameters for the sensors' kinds are shown; those in `unavailable` (method key ->
+    parameter -> reason) are greyed out.
     """
     kinds = map_sensor_kinds(methods, catalogue, opened)
     window.timeline.show_frame(session.frame)
@@ -36,16 +38,22 @@ def show_controls(
                 )
             window.parameters.show_params(method.key, session.get_params(method))
     window.parameters.show_params(DISPLAY_KEY, session.display)
-    window.parameters.show_groups({**{m.key: kinds.get(m.key, "") for m in methods}, DISPLAY_KEY: ""})
+    window.parameters.show_groups(
+        {**{m.key: kinds.get(m.key, "") for m in methods}, DISPLAY_KEY: ""}
+    )
     for method in methods:
-        column, reasons = window.columns[method.stage], dict(unavailable.get(method.key, {}))
+        column = window.columns[method.stage]
+        reasons = dict(unavailable.get(method.key, {}))
         column.show_method(method.name)
         window.parameters.show_unavailable(method.key, reasons)
         lacking = set(column.pinned.names) - set(list_settings(method.params()))
-        reasons |= dict.fromkeys(lacking, f"not a parameter of {method.title}; choose another method")
+        reasons |= dict.fromkeys(
+            lacking, f"not a parameter of {method.title}; choose another method"
+        )
         column.pinned.show_params(method.key, session.get_params(method), reasons)
     for name in ("source", "target", "route"):
-        box, value = getattr(window, name), getattr(session, name)
+        box = getattr(window, name)
+        value = getattr(session, name)
         with QSignalBlocker(box):
             box.setCurrentIndex(max(0, box.findData(value)))
     window.actions_by_name["link_cameras"].setChecked(session.cameras_linked)
@@ -53,7 +61,9 @@ def show_controls(
     window.actions_by_name["close_weights"].setEnabled(bool(session.weights))
 
 
-def map_sensor_kinds(methods: Sequence[Method], catalogue: Catalogue, opened: Translation | None) -> dict[str, str]:
+def map_sensor_kinds(
+    methods: Sequence[Method], catalogue: Catalogue, opened: Translation | None
+) -> dict[str, str]:
     """Method key -> kind of sensor it reads; {} if nothing is open."""
     if opened is None:
         return {}

@@ -14,18 +14,27 @@ ALIGNMENT_SUFFIX = ".toml"
 WEIGHTS_SUFFIX = ".safetensors"
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".urdf")
 UNIT_NAMES = {"mm": "millimetres", "cm": "centimetres", "m": "metres", "in": "inches"}
-_UNITS = {"auto": "Meshes, unit from size"} | {unit: f"Meshes in {name}" for unit, name in UNIT_NAMES.items()}
+_UNITS = {"auto": "Meshes, unit from size"} | {
+    unit: f"Meshes in {name}" for unit, name in UNIT_NAMES.items()
+}
 
 _RECORDINGS = "recordings"  # stands for the file kinds of all formats
-OPEN_DIALOGS: Mapping[str, tuple[str, str]] = {  # command -> title and kinds of files, none for a folder
+# command -> title and kinds of files, none for a folder
+OPEN_DIALOGS: Mapping[str, tuple[str, str]] = {
     "open_recording": ("Open recording", _RECORDINGS),
     "set_variant_recording": ("Compare with recording", _RECORDINGS),
     "open_folder": ("Open folder of images", ""),
     "open_rollouts": ("Open rollouts", ""),
     "open_track": ("Open track", ""),
     "open_calibration": ("Open calibration", "Calibrations (*.npz);;All files (*)"),
-    "open_weights": ("Open weights", "Weights of a network (*.safetensors *.ckpt *.pth *.pt);;All files (*)"),
-    "open_reference": ("Open reference", "Images (*.png *.jpg *.jpeg *.bmp *.tif *.tiff);;All files (*)"),
+    "open_weights": (
+        "Open weights",
+        "Weights of a network (*.safetensors *.ckpt *.pth *.pt);;All files (*)",
+    ),
+    "open_reference": (
+        "Open reference",
+        "Images (*.png *.jpg *.jpeg *.bmp *.tif *.tiff);;All files (*)",
+    ),
     "open_alignment": ("Open alignment", f"Alignments (*{ALIGNMENT_SUFFIX});;All files (*)"),
     "open_session": ("Open session", f"Sessions (*{SESSION_SUFFIX});;All files (*)"),
 }
@@ -53,7 +62,10 @@ def ask_open_path(parent: QWidget, command: str, folder: str = "") -> Path | Non
 
 
 def ask_save_path(parent: QWidget, command: str, folder: str = "") -> Path | None:
-    """Ask where a command writes to; a missing suffix is added, for sessions always. None if cancelled."""
+    """Ask where a command writes to.
+
+    A missing suffix is added, for sessions always. None if cancelled.
+    """
     title, kind, suffix = _SAVERS[command]
     chosen, _ = QFileDialog.getSaveFileName(parent, title, folder, f"{kind} (*{suffix})")
     path = Path(chosen)
@@ -86,6 +98,9 @@ def format_unit_problem(error: UnitProblem) -> str:
 
 def ask_mesh(parent: QWidget, _command: str, folder: str = "") -> tuple[Path, str] | None:
     """Ask for an object mesh and its unit, which mesh files do not state; None if cancelled."""
-    kinds = {f"{text} ({' '.join('*' + s for s in MESH_SUFFIXES)})": unit for unit, text in _UNITS.items()}
+    kinds = {
+        f"{text} ({' '.join('*' + s for s in MESH_SUFFIXES)})": unit
+        for unit, text in _UNITS.items()
+    }
     chosen, kind = QFileDialog.getOpenFileName(parent, "Open mesh", folder, ";;".join(kinds))
     return (Path(chosen), kinds.get(kind, "auto")) if chosen else None

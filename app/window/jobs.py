@@ -1,4 +1,7 @@
-"""Background jobs: one thread and one waiting place per `LatestJob`; a newer job replaces a waiting one."""
+"""Background jobs: one thread and one waiting place per `LatestJob`.
+
+A newer job replaces a waiting one.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +19,14 @@ _REPORT_INTERVAL_S = 0.05  # between progress signals; more often costs time and
 
 
 class JobReporter:
-    """Given to a running job: reports progress, delivers parts, and raises `Cancelled` once the job is cancelled."""
+    """Given to a running job: reports progress, delivers parts, and raises `Cancelled` once the
+    job is cancelled.
+    """
 
     def __init__(self, job: LatestJob, ticket: int) -> None:
-        self.job, self.ticket, self.cancelled = job, ticket, threading.Event()
+        self.job = job
+        self.ticket = ticket
+        self.cancelled = threading.Event()
         self._reported_s = self._fraction = 0.0
 
     def step(self, fraction: float, text: str) -> None:
@@ -28,11 +35,15 @@ class JobReporter:
             raise Cancelled
         now_s = time.monotonic()
         if now_s - self._reported_s >= _REPORT_INTERVAL_S:
-            self._reported_s, self._fraction = now_s, fraction
+            self._reported_s = now_s
+            self._fraction = fraction
             self.job.progressed.emit(self.ticket, fraction, text)
 
     def report_message(self, text: str) -> None:
-        """Report a message at the last fraction; never raises, as the caller may be inside the compiler."""
+        """Report a message at the last fraction.
+
+        Never raises, as the caller may be inside the compiler.
+        """
         self.job.progressed.emit(self.ticket, self._fraction, text)
 
     def deliver(self, part: object) -> None:
@@ -46,7 +57,10 @@ JobFunction = Callable[[JobReporter], object]
 
 
 class LatestJob(QObject):
-    """Runs the newest submitted job on its own thread; every signal carries the ticket that `submit` returned."""
+    """Runs the newest submitted job on its own thread.
+
+    Every signal carries the ticket that `submit` returned.
+    """
 
     started = pyqtSignal(int)
     progressed = pyqtSignal(int, float, str)
@@ -72,14 +86,16 @@ class LatestJob(QObject):
     def submit(self, work: JobFunction, *, interrupt: bool = True) -> int:
         """Queue `work` in place of a waiting job, and return its ticket.
 
-        `interrupt` also cancels the running job; without it that one finishes, so that a drag shows intermediate
-        results.
+        `interrupt` also cancels the running job; without it that one finishes, so that a drag shows
+        intermediate results.
         """
         with self._changed:
             if self._closing:
                 return self.newest_ticket
             self.newest_ticket += 1
-            dropped, self._waiting, self._work = self._waiting, JobReporter(self, self.newest_ticket), work
+            dropped = self._waiting
+            self._waiting = JobReporter(self, self.newest_ticket)
+            self._work = work
             if interrupt and self._running is not None:
                 self._running.cancelled.set()
             self._changed.notify()
@@ -91,7 +107,9 @@ class LatestJob(QObject):
     def cancel(self) -> None:
         """Cancel the running job at its next step, and drop the waiting one."""
         with self._changed:
-            dropped, self._waiting, self._work = self._waiting, None, None
+            dropped = self._waiting
+            self._waiting = None
+            self._work = None
             if self._running is not None:
                 self._running.cancelled.set()
         if dropped is not None:
@@ -130,8 +148,11 @@ class LatestJob(QObject):
                     self._changed.wait()
                 if self._closing or self._waiting is None or self._work is None:
                     return
-                report, work = self._waiting, self._work
-                self._running, self._waiting, self._work = report, None, None
+                report = self._waiting
+                work = self._work
+                self._running = report
+                self._waiting = None
+                self._work = None
                 self._n_unreported += 1
             try:
                 self._run(report, work)
@@ -155,7 +176,11 @@ class LatestJob(QObject):
         else:
             self._clear_running()
             is_cancelled = report.cancelled.is_set()
-            _ = self.cancelled.emit(report.ticket) if is_cancelled else self.finished.emit(report.ticket, result)
+            _ = (
+                self.cancelled.emit(report.ticket)
+                if is_cancelled
+                else self.finished.emit(report.ticket, result)
+            )
 
     def _count_end(self) -> None:
         with self._changed:

@@ -39,7 +39,9 @@ class LogRelay(QObject):
             sys.excepthook = sys.__excepthook__
             threading.excepthook = threading.__excepthook__
 
-    def _report_error(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    def _report_error(
+        self, kind: type[BaseException], error: BaseException, trace: TracebackType | None
+    ) -> None:
         if issubclass(kind, KeyboardInterrupt):
             sys.__excepthook__(kind, error, trace)
             return
@@ -57,14 +59,19 @@ class _Handler(logging.Handler):
     def __init__(self, relay: LogRelay) -> None:
         super().__init__()
         self._relay = relay
-        self.setFormatter(logging.Formatter("%(asctime)s  %(levelname)-7s  %(message)s", "%H:%M:%S"))
+        self.setFormatter(
+            logging.Formatter("%(asctime)s  %(levelname)-7s  %(message)s", "%H:%M:%S")
+        )
 
     def emit(self, record: logging.LogRecord) -> None:
         self._relay.line_logged.emit(record.levelno, self.format(record))
 
 
 def describe_error(error: BaseException) -> tuple[str, str]:
-    """Return (sentence, details) for the banner; details hold the traceback of unexpected errors."""
+    """Return (sentence, details) for the banner.
+
+    Details hold the traceback of unexpected errors.
+    """
     if isinstance(error, TouchError):
         return format_unit_problem(error) if isinstance(error, UnitProblem) else str(error), ""
     return error_log.format_sentence(error), error_log.format_details(error)

@@ -18,7 +18,13 @@ from PyQt6.QtWidgets import (
 )
 
 from app.session.layout import LAYOUT_NAMES, Layout
-from app.window.actions import MENUS, REFERENCE_COMMANDS, THEME_COMMANDS, make_actions, make_stage_commands
+from app.window.actions import (
+    MENUS,
+    REFERENCE_COMMANDS,
+    THEME_COMMANDS,
+    make_actions,
+    make_stage_commands,
+)
 from app.window.menus import REFERENCE, Drawers, add_layout_tabs, build_menus, build_tool_bar
 from widgets.align.alignment_panel import AlignmentPanel
 from widgets.compare.comparison_page import ComparisonPage
@@ -48,18 +54,26 @@ from widgets.views.view_3d_panel import StepsSlider, View3DPanel
 DEFAULT_SIZE = QSize(1600, 950)
 _FRAME = QSize(2, 40)  # that a desktop draws around a window: borders and title bar
 _ACTIVITY_WIDTH_PX = 260
-_CHOOSER_LETTERS, _SENSOR_LIST_PX = 15, 240  # width of a sensor chooser; of its list, which cuts no name off
-MIN_STRIP_PX, INSPECT_STRIP_PX = 24, 44  # height of the error strip
+# width of a sensor chooser; of its list, which cuts no name off
+_CHOOSER_LETTERS = 15
+_SENSOR_LIST_PX = 240
+# height of the error strip
+MIN_STRIP_PX = 24
+INSPECT_STRIP_PX = 44
 MAX_STRIP_SHARE = 0.125  # of the window height
 
 
 class MainWindow(QMainWindow):
-    """Stage columns above 3D views above the timeline and the probe trace, surrounded by drawers."""
+    """Stage columns above 3D views above the timeline and the probe trace, surrounded by
+    drawers.
+    """
 
     paths_dropped = pyqtSignal(list)  # of Path
     closing = pyqtSignal()
 
-    def __init__(self, columns: Sequence[tuple[str, str]], stages_with_steps: frozenset[str] = frozenset()) -> None:
+    def __init__(
+        self, columns: Sequence[tuple[str, str]], stages_with_steps: frozenset[str] = frozenset()
+    ) -> None:
         super().__init__()
         self.setWindowTitle("Tactoscope[*]")
         self._set_default_size()
@@ -69,30 +83,55 @@ class MainWindow(QMainWindow):
         titles = tuple(title for _, title in columns)
         self.actions_by_name: Mapping[str, QAction] = make_actions(
             self,
-            (*chain.from_iterable(MENUS.values()), *REFERENCE_COMMANDS, *THEME_COMMANDS, *make_stage_commands(titles)),
+            (
+                *chain.from_iterable(MENUS.values()),
+                *REFERENCE_COMMANDS,
+                *THEME_COMMANDS,
+                *make_stage_commands(titles),
+            ),
         )
-        self.columns = {name: StageColumn(name, f"{i + 1} · {title}") for i, (name, title) in enumerate(columns)}
-        self.banner, self.timeline = Banner(), Timeline()
+        self.columns = {
+            name: StageColumn(name, f"{i + 1} · {title}") for i, (name, title) in enumerate(columns)
+        }
+        self.banner = Banner()
+        self.timeline = Timeline()
         self.steps = {
             name: StepsSlider(name) for name in sorted(stages_with_steps)
         }  # under the 3D views of these columns
-        self.frames, self.parameters, self.alignment = FramesPanel(), ParametersPanel(), AlignmentPanel()
-        self.trace, self.log, self.timings, self.probes = TracePanel(), LogPanel(), TimingsPanel(), ProbesPanel()
+        self.frames = FramesPanel()
+        self.parameters = ParametersPanel()
+        self.alignment = AlignmentPanel()
+        self.trace = TracePanel()
+        self.log = LogPanel()
+        self.timings = TimingsPanel()
+        self.probes = ProbesPanel()
         self.error_attribution = ErrorAttributionPanel()
-        self.steps_panel, self.section_panel = StepsPanel(), SectionPanel()
+        self.steps_panel = StepsPanel()
+        self.section_panel = SectionPanel()
         self.presented_columns: tuple[str, ...] = ()  # those of a presentation, while there is one
-        self._only_stage, self._hidden_stages, self.current_layout = "", frozenset[str](), Layout()
+        self._only_stage = ""
+        self._hidden_stages = frozenset[str]()
+        self.current_layout = Layout()
         self.view_panels = {name: View3DPanel(self.steps.get(name)) for name, _ in columns}
-        self.truth_column, self.truth_view_panel = StageColumn("truth", "Truth"), View3DPanel()  # of the Demo layout
+        # of the Demo layout
+        self.truth_column = StageColumn("truth", "Truth")
+        self.truth_view_panel = View3DPanel()
         self.warning_line = WarningLine()
-        self.pages, self.rows, self.comparison = QStackedWidget(), StageRows(), ComparisonPage()
-        self.task, self.track = TaskPage(), TrackPage()
-        self.panes = PanesPage({name: f"{i + 1} · {title}" for i, (name, title) in enumerate(columns)})
+        self.pages = QStackedWidget()
+        self.rows = StageRows()
+        self.comparison = ComparisonPage()
+        self.task = TaskPage()
+        self.track = TrackPage()
+        self.panes = PanesPage(
+            {name: f"{i + 1} · {title}" for i, (name, title) in enumerate(columns)}
+        )
         self.source, self.target = (self._make_sensor_box(role) for role in ("source", "target"))
         self.route = ChoiceBox("choose_route", "route")
         self._build_centre()
         self._build_drawers()
-        self.menus = build_menus(self, self.actions_by_name, len(self.columns), self.drawers.all_drawers)
+        self.menus = build_menus(
+            self, self.actions_by_name, len(self.columns), self.drawers.all_drawers
+        )
         layouts = [self.actions_by_name[f"layout_{name}"] for name in LAYOUT_NAMES]
         self.layout_tabs = add_layout_tabs(self, layouts)
         choosers = ("source", self.source), ("target", self.target), ("route", self.route)
@@ -102,12 +141,17 @@ class MainWindow(QMainWindow):
     def _set_default_size(self) -> None:
         """Set the default size, at most the screen's."""
         screen = self.screen()
-        self.resize(DEFAULT_SIZE if screen is None else DEFAULT_SIZE.boundedTo(screen.availableSize()))
+        self.resize(
+            DEFAULT_SIZE if screen is None else DEFAULT_SIZE.boundedTo(screen.availableSize())
+        )
 
     def maximize_if_tight(self) -> None:
         """Maximise the window where its default size and a title bar do not fit the screen."""
         screen = self.screen()
-        if screen is not None and (DEFAULT_SIZE + _FRAME).boundedTo(screen.availableSize()) != DEFAULT_SIZE + _FRAME:
+        if (
+            screen is not None
+            and (DEFAULT_SIZE + _FRAME).boundedTo(screen.availableSize()) != DEFAULT_SIZE + _FRAME
+        ):
             self.setWindowState(self.windowState() | Qt.WindowState.WindowMaximized)
 
     def stay_on_screen(self) -> None:
@@ -115,7 +159,8 @@ class MainWindow(QMainWindow):
         screen = self.screen()
         if screen is None or self.isMaximized() or self.isFullScreen():
             return
-        room, frame = screen.availableGeometry(), self.frameGeometry()
+        room = screen.availableGeometry()
+        frame = self.frameGeometry()
         edges = frame.size() - self.size()
         self.resize(self.size().boundedTo(room.size() - edges))
         frame = self.frameGeometry()
@@ -174,7 +219,11 @@ class MainWindow(QMainWindow):
         for name in ("open_track", "export_track"):
             self.track.add_command(self.actions_by_name[name])
         self.drawers = Drawers(
-            self, frames=self.frames, parameters=self.parameters, alignment=self.alignment, diagnostics=self.tabs
+            self,
+            frames=self.frames,
+            parameters=self.parameters,
+            alignment=self.alignment,
+            diagnostics=self.tabs,
         )
 
     def _make_sensor_box(self, role: str) -> ChoiceBox:
@@ -187,11 +236,14 @@ class MainWindow(QMainWindow):
         return box
 
     def _build_status(self) -> None:
-        self.readout, self.activity_label = FixedSizeLabel(), QLabel()
+        self.readout = FixedSizeLabel()
+        self.activity_label = QLabel()
         self.run_bar = RunBar("frame", keeps_room=True)
         self.readout.setObjectName("probe")
         self.activity_label.setFixedWidth(_ACTIVITY_WIDTH_PX)
-        self.activity_label.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        self.activity_label.setAlignment(
+            Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
+        )
         status = self.statusBar()
         assert status is not None
         status.addWidget(self.readout, 1)
@@ -206,7 +258,9 @@ class MainWindow(QMainWindow):
 
     @property
     def views_3d(self) -> tuple[View3D, ...]:
-        """The 3D views: one per column, then the truth's, the two of the comparison, the track's, the task's."""
+        """The 3D views: one per column, then the truth's, the two of the comparison, the
+        track's, the task's.
+        """
         return (
             *(cell.view for cell in self.view_panels.values()),
             self.truth_view_panel.view,
@@ -238,7 +292,9 @@ class MainWindow(QMainWindow):
         else:
             self.panes.release_contents()
             wide = layout.name in ("align", "demo")
-            self.rows.set_columns((*pairs.values(), (self.truth_column, self.truth_view_panel)), wide=wide)
+            self.rows.set_columns(
+                (*pairs.values(), (self.truth_column, self.truth_view_panel)), wide=wide
+            )
             shown = layout.list_columns(self.route_columns, self._only_stage)
         for name, widgets in pairs.items():
             for widget in widgets:
@@ -248,13 +304,18 @@ class MainWindow(QMainWindow):
             widget.setVisible(layout.name == "demo")
         self.rows.lower_row.setVisible(layout.name != "align")
         pages = {
-            "inspect": self.panes, "compare": self.comparison, "track": self.track, "task": self.task,
-        }  # fmt: skip
+            "inspect": self.panes,
+            "compare": self.comparison,
+            "track": self.track,
+            "task": self.task,
+        }
         self.pages.setCurrentWidget(pages.get(layout.name, self.rows))
         self.timeline.setVisible(layout.name != "task")  # which steps through ticks
         self.trace.setVisible(layout.name not in ("track", "task"))
         if layout.name not in ("stages", "demo"):  # these two use the spare height
-            self.timeline.errors.set_height_px(INSPECT_STRIP_PX if layout.name == "inspect" else MIN_STRIP_PX)
+            self.timeline.errors.set_height_px(
+                INSPECT_STRIP_PX if layout.name == "inspect" else MIN_STRIP_PX
+            )
         for i, key in enumerate(self.columns):
             action = self.actions_by_name[f"only_{i + 1}"]
             action.setChecked(layout.name == "stages" and key == self._only_stage)

@@ -4,7 +4,16 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QDockWidget, QLabel, QMainWindow, QMenu, QTabWidget, QToolBar, QToolButton, QWidget
+from PyQt6.QtWidgets import (
+    QDockWidget,
+    QLabel,
+    QMainWindow,
+    QMenu,
+    QTabWidget,
+    QToolBar,
+    QToolButton,
+    QWidget,
+)
 
 from app.window.actions import MENUS, REFERENCE_COMMANDS, THEME_COMMANDS
 from widgets.shell.command_bar import ActionTabs, CommandBar, name_extension
@@ -34,26 +43,55 @@ _TOOLS = (
 )
 _AFTER_SEPARATOR = frozenset(
     (
-        "open_mesh", "save_session", "export", "quit", "reset_all", "copy_image", "back_10", "only_1",
-        "toggle_inspect", "set_variant_settings", "edit_alignment", "step_through", "open_track",
+        "open_mesh",
+        "save_session",
+        "export",
+        "quit",
+        "reset_all",
+        "copy_image",
+        "back_10",
+        "only_1",
+        "toggle_inspect",
+        "set_variant_settings",
+        "edit_alignment",
+        "step_through",
+        "open_track",
     )
-)  # fmt: skip
+)
 # Buttons that get their text next to the icon while there is room, the first ones first.
 _TEXT_ORDER = (
-    "open_recording", "open_mesh", "pin_probe", "export", "section_line", "show_difference", "show_truth",
-    "show_wipe", "show_blink", "link_cameras", "reset_view", "open_folder", "undo", "redo",
-)  # fmt: skip
+    "open_recording",
+    "open_mesh",
+    "pin_probe",
+    "export",
+    "section_line",
+    "show_difference",
+    "show_truth",
+    "show_wipe",
+    "show_blink",
+    "link_cameras",
+    "reset_view",
+    "open_folder",
+    "undo",
+    "redo",
+)
 _AREA = Qt.DockWidgetArea
 _SIDE_PX = {_AREA.LeftDockWidgetArea: 360, _AREA.RightDockWidgetArea: 290}
 _MAX_SIDE_SHARE = 0.2  # of the window's width, for the frames table
-_BOTTOM_PX, _MAX_BOTTOM_SHARE = 210, 0.25  # height of the bottom drawer, and its largest share of the window
+# height of the bottom drawer, and its largest share of the window
+_BOTTOM_PX = 210
+_MAX_BOTTOM_SHARE = 0.25
 
 
 def build_menus(
-    window: QMainWindow, actions: Mapping[str, QAction], n_columns: int, drawers: Iterable[QDockWidget]
+    window: QMainWindow,
+    actions: Mapping[str, QAction],
+    n_columns: int,
+    drawers: Iterable[QDockWidget],
 ) -> dict[str, QMenu]:
     """Create the menus, with every command once; title -> menu."""
-    bar, menus = window.menuBar(), dict[str, QMenu]()
+    bar = window.menuBar()
+    menus = dict[str, QMenu]()
     assert bar is not None
     name_extension(bar)
     for text, commands in MENUS.items():
@@ -104,7 +142,9 @@ def build_tool_bar(
     choosers: Sequence[tuple[str, QWidget]],
     timeline: Timeline,
 ) -> None:
-    """Create the tool bar with the Reference menu and `choosers` (label, widget), and the buttons of the timeline."""
+    """Create the tool bar with the Reference menu and `choosers` (label, widget), and the
+    buttons of the timeline.
+    """
     entry = references.menuAction()
     assert entry is not None
     bar = CommandBar("Commands", window)
@@ -136,7 +176,13 @@ class Drawers:
     """Frames at the left, parameters and alignment at the right, diagnostics at the bottom."""
 
     def __init__(
-        self, window: QMainWindow, *, frames: QWidget, parameters: QWidget, alignment: QWidget, diagnostics: QTabWidget
+        self,
+        window: QMainWindow,
+        *,
+        frames: QWidget,
+        parameters: QWidget,
+        alignment: QWidget,
+        diagnostics: QTabWidget,
     ) -> None:
         self._window = window
         self.rail = QToolBar("Drawers", window)
@@ -146,9 +192,15 @@ class Drawers:
         self.rail.setIconSize(QSize(20, 20))
         window.addToolBar(Qt.ToolBarArea.LeftToolBarArea, self.rail)
         self.frames = self._add_drawer("Frames", frames, _AREA.LeftDockWidgetArea, "table", "F2")
-        self.parameters = self._add_drawer("Parameters", parameters, _AREA.RightDockWidgetArea, "sliders", "F3")
-        self.alignment = self._add_drawer("Alignment", alignment, _AREA.RightDockWidgetArea, "axes", "F4")
-        self.diagnostics = self._add_drawer("Diagnostics", diagnostics, _AREA.BottomDockWidgetArea, "lines", "F5")
+        self.parameters = self._add_drawer(
+            "Parameters", parameters, _AREA.RightDockWidgetArea, "sliders", "F3"
+        )
+        self.alignment = self._add_drawer(
+            "Alignment", alignment, _AREA.RightDockWidgetArea, "axes", "F4"
+        )
+        self.diagnostics = self._add_drawer(
+            "Diagnostics", diagnostics, _AREA.BottomDockWidgetArea, "lines", "F5"
+        )
         window.tabifyDockWidget(self.parameters, self.alignment)
         window.setCorner(Qt.Corner.BottomLeftCorner, _AREA.LeftDockWidgetArea)
         window.setCorner(Qt.Corner.BottomRightCorner, _AREA.RightDockWidgetArea)
@@ -160,7 +212,9 @@ class Drawers:
         """Every drawer, in the order of the rail."""
         return self.frames, self.parameters, self.alignment, self.diagnostics
 
-    def _add_drawer(self, title: str, widget: QWidget, area: Qt.DockWidgetArea, icon: str, key: str) -> QDockWidget:
+    def _add_drawer(
+        self, title: str, widget: QWidget, area: Qt.DockWidgetArea, icon: str, key: str
+    ) -> QDockWidget:
         drawer = QDockWidget(title, self._window)
         drawer.setObjectName(f"dock_{title.lower()}")
         drawer.setWidget(widget)

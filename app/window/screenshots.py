@@ -10,7 +10,10 @@ from pipeline.core.files import open_atomic
 
 
 def write_screenshot(widget: QWidget, path: Path) -> None:
-    """Write an image of `widget` in the format of the file's suffix, else PNG; raises FileProblem."""
+    """Write an image of `widget` in the format of the file's suffix, else PNG.
+
+    Raises FileProblem.
+    """
     buffer = QBuffer()
     buffer.open(QIODevice.OpenModeFlag.WriteOnly)
     kind = path.suffix.removeprefix(".") or "png"

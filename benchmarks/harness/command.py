@@ -9,7 +9,12 @@ from typing import Any
 
 from benchmarks.harness.plot import plot_result
 from benchmarks.harness.regressions import collect_measurements, find_regressions, read_measurements
-from benchmarks.harness.runner import BenchmarkRun, list_benchmarks, run_benchmark, select_benchmarks
+from benchmarks.harness.runner import (
+    BenchmarkRun,
+    list_benchmarks,
+    run_benchmark,
+    select_benchmarks,
+)
 from benchmarks.harness.text_report import format_result
 from pipeline.cli.terminal import print_line
 from pipeline.core.files import check_folder, check_folder_for, write_json
@@ -27,15 +32,22 @@ def print_benchmarks() -> int:
 
 
 def run_benchmarks(
-    names: Sequence[str], json_file: Path | None, plots: Path | None, *, against: Path | None = None, strict: bool
+    names: Sequence[str],
+    json_file: Path | None,
+    plots: Path | None,
+    *,
+    against: Path | None = None,
+    strict: bool,
 ) -> int:
     """Run the benchmarks in turn; print, write and draw each result as soon as it is there.
 
-    Returns 0; with `strict` 1 if a bar does not hold or a benchmark has no result, or, where there is an earlier run to
-    hold this one `against`, if a row got worse than it was. Raises SettingProblem for an unknown name and FileProblem
-    where the benchmarks are not there, the earlier run cannot be read or a result cannot be written.
+    Returns 0; with `strict` 1 if a bar does not hold or a benchmark has no result, or, where there
+    is an earlier run to hold this one `against`, if a row got worse than it was. Raises
+    SettingProblem for an unknown name and FileProblem where the benchmarks are not there, the
+    earlier run cannot be read or a result cannot be written.
     """
-    selected, earlier = select_benchmarks(names), {} if against is None else read_measurements(against)
+    selected = select_benchmarks(names)
+    earlier = {} if against is None else read_measurements(against)
     if json_file is not None:
         check_folder_for(json_file)
     if plots is not None:
@@ -54,7 +66,9 @@ def run_benchmarks(
     print_line("")
     print_line(f"{len(missed)} missed: {'; '.join(missed)}" if missed else "every bar holds")
     if against is not None:
-        missed = find_regressions(earlier, collect_measurements(done), [benchmark.name for benchmark in selected])
+        missed = find_regressions(
+            earlier, collect_measurements(done), [benchmark.name for benchmark in selected]
+        )
         print_line(f"against {against}: {len(missed) or 'none'} worse")
         for regression in missed:
             print_line(f"  {regression}")

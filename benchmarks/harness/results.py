@@ -1,8 +1,8 @@
 """Run time against error, ours against a baseline: the values a benchmark returns.
 
-A benchmark is a module of `benchmarks/` with a function `measure() -> BenchmarkResult`. `tactoscope bench` runs each
-benchmark in a process of its own with a fixed number of threads, collects its rows as JSON and draws time against
-error.
+A benchmark is a module of `benchmarks/` with a function `measure() -> BenchmarkResult`. `tactoscope
+bench` runs each benchmark in a process of its own with a fixed number of threads, collects its rows
+as JSON and draws time against error.
 """
 
 from __future__ import annotations
@@ -14,7 +14,10 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measurement:
-    """One claim: medians of both, ratio = baseline over ours; NaN without a baseline or an error."""
+    """One claim: medians of both, ratio = baseline over ours.
+
+    NaN without a baseline or an error.
+    """
 
     question: str
     peer: str
@@ -32,8 +35,14 @@ class Measurement:
     limit_error: float = math.nan
 
     def as_json(self) -> dict[str, Any]:
-        """The row for a JSON file, which knows no NaN: null. The limits stay out: `bar` says them."""
-        return {name: _plain(value) for name, value in asdict(self).items() if not name.startswith("limit_")}
+        """The row for a JSON file, which knows no NaN: null. The limits stay out: `bar` says
+        them.
+        """
+        return {
+            name: _plain(value)
+            for name, value in asdict(self).items()
+            if not name.startswith("limit_")
+        }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,7 +1,8 @@
 """List the modules of `benchmarks/` and run each in a process of its own.
 
-A benchmark is a module with a function `measure() -> BenchmarkResult`. A constant `NEEDS = "..."` says what it needs
-beyond the project (recorded data, a display); such a benchmark runs only when it is named.
+A benchmark is a module with a function `measure() -> BenchmarkResult`. A constant `NEEDS = "..."`
+says what it needs beyond the project (recorded data, a display); such a benchmark runs only when it
+is named.
 """
 
 from __future__ import annotations
@@ -53,29 +54,44 @@ def list_benchmarks(folder: Path = BENCHMARK_FOLDER) -> tuple[Benchmark, ...]:
     found = tuple(benchmark for benchmark in read if benchmark is not None)
     if not found:
         raise FileProblem(
-            "the benchmarks are part of the project's source, not of the installed package; run bench there", folder
+            "the benchmarks are part of the project's source, not of the installed package; run "
+            "bench there",
+            folder,
         )
     return found
 
 
-def select_benchmarks(names: Sequence[str], folder: Path = BENCHMARK_FOLDER) -> tuple[Benchmark, ...]:
-    """The benchmarks named, in that order, or all that need nothing; raises SettingProblem for one that is unknown."""
+def select_benchmarks(
+    names: Sequence[str], folder: Path = BENCHMARK_FOLDER
+) -> tuple[Benchmark, ...]:
+    """The benchmarks named, in that order, or all that need nothing.
+
+    Raises SettingProblem for one that is unknown.
+    """
     known = {benchmark.name: benchmark for benchmark in list_benchmarks(folder)}
     for name in names:
         if name not in known:
             raise SettingProblem(f"no benchmark {name!r}; there are {', '.join(known)}")
-    return tuple(known[name] for name in dict.fromkeys(names)) or tuple(q for q in known.values() if not q.needs)
+    return tuple(known[name] for name in dict.fromkeys(names)) or tuple(
+        q for q in known.values() if not q.needs
+    )
 
 
 def run_benchmark(benchmark: Benchmark, timeout_s: float = TIMEOUT_S) -> BenchmarkRun:
-    """Run the benchmark in a process of its own with fixed threads; a failure is returned as `problem`."""
+    """Run the benchmark in a process of its own with fixed threads.
+
+    A failure is returned as `problem`.
+    """
     started = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "result.json"
-        result, problem = None, _run(benchmark, out, timeout_s)
+        result = None
+        problem = _run(benchmark, out, timeout_s)
         if not problem:
             result = _parse_result(json.loads(out.read_text(encoding="utf-8")))
-    return BenchmarkRun(benchmark=benchmark, result=result, problem=problem, seconds=time.monotonic() - started)
+    return BenchmarkRun(
+        benchmark=benchmark, result=result, problem=problem, seconds=time.monotonic() - started
+    )
 
 
 def _run(benchmark: Benchmark, out: Path, timeout_s: float) -> str:
@@ -99,7 +115,11 @@ def _run(benchmark: Benchmark, out: Path, timeout_s: float) -> str:
         return f"its process was ended by {signal.Signals(-done.returncode).name}"
     if done.returncode or not out.exists():
         lines = done.stderr.strip().splitlines()
-        return lines[-1].strip() if lines else f"its process ended with status {done.returncode} and no result"
+        return (
+            lines[-1].strip()
+            if lines
+            else f"its process ended with status {done.returncode} and no result"
+        )
     return ""
 
 
@@ -117,7 +137,9 @@ def _needs(tree: ast.Module) -> str:
         if (
             isinstance(node, ast.Assign)
             and isinstance(node.value, ast.Constant)
-            and any(isinstance(target, ast.Name) and target.id == "NEEDS" for target in node.targets)
+            and any(
+                isinstance(target, ast.Name) and target.id == "NEEDS" for target in node.targets
+            )
         ):
             return str(node.value.value)
     return ""

@@ -9,7 +9,18 @@ from collections.abc import Sequence
 from benchmarks.harness.results import BenchmarkResult, Measurement
 from pipeline.core.machine import describe_machine, format_machine
 
-_HEADS = ("question", "peer", "ours ms (p95)", "peer ms (p95)", "ratio", "our error", "peer error", "unit", "bar", "")
+_HEADS = (
+    "question",
+    "peer",
+    "ours ms (p95)",
+    "peer ms (p95)",
+    "ratio",
+    "our error",
+    "peer error",
+    "unit",
+    "bar",
+    "",
+)
 _WORDS = frozenset({0, 1, 7, 8, 9})  # columns that are words: to the left
 
 
@@ -20,9 +31,16 @@ def print_result(result: BenchmarkResult) -> None:
 
 def format_result(result: BenchmarkResult) -> str:
     """The result as lines of text, without the machine."""
-    parts = [result.title, _table([_HEADS, *(_cells(row) for row in result.rows)])] if result.rows else [result.title]
+    parts = (
+        [result.title, _table([_HEADS, *(_cells(row) for row in result.rows)])]
+        if result.rows
+        else [result.title]
+    )
     if result.points:
-        points = [(p.method, format_number(p.ms), f"{format_number(p.error)} {result.unit}") for p in result.points]
+        points = [
+            (p.method, format_number(p.ms), f"{format_number(p.error)} {result.unit}")
+            for p in result.points
+        ]
         parts.append(_table([("method", "ms", "error"), *points], {0}))
     return "\n".join([*parts, *(f"  - {note}" for note in result.notes)])
 
@@ -52,7 +70,11 @@ def _cells(row: Measurement) -> tuple[str, ...]:
 def _ms(median: float, p95: float) -> str:
     if not math.isfinite(median):
         return "-"
-    return f"{format_number(median)} ({format_number(p95)})" if math.isfinite(p95) else format_number(median)
+    return (
+        f"{format_number(median)} ({format_number(p95)})"
+        if math.isfinite(p95)
+        else format_number(median)
+    )
 
 
 def _table(lines: Sequence[Sequence[str]], words: frozenset[int] | set[int] = _WORDS) -> str:

@@ -38,30 +38,46 @@ class Requirement:
             f"{self.min_speedup:g}x faster" if self.min_speedup is not None else "",
             f"at most {self.max_ms:g} ms" if self.max_ms is not None else "",
             f"{self.min_error_ratio:g}x lower error" if self.min_error_ratio is not None else "",
-            f"error at most {self.max_error:g} {unit}".rstrip() if self.max_error is not None else "",
+            f"error at most {self.max_error:g} {unit}".rstrip()
+            if self.max_error is not None
+            else "",
         )
         return ", ".join(part for part in parts if part)
 
     def compute_limits(self, peer: tuple[float, float]) -> tuple[float, float]:
-        """The most (ms, error) of ours that clear the bar against the baseline's; NaN where there is no requirement."""
-        return _least(self.max_ms, self.min_speedup, peer[0]), _least(self.max_error, self.min_error_ratio, peer[1])
+        """The most (ms, error) of ours that clear the bar against the baseline's.
+
+        NaN where there is no requirement.
+        """
+        return _least(self.max_ms, self.min_speedup, peer[0]), _least(
+            self.max_error, self.min_error_ratio, peer[1]
+        )
 
     def is_met(self, ours: tuple[float, float], peer: tuple[float, float]) -> bool:
-        """Whether (ms, error) of ours meets the requirement against the baseline; NaN meets nothing."""
+        """Whether (ms, error) of ours meets the requirement against the baseline.
+
+        NaN meets nothing.
+        """
         (ms, error), (peer_ms, peer_error) = ours, peer
-        return all((
-            self.min_speedup is None or peer_ms >= self.min_speedup * ms,
-            self.max_ms is None or ms <= self.max_ms,
-            self.min_error_ratio is None or peer_error >= self.min_error_ratio * error,
-            self.max_error is None or error <= self.max_error,
-        ))  # fmt: skip
+        return all(
+            (
+                self.min_speedup is None or peer_ms >= self.min_speedup * ms,
+                self.max_ms is None or ms <= self.max_ms,
+                self.min_error_ratio is None or peer_error >= self.min_error_ratio * error,
+                self.max_error is None or error <= self.max_error,
+            )
+        )
 
 
-def time_in_turns(methods: Mapping[str, Callable[[], object]], runs: int = N_RUNS, calls: int = 1) -> dict[str, Timing]:
-    """Timings of methods that take turns, forward and backward (A B B A), so that drift hits all alike.
+def time_in_turns(
+    methods: Mapping[str, Callable[[], object]], runs: int = N_RUNS, calls: int = 1
+) -> dict[str, Timing]:
+    """Timings of methods that take turns, forward and backward (A B B A), so that drift hits all
+    alike.
 
-    In its turn a method is called `calls` times and each call counts for the mean of them: with more than one, a short
-    call is not mostly the cold caches that a long one of another method left. Compare the outputs before the times.
+    In its turn a method is called `calls` times and each call counts for the mean of them: with
+    more than one, a short call is not mostly the cold caches that a long one of another method
+    left. Compare the outputs before the times.
     """
     for call in methods.values():
         for _ in range(_WARM_UP):

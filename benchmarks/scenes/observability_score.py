@@ -27,9 +27,11 @@ class ObservabilityScore:
 
     def __add__(self, other: ObservabilityScore) -> ObservabilityScore:
         return ObservabilityScore(
-            n_weak=self.n_weak + other.n_weak, n_named=self.n_named + other.n_named,
-            n_false=self.n_false + other.n_false, n_between=self.n_between + other.n_between,
-        )  # fmt: skip
+            n_weak=self.n_weak + other.n_weak,
+            n_named=self.n_named + other.n_named,
+            n_false=self.n_false + other.n_false,
+            n_between=self.n_between + other.n_between,
+        )
 
     @property
     def recall(self) -> float:
@@ -48,17 +50,21 @@ class TrueMotions:
     """What is true of a patch, in coordinates scaled by its radius about its centroid."""
 
     weak: Doubles  # (6, k) orthonormal: free by geometry, or seen BAND times less than asked for
-    determined_part: Doubles  # (6, 6) takes a motion to its part that is seen BAND times more than asked for
+    # (6, 6) takes a motion to its part that is seen BAND times more than asked for
+    determined_part: Doubles
     n_determined: int
     centroid_mm: Doubles  # (3,)
     radius_mm: float
 
 
-def compute_true_motions(dense: Patch, n_eff: float, sigma_mm: float, tolerances: Tolerances) -> TrueMotions:
+def compute_true_motions(
+    dense: Patch, n_eff: float, sigma_mm: float, tolerances: Tolerances
+) -> TrueMotions:
     """The truth about a patch from many exact points of it.
 
-    Asked for is that the predicted standard deviation lies within the tolerances, and that the normals show more of a
-    motion than a surface with the tolerated error of its normals would show of any.
+    Asked for is that the predicted standard deviation lies within the tolerances, and that the
+    normals show more of a motion than a surface with the tolerated error of its normals would show
+    of any.
     """
     centroid = dense.points_mm.mean(axis=0)
     arms = dense.points_mm - centroid
@@ -67,7 +73,11 @@ def compute_true_motions(dense: Patch, n_eff: float, sigma_mm: float, tolerances
     free[:, 3:] += np.cross(free[:, :3], centroid)  # translation at the centroid
     free[:, :3] *= radius
     structural = _orthonormal(free.T)
-    rest = np.linalg.svd(structural, full_matrices=True)[0][:, structural.shape[1] :] if free.size else np.eye(6)
+    rest = (
+        np.linalg.svd(structural, full_matrices=True)[0][:, structural.shape[1] :]
+        if free.size
+        else np.eye(6)
+    )
     seen, along = _seen_and_along(arms / radius, dense.normals)
     spread = np.array([math.radians(tolerances.deg) * radius] * 3 + [tolerances.mm] * 3)
     fake = along * math.radians(tolerances.normal_error_deg) ** 2
@@ -75,26 +85,38 @@ def compute_true_motions(dense: Patch, n_eff: float, sigma_mm: float, tolerances
     lower = np.linalg.inv(np.linalg.cholesky(asked))
     ratio, directions = np.linalg.eigh(lower @ (rest.T @ seen @ rest) @ lower.T)
     directions = rest @ (lower.T @ directions)
-    basis, counts = np.concatenate([structural, directions], axis=1), ratio > BAND**2
-    # What is between the limits is square to what is determined in the sense of what is seen, not of lengths.
+    basis = np.concatenate([structural, directions], axis=1)
+    counts = ratio > BAND**2
+    # What is between the limits is square to what is determined in the sense of what is seen, not
+    # of lengths.
     kept = np.concatenate([np.zeros(structural.shape[1]), counts])
     return TrueMotions(
         weak=_orthonormal(np.concatenate([structural, directions[:, ratio < BAND**-2]], axis=1)),
-        determined_part=(basis * kept) @ np.linalg.inv(basis), n_determined=int(counts.sum()),
-        centroid_mm=centroid, radius_mm=radius,
-    )  # fmt: skip
+        determined_part=(basis * kept) @ np.linalg.inv(basis),
+        n_determined=int(counts.sum()),
+        centroid_mm=centroid,
+        radius_mm=radius,
+    )
 
 
 def _seen_and_along(arms: Doubles, normals: Doubles) -> tuple[Doubles, Doubles]:
-    """(6, 6) mean squares of what a motion moves the points along their normals, and along the surface."""
-    carried = np.concatenate([-_crosses(arms), np.broadcast_to(np.eye(3), (len(arms), 3, 3))], axis=2)
+    """(6, 6) mean squares of what a motion moves the points along their normals, and along the
+    surface.
+    """
+    carried = np.concatenate(
+        [-_crosses(arms), np.broadcast_to(np.eye(3), (len(arms), 3, 3))], axis=2
+    )
     seen = np.einsum("nij,ni->nj", carried, normals)
     along = carried - normals[:, :, None] * seen[:, None, :]
     return seen.T @ seen / len(arms), np.einsum("nij,nik->jk", along, along) / len(arms)
 
 
-def score_named_motions(weak_motions: Doubles, about_mm: Doubles, truth: TrueMotions) -> ObservabilityScore:
-    """Score the motions (k, 6) of (rotation rad, translation mm at `about_mm`) that were stated as unobservable."""
+def score_named_motions(
+    weak_motions: Doubles, about_mm: Doubles, truth: TrueMotions
+) -> ObservabilityScore:
+    """Score the motions (k, 6) of (rotation rad, translation mm at `about_mm`) that were stated
+    as unobservable.
+    """
     motions = weak_motions.copy()
     motions[:, 3:] += np.cross(motions[:, :3], truth.centroid_mm - about_mm)
     motions[:, :3] *= truth.radius_mm
@@ -114,7 +136,11 @@ def _count(product: Doubles, least: float) -> int:
 
 
 def _orthonormal(columns: NDArray[np.floating]) -> Doubles:
-    return np.asarray(np.linalg.qr(columns)[0], dtype=np.float64) if columns.shape[1] else np.zeros((6, 0))
+    return (
+        np.asarray(np.linalg.qr(columns)[0], dtype=np.float64)
+        if columns.shape[1]
+        else np.zeros((6, 0))
+    )
 
 
 def _crosses(w: Doubles) -> Doubles:

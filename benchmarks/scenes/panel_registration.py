@@ -1,8 +1,9 @@
 """How a lab's images of depth lie on its images of touch: for the question about real depth.
 
-Not a question itself. In the clips of a GelSlim 4.0 the two are not of one frame: depth is shown larger and aside. One
-scale along each axis and one shift are looked for, for all clips together, that bring the edges of the depth onto what
-changes in the touch: Pearson's correlation of the means over the frames with contact.
+Not a question itself. In the clips of a GelSlim 4.0 the two are not of one frame: depth is shown
+larger and aside. One scale along each axis and one shift are looked for, for all clips together,
+that bring the edges of the depth onto what changes in the touch: Pearson's correlation of the means
+over the frames with contact.
 """
 
 from __future__ import annotations
@@ -14,15 +15,20 @@ import numpy as np
 
 _EDGE_BLUR_PX = 1.0
 _WIDE_BLUR_PX = 1.5  # of the depth's edges: what presses has flanks
-_HIGH, _FRAME_PX = 97.0, 3  # percentile at which a change is cut; the panels' frame
+# percentile at which a change is cut; the panels' frame
+_HIGH = 97.0
+_FRAME_PX = 3
 _LEAST_COMMON = 0.35  # of the panel
-_SCALES, _SHIFTS_PX = np.arange(1.0, 1.9, 0.2), np.arange(-9.0, 19.0, 4.5)
+_SCALES = np.arange(1.0, 1.9, 0.2)
+_SHIFTS_PX = np.arange(-9.0, 19.0, 4.5)
 _STEPS = (0.08, 0.08, 4.0, 4.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PanelMap:
-    """Where a pixel of the touch lies on the depth: scaled around the panel's middle, then shifted."""
+    """Where a pixel of the touch lies on the depth: scaled around the panel's middle, then
+    shifted.
+    """
 
     scale_x: float
     scale_y: float
@@ -40,10 +46,16 @@ class PanelMap:
 
 
 def edges(pictures, depths, still):
-    """What changes in a clip's touches, and the edges of their depths: means (rows, cols) over the frames given."""
-    changed = np.mean([np.abs(_smooth(one.astype(np.float32) - still)).sum(axis=2) for one in pictures], axis=0)
+    """What changes in a clip's touches, and the edges of their depths: means (rows, cols) over
+    the frames given.
+    """
+    changed = np.mean(
+        [np.abs(_smooth(one.astype(np.float32) - still)).sum(axis=2) for one in pictures], axis=0
+    )
     steep = np.mean([np.hypot(*np.gradient(_smooth(depth))) for depth in depths], axis=0)
-    changed, steep = (np.minimum(a, np.percentile(a, _HIGH)).astype(np.float32) for a in (changed, steep))
+    changed, steep = (
+        np.minimum(a, np.percentile(a, _HIGH)).astype(np.float32) for a in (changed, steep)
+    )
     return _smooth(changed), cv2.GaussianBlur(steep, (0, 0), _WIDE_BLUR_PX)
 
 
@@ -53,19 +65,29 @@ def fit_panel_map(of_clips) -> PanelMap:
 
     def unlike(at):
         return -float(
-            np.mean([_alike(PanelMap(**dict(zip(PanelMap.__slots__, at, strict=True))), *clip) for clip in of_clips])
+            np.mean(
+                [
+                    _alike(PanelMap(**dict(zip(PanelMap.__slots__, at, strict=True))), *clip)
+                    for clip in of_clips
+                ]
+            )
         )
 
-    grid = [(sx, sy, x, y) for sx in _SCALES for sy in _SCALES for x in _SHIFTS_PX for y in _SHIFTS_PX]
+    grid = [
+        (sx, sy, x, y) for sx in _SCALES for sy in _SCALES for x in _SHIFTS_PX for y in _SHIFTS_PX
+    ]
     best = np.array(min(grid, key=unlike))
     simplex = np.vstack([best, best + np.diag(_STEPS)])
-    found = optimize.minimize(unlike, best, method="Nelder-Mead", options={"initial_simplex": simplex}).x
+    found = optimize.minimize(
+        unlike, best, method="Nelder-Mead", options={"initial_simplex": simplex}
+    ).x
     return PanelMap(**dict(zip(PanelMap.__slots__, (float(v) for v in found), strict=True)))
 
 
 def correlate(a, b, where=...) -> float:
     """Pearson's correlation; 0 where one of them is level."""
-    a, b = a[where].ravel(), b[where].ravel()
+    a = a[where].ravel()
+    b = b[where].ravel()
     return float(np.corrcoef(a, b)[0, 1]) if np.ptp(a) > 0 and np.ptp(b) > 0 else 0.0
 
 

@@ -1,4 +1,6 @@
-"""Closed random solids for judging: primitives joined and cut, in no catalogue and in no training data."""
+"""Closed random solids for judging: primitives joined and cut, in no catalogue and in no
+training data.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +10,15 @@ from pipeline.core.arrays import freeze
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
 
-_STEP_MM, _HALF_MM = 0.5, 20.0
+_STEP_MM = 0.5
+_HALF_MM = 20.0
 
 
 def make_random_solid(seed: int) -> Mesh:
-    """A solid of two to five boxes, balls, cylinders and cones; its lowest point lies at z = 0 and faces -z."""
+    """A solid of two to five boxes, balls, cylinders and cones.
+
+    Its lowest point lies at z = 0 and faces -z.
+    """
     from skimage.measure import marching_cubes
 
     rng = np.random.default_rng(seed)
@@ -22,7 +28,9 @@ def make_random_solid(seed: int) -> Mesh:
     for _ in range(rng.integers(1, 5)):
         part = _measure_primitive(rng, grid, size_mm=rng.uniform(2.0, 7.0))
         body = np.maximum(body, -part) if rng.random() < 0.3 else np.minimum(body, part)
-    vertices, triangles, _, _ = marching_cubes(body, 0.0, spacing=(_STEP_MM,) * 3, gradient_direction="descent")
+    vertices, triangles, _, _ = marching_cubes(
+        body, 0.0, spacing=(_STEP_MM,) * 3, gradient_direction="descent"
+    )
     vertices -= (*(0.5 * (vertices.min(axis=0) + vertices.max(axis=0)))[:2], vertices[:, 2].min())
     return Mesh(
         vertices_mm=freeze(vertices.astype(np.float64)),
@@ -35,7 +43,8 @@ def _measure_primitive(rng, grid, size_mm):
     """Signed distance (mm, negative inside) to one turned and shifted primitive."""
     turn = rigid.rotation(rng.normal(size=3))[:3, :3]
     p = (grid - rng.uniform(-6.0, 6.0, 3)) @ turn
-    kind, sides = rng.integers(4), size_mm * rng.uniform(0.3, 1.2, 3)
+    kind = rng.integers(4)
+    sides = size_mm * rng.uniform(0.3, 1.2, 3)
     across = np.hypot(p[..., 0], p[..., 1])
     if kind == 0:
         over = np.abs(p) - sides

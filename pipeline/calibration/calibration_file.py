@@ -20,14 +20,19 @@ from pipeline.core.torch_archive import ZIP_ERRORS
 from pipeline.core.typed_data import Name, Note, Number, convert
 
 _VERSION = 3
-_WHAT, _REMEDY = "the calibration", "calibrate again"
+_WHAT = "the calibration"
+_REMEDY = "calibrate again"
 _MAPS = {  # images of a calibration -> dimensions and type; an empty one stands for None
-    "reference_thumbnail": (3, np.uint8), "coverage_map": (2, np.bool_), "depth_scale_map": (2, np.float32),
-}  # fmt: skip
+    "reference_thumbnail": (3, np.uint8),
+    "coverage_map": (2, np.bool_),
+    "depth_scale_map": (2, np.float32),
+}
 _ARRAYS = ("coefficients", *_MAPS)  # the other fields are numbers, texts and lists
 _MOST_VALUES = 100_000  # of a list
 _SCALE_MAX = 10.0
-_TABLE, _FORCE = frozenset(("coefficients", "slope_max")), "force_scale"  # arrays by which a file is recognised
+# arrays by which a file is recognised
+_TABLE = frozenset(("coefficients", "slope_max"))
+_FORCE = "force_scale"
 _Side = Annotated[int, Meta(ge=1, le=100_000)]
 _Positive = Annotated[float, Meta(gt=0.0, le=1e12)]
 _Share = Annotated[float, Meta(gt=0.0, le=1.0)]
@@ -48,7 +53,9 @@ class _Content(msgspec.Struct, kw_only=True, frozen=True):
     origin: Note
     presses: tuple[tuple[Number, float, float, float, float, Number], ...]  # see `_encode_presses`
     uses_built_in: bool
-    expected_error: Annotated[tuple[Annotated[float, Meta(ge=0.0, le=1e12)], ...], Meta(max_length=5)]
+    expected_error: Annotated[
+        tuple[Annotated[float, Meta(ge=0.0, le=1e12)], ...], Meta(max_length=5)
+    ]
     diameter_ratio: Annotated[tuple[_Positive, ...], Meta(max_length=1)]
     reference_thumbnail: Any
     coverage_map: Any
@@ -63,7 +70,10 @@ def is_calibration_file(path: Path) -> bool:
 
 
 def load_if_present(path: Path) -> Calibration | None:
-    """The calibration table in a file; None for a force scale alone. Raises FileProblem as `load`."""
+    """The calibration table in a file.
+
+    None for a force scale alone. Raises FileProblem as `load`.
+    """
     arrays = _list_arrays(path)
     return None if _FORCE in arrays and not arrays & _TABLE else load(path)
 
@@ -83,22 +93,37 @@ def save(calibration: Calibration, path: Path | str) -> Path:
     """Write the calibration as .npz and return its place; a failure leaves no half-written file."""
     path = Path(path)
     path = path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
-    model, error, share = calibration.model, calibration.expected_error, calibration.median_pressure_share
+    model = calibration.model
+    error = calibration.expected_error
+    share = calibration.median_pressure_share
     maps: dict[str, Any] = {
-        name: np.zeros((0,) * n_axes, kind) if getattr(calibration, name) is None else getattr(calibration, name)
+        name: np.zeros((0,) * n_axes, kind)
+        if getattr(calibration, name) is None
+        else getattr(calibration, name)
         for name, (n_axes, kind) in _MAPS.items()
     }
     with open_atomic(path, _WHAT, load) as file:
         np.savez_compressed(
-            file, version=_VERSION, sensor=calibration.sensor, size=(calibration.rows, calibration.cols),
-            pixel_mm=calibration.pixel_mm, coefficients=model.coefficients, colour_degree=model.colour_degree,
-            position_degree=model.position_degree, slope_max=model.slope_max, residual=calibration.residual,
-            origin=calibration.origin, presses=_encode_presses(calibration.presses),
+            file,
+            version=_VERSION,
+            sensor=calibration.sensor,
+            size=(calibration.rows, calibration.cols),
+            pixel_mm=calibration.pixel_mm,
+            coefficients=model.coefficients,
+            colour_degree=model.colour_degree,
+            position_degree=model.position_degree,
+            slope_max=model.slope_max,
+            residual=calibration.residual,
+            origin=calibration.origin,
+            presses=_encode_presses(calibration.presses),
             uses_built_in=calibration.uses_built_in,
             expected_error=[] if error is None else dataclasses.astuple(error),
-            diameter_ratio=[] if calibration.diameter_ratio is None else [calibration.diameter_ratio],
-            median_pressure_share=[] if share is None else [share], **maps,
-        )  # fmt: skip
+            diameter_ratio=[]
+            if calibration.diameter_ratio is None
+            else [calibration.diameter_ratio],
+            median_pressure_share=[] if share is None else [share],
+            **maps,
+        )
     return path
 
 
@@ -106,7 +131,9 @@ def load(path: Path) -> Calibration:
     """The calibration in a file; raises FileProblem with the field that is missing or damaged."""
     arrays = read_arrays(path, _WHAT)
     if any(array.size > _MOST_VALUES for name, array in arrays.items() if name not in _ARRAYS):
-        raise FileProblem(f"{_WHAT} holds a list of more than {_MOST_VALUES} values; {_REMEDY}", path)
+        raise FileProblem(
+            f"{_WHAT} holds a list of more than {_MOST_VALUES} values; {_REMEDY}", path
+        )
     plain = {name: array if name in _ARRAYS else array.tolist() for name, array in arrays.items()}
     content = convert(plain, _Content, _WHAT, path, remedy=_REMEDY)
     try:
@@ -116,7 +143,8 @@ def load(path: Path) -> Calibration:
 
 
 def _decode(content: _Content) -> Calibration:
-    table, side = np.asarray(content.coefficients), content.position_degree + 1
+    table = np.asarray(content.coefficients)
+    side = content.position_degree + 1
     shape = (side, side, len(slope_model.list_exponents(content.colour_degree)), 2)
     if table.shape != shape or table.dtype.kind != "f" or not np.isfinite(table).all():
         raise CalibrationError("its coefficients do not fit its degrees or are not finite")
@@ -126,25 +154,45 @@ def _decode(content: _Content) -> Calibration:
         raise CalibrationError("a press that is used has no centre or radius")
     diameter, diameter_p90, depth, depth_p90, n_held_out = content.expected_error or (0.0,) * 5
     model = SlopeModel(
-        colour_degree=content.colour_degree, position_degree=content.position_degree,
-        coefficients=freeze(np.ascontiguousarray(table, np.float32)), slope_max=content.slope_max,
-    )  # fmt: skip
+        colour_degree=content.colour_degree,
+        position_degree=content.position_degree,
+        coefficients=freeze(np.ascontiguousarray(table, np.float32)),
+        slope_max=content.slope_max,
+    )
     rows, cols = content.size
     return Calibration(
-        sensor=content.sensor, rows=rows, cols=cols, pixel_mm=content.pixel_mm, model=model,
-        residual=content.residual, origin=content.origin, uses_built_in=content.uses_built_in,
+        sensor=content.sensor,
+        rows=rows,
+        cols=cols,
+        pixel_mm=content.pixel_mm,
+        model=model,
+        residual=content.residual,
+        origin=content.origin,
+        uses_built_in=content.uses_built_in,
         presses=tuple(
-            BallFit(index=int(index), x_px=x, y_px=y, radius_px=radius, residual=residual, used=bool(used))
+            BallFit(
+                index=int(index),
+                x_px=x,
+                y_px=y,
+                radius_px=radius,
+                residual=residual,
+                used=bool(used),
+            )
             for index, x, y, radius, residual, used in content.presses
         ),
         expected_error=ExpectedError(
-            diameter_share=diameter, diameter_p90=diameter_p90, depth_share=depth, depth_p90=depth_p90,
+            diameter_share=diameter,
+            diameter_p90=diameter_p90,
+            depth_share=depth,
+            depth_p90=depth_p90,
             n_held_out=int(n_held_out),
-        ) if content.expected_error else None,
+        )
+        if content.expected_error
+        else None,
         diameter_ratio=next(iter(content.diameter_ratio), None),
         **{name: _decode_image(getattr(content, name), name) for name in _MAPS},
         median_pressure_share=next(iter(content.median_pressure_share), None),
-    )  # fmt: skip
+    )
 
 
 def _encode_presses(presses: tuple[BallFit, ...]) -> Doubles:
@@ -159,6 +207,7 @@ def _decode_image(image: NDArray[Any], name: str) -> Any:
         return None
     if (image.ndim, image.dtype) != _MAPS[name]:
         raise CalibrationError(f"{name} is {image.dtype} of shape {image.shape}")
-    if name == "depth_scale_map" and not (image.min() > 0.0 and image.max() <= _SCALE_MAX):  # NaN is neither
+    # NaN is neither
+    if name == "depth_scale_map" and not (image.min() > 0.0 and image.max() <= _SCALE_MAX):
         raise CalibrationError(f"depth_scale_map must lie within 0 and {_SCALE_MAX:g}")
     return freeze(np.ascontiguousarray(image))

@@ -1,4 +1,6 @@
-"""Calibration table of a sensor (photometric stereo look-up from colour to slope), its origin and quality."""
+"""Calibration table of a sensor (photometric stereo look-up from colour to slope), its origin
+and quality.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,13 +22,17 @@ P90_OVER_STD = 1.645  # of the sizes of normal errors
 USUAL_STD = 0.14  # of a ball's size on a real unit without calibration (`benchmarks.real_depth`)
 _DEGREES = 4, 2  # of colour and position, of the built-in table
 _CODE = (  # modules that the built-in table depends on: part of its cache key
-    "pipeline.calibration.calibration_table", "pipeline.calibration.slope_model", "pipeline.physics.optics",
-    "pipeline.physics.optics_kernels", "pipeline.sensors.parts",
-)  # fmt: skip
+    "pipeline.calibration.calibration_table",
+    "pipeline.calibration.slope_model",
+    "pipeline.physics.optics",
+    "pipeline.physics.optics_kernels",
+    "pipeline.sensors.parts",
+)
 _N_SLOPES = 96  # slope images that the built-in table is fitted to
 _N_PIXELS = 400  # pixels taken from each
 _COVERED_SHARE = 0.5  # of a touch that must be covered
-_LONGER_SIDE_PX = 160  # of a thumbnail: an instance's light is smooth, and a shifted lens is one of these pixels
+# of a thumbnail: an instance's light is smooth, and a shifted lens is one of these pixels
+_LONGER_SIDE_PX = 160
 _SLOPE_MAX = 1.2  # mm/mm: about 50 degrees, the rim of a deep ball press
 
 
@@ -44,7 +50,9 @@ class BallFit:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExpectedError:
-    """Relative error of a ball measured with the calibration anywhere in the image: median and 90th percentile."""
+    """Relative error of a ball measured with the calibration anywhere in the image: median and
+    90th percentile.
+    """
 
     diameter_share: float  # of its diameter
     diameter_p90: float
@@ -70,14 +78,20 @@ class Calibration:
     residual: float  # rms slope error of the samples of the fit, mm/mm
     origin: str  # a sentence for the user
     presses: tuple[BallFit, ...] = ()  # empty = from the sensor's description
-    uses_built_in: bool = False  # the presses did not improve on the table of the sensor's description
+    # the presses did not improve on the table of the sensor's description
+    uses_built_in: bool = False
     expected_error: ExpectedError | None = None  # None = not measured
-    diameter_ratio: float | None = None  # diameter measured without calibration over the one given; None = unknown
-    reference_thumbnail: Image | None = None  # of the sensor instance, by `make_thumbnail`; None = unknown
-    depth_scale_map: Floats | None = None  # on any coarse grid: factor of depth by the description; None = 1
-    coverage_map: Mask | None = None  # on any coarse grid: parts of the image that the presses cover; None = all
+    # diameter measured without calibration over the one given; None = unknown
+    diameter_ratio: float | None = None
+    # of the sensor instance, by `make_thumbnail`; None = unknown
+    reference_thumbnail: Image | None = None
+    # on any coarse grid: factor of depth by the description; None = 1
+    depth_scale_map: Floats | None = None
+    # on any coarse grid: parts of the image that the presses cover; None = all
+    coverage_map: Mask | None = None
     median_pressure_share: float | None = (
-        None  # of the median pressure, at which contacts end on this gel (`contact`); None = default
+        # of the median pressure, at which contacts end on this gel (`contact`); None = default
+        None
     )
 
     @property
@@ -102,10 +116,14 @@ class Calibration:
         return bool(covered[where].mean() > _COVERED_SHARE)
 
     def _spread(self, grid: Floats, corner: tuple[int, int], shape: tuple[int, ...]) -> Floats:
-        """Values (rows, cols) of a coarse grid over the image in its part of this shape and first pixel."""
+        """Values (rows, cols) of a coarse grid over the image in its part of this shape and
+        first pixel.
+        """
         import cv2
 
-        whole = np.asarray(cv2.resize(grid, (self.cols, self.rows), interpolation=cv2.INTER_LINEAR), np.float32)
+        whole = np.asarray(
+            cv2.resize(grid, (self.cols, self.rows), interpolation=cv2.INTER_LINEAR), np.float32
+        )
         row, col = corner
         return whole[row : row + shape[0], col : col + shape[1]]
 
@@ -120,14 +138,19 @@ def compute_slopes(
     markers: Markers | None = None,
     smoothing_px: float = SMOOTHING_PX,
 ) -> tuple[Floats, Floats]:
-    """(gx, gy) of the indentation, mm/mm, x right and y down: (rows, cols) float32, zero outside `where`.
+    """(gx, gy) of the indentation, mm/mm, x right and y down: (rows, cols) float32, zero outside
+    `where`.
 
     The images are the part of the calibrated one whose first pixel is `corner`.
     """
-    change = compute_relative_change(image, reference, calibration.pixel_mm, markers=markers, smoothing_px=smoothing_px)
+    change = compute_relative_change(
+        image, reference, calibration.pixel_mm, markers=markers, smoothing_px=smoothing_px
+    )
     u, v = slope_model.compute_positions((calibration.rows, calibration.cols))
     (row, col), (rows, cols) = corner, where.shape
-    return slope_model.evaluate(calibration.model, change, u[col : col + cols], v[row : row + rows], where)
+    return slope_model.evaluate(
+        calibration.model, change, u[col : col + cols], v[row : row + rows], where
+    )
 
 
 def compute_relative_change(
@@ -138,7 +161,9 @@ def compute_relative_change(
     markers: Markers | None = None,
     smoothing_px: float = SMOOTHING_PX,
 ) -> Floats:
-    """The smoothed colour change relative to the reference brightness, q of `slope_model`; (rows, cols, 3).
+    """The smoothed colour change relative to the reference brightness, q of `slope_model`.
+
+    (rows, cols, 3).
 
     Printed markers of both images are inpainted.
     """
@@ -159,22 +184,38 @@ def compute_relative_change(
 def make_built_in(sensor: SensorSpec) -> Calibration:
     """The calibration table of the sensor's optical description, cached on disk.
 
-    The forward model is sampled over the whole image and slopes up to 50 degrees, and inverted by regression.
-    Raises CalibrationError for a sensor without optics.
+    The forward model is sampled over the whole image and slopes up to 50 degrees, and inverted by
+    regression. Raises CalibrationError for a sensor without optics.
     """
     if sensor.optics is None:
-        raise CalibrationError(f"{sensor.name} has no optics to derive a calibration from; it measures depth itself")
+        raise CalibrationError(
+            f"{sensor.name} has no optics to derive a calibration from; it measures depth itself"
+        )
 
-    # The shading of a slope is independent of distance, so variants of a sensor at several depths share the fit.
+    # The shading of a slope is independent of distance, so variants of a sensor at several depths
+    # share the fit.
     fitted = disk_store.load_or_make(
-        _Inversion, (sensor.camera, sensor.optics), _CODE, lambda: _invert_optics(sensor), "calibration_tables"
+        _Inversion,
+        (sensor.camera, sensor.optics),
+        _CODE,
+        lambda: _invert_optics(sensor),
+        "calibration_tables",
     )
-    model = SlopeModel(colour_degree=_DEGREES[0], position_degree=_DEGREES[1],
-                       coefficients=fitted.coefficients, slope_max=fitted.slope_max)  # fmt: skip
+    model = SlopeModel(
+        colour_degree=_DEGREES[0],
+        position_degree=_DEGREES[1],
+        coefficients=fitted.coefficients,
+        slope_max=fitted.slope_max,
+    )
     return Calibration(
-        sensor=sensor.name, rows=sensor.camera.rows, cols=sensor.camera.cols, pixel_mm=sensor.pixel_mm, model=model,
-        residual=fitted.residual, origin="derived from the sensor's optical description",
-    )  # fmt: skip
+        sensor=sensor.name,
+        rows=sensor.camera.rows,
+        cols=sensor.camera.cols,
+        pixel_mm=sensor.pixel_mm,
+        model=model,
+        residual=fitted.residual,
+        origin="derived from the sensor's optical description",
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -196,41 +237,62 @@ def _invert_optics(sensor: SensorSpec) -> _Inversion:
     for index in range(_N_SLOPES):
         steep = _SLOPE_MAX * index / (_N_SLOPES - 1)
         angle = rng.uniform(0.0, 2.0 * np.pi, shape).astype(np.float32)
-        gx, gy = steep * np.cos(angle), steep * np.sin(angle)
-        row, col = rng.integers(0, shape[0], _N_PIXELS), rng.integers(0, shape[1], _N_PIXELS)
+        gx = steep * np.cos(angle)
+        gy = steep * np.sin(angle)
+        row = rng.integers(0, shape[0], _N_PIXELS)
+        col = rng.integers(0, shape[1], _N_PIXELS)
         seen = optics.compute_colour_change(sensor, gx, gy)[row, col]
         # The camera saturates at eight bits.
         seen = np.clip(seen + plain[row, col], 0.0, 255.0) - plain[row, col]
-        parts.append((seen * scale[row, col], u[col], v[row], np.stack([gx[row, col], gy[row, col]], axis=-1)))
-    change, u_all, v_all, g = (np.concatenate(p).astype(np.float32) for p in zip(*parts, strict=True))
+        parts.append(
+            (
+                seen * scale[row, col],
+                u[col],
+                v[row],
+                np.stack([gx[row, col], gy[row, col]], axis=-1),
+            )
+        )
+    change, u_all, v_all, g = (
+        np.concatenate(p).astype(np.float32) for p in zip(*parts, strict=True)
+    )
     samples = SlopeSamples(change=change, u=u_all, v=v_all, slopes=g)
     model = slope_model.fit(
-        samples, np.ones(len(g), np.float32), colour_degree=_DEGREES[0], position_degree=_DEGREES[1], ridge=1e-7,
+        samples,
+        np.ones(len(g), np.float32),
+        colour_degree=_DEGREES[0],
+        position_degree=_DEGREES[1],
+        ridge=1e-7,
         huber=0.1,
-    )  # fmt: skip
+    )
     rms = float(np.sqrt(np.mean((slope_model.predict(model, samples) - g) ** 2)))
     return _Inversion(coefficients=model.coefficients, slope_max=model.slope_max, residual=rms)
 
 
 def make_thumbnail(reference: Image) -> Image:
-    """A reference image (rows, cols, 3), downsampled to the pixels that distinguish sensor instances."""
+    """A reference image (rows, cols, 3), downsampled to the pixels that distinguish sensor
+    instances.
+    """
     import cv2
 
     share = _LONGER_SIDE_PX / max(reference.shape[:2])
     if share >= 1.0:
         return freeze(reference.copy())
     rows, cols = (max(1, round(share * n)) for n in reference.shape[:2])
-    return freeze(np.asarray(cv2.resize(reference, (cols, rows), interpolation=cv2.INTER_AREA), np.uint8))
+    return freeze(
+        np.asarray(cv2.resize(reference, (cols, rows), interpolation=cv2.INTER_AREA), np.uint8)
+    )
 
 
 def check_calibration(calibration: Calibration, sensor: str, image: Image) -> None:
     """Raise CalibrationError unless the calibration is of this sensor and image size."""
     if calibration.sensor != sensor:
         raise CalibrationError(
-            f"the calibration was made for {calibration.sensor!r}, the frame comes from {sensor!r}; calibrate that"
+            f"the calibration was made for {calibration.sensor!r}, the frame comes from "
+            f"{sensor!r}; calibrate that"
         )
     if image.shape[:2] != (calibration.rows, calibration.cols):
         raise CalibrationError(
-            f"the calibration was made for images of {calibration.rows} x {calibration.cols} pixels, "
+            f"the calibration was made for images of {calibration.rows} x {calibration.cols} "
+            "pixels, "
             f"the frame has {image.shape[0]} x {image.shape[1]}"
         )

@@ -1,12 +1,12 @@
 """Scale of an estimated force: weighed presses of one sensor instance, in its calibration file.
 
-The contact model leaves an unknown factor (stiffness, thickness and air pressure of the instance) and, where depth is
-read too deep or too shallow, an exponent near 1:
+The contact model leaves an unknown factor (stiffness, thickness and air pressure of the instance)
+and, where depth is read too deep or too shallow, an exponent near 1:
 
     log weighed = log factor + exponent log estimated
 
-Least squares with a normal prior on the exponent: two weighings of similar force determine the factor alone, two of
-very different forces the exponent as well.
+Least squares with a normal prior on the exponent: two weighings of similar force determine the
+factor alone, two of very different forces the exponent as well.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,8 @@ from pipeline.core.files import read_arrays, write_arrays
 from pipeline.core.typed_data import Name, convert
 
 UNKNOWN_SCALE = "its scale is not known; weigh two presses and run 'tactoscope calibrate force'"
-_WEIGHING_ERROR = 0.06  # standard deviation of one estimated force, as a share (`benchmarks/force.py`)
+# standard deviation of one estimated force, as a share (`benchmarks/force.py`)
+_WEIGHING_ERROR = 0.06
 _EXPONENT_DEVIATION = 0.1  # of the prior, about 1
 _EXPONENTS = (0.3, 3.0)  # accepted in a file
 _Positive = Annotated[float, Meta(gt=0.0, le=1e12)]
@@ -41,7 +42,9 @@ class _Content(msgspec.Struct, kw_only=True, frozen=True):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForceScale:
-    """Weighed force of one sensor instance as a function of the force that the contact model estimates."""
+    """Weighed force of one sensor instance as a function of the force that the contact model
+    estimates.
+    """
 
     sensor: str
     factor: float
@@ -55,7 +58,9 @@ class ForceScale:
     @property
     def residuals(self) -> Doubles:
         """Fitted over weighed force less 1 (n,)."""
-        return np.array([self.apply(estimated) / weighed - 1.0 for estimated, weighed in self.weighings_n])
+        return np.array(
+            [self.apply(estimated) / weighed - 1.0 for estimated, weighed in self.weighings_n]
+        )
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -63,16 +68,24 @@ class ForceScale:
         weighed = self.weighings_n[:, 1]
         out: list[str] = []
         if float(weighed.max() / weighed.min()) < _SPREAD_MIN:
-            out.append("the weighed forces are too similar to show whether light and strong presses scale alike; "
-                       f"weigh two that differ by a factor of {_SPREAD_MIN:g} or more")  # fmt: skip
+            out.append(
+                "the weighed forces are too similar to show whether light and strong presses "
+                "scale alike; "
+                f"weigh two that differ by a factor of {_SPREAD_MIN:g} or more"
+            )
         worst = int(np.abs(self.residuals).argmax())
         if abs(self.residuals[worst]) > _RESIDUAL_MAX:
-            out.append(f"weighing {worst} differs from the others by {100 * abs(self.residuals[worst]):.0f} %; "
-                       "check its force and that the whole contact is in the image")  # fmt: skip
+            out.append(
+                f"weighing {worst} differs from the others by "
+                f"{100 * abs(self.residuals[worst]):.0f} %; "
+                "check its force and that the whole contact is in the image"
+            )
         return tuple(out)
 
 
-def fit_force_scale(sensor: str, estimated_n: Sequence[float], weighed_n: Sequence[float]) -> ForceScale:
+def fit_force_scale(
+    sensor: str, estimated_n: Sequence[float], weighed_n: Sequence[float]
+) -> ForceScale:
     """The scale of two or more weighings; raises SettingProblem unless all forces are positive."""
     pairs = np.array([estimated_n, weighed_n], np.float64).T.reshape(-1, 2)
     if len(pairs) < 2:
@@ -83,8 +96,10 @@ def fit_force_scale(sensor: str, estimated_n: Sequence[float], weighed_n: Sequen
         if not (np.isfinite(estimated) and estimated > 0):
             raise SettingProblem(f"weighing {index} shows no contact; choose a frame that touches")
     x, y = np.log(pairs).T
-    x_mean, y_mean = float(x.mean()), float(y.mean())
-    noise, prior = _WEIGHING_ERROR**-2, _EXPONENT_DEVIATION**-2
+    x_mean = float(x.mean())
+    y_mean = float(y.mean())
+    noise = _WEIGHING_ERROR**-2
+    prior = _EXPONENT_DEVIATION**-2
     slope = float((x - x_mean) @ (y - y_mean)) * noise + prior
     exponent = slope / (float((x - x_mean) @ (x - x_mean)) * noise + prior)
     exponent = min(max(exponent, _EXPONENTS[0]), _EXPONENTS[1])
@@ -104,25 +119,34 @@ def save_force_scale(scale: ForceScale, path: Path, calibration: Path | None = N
 
 
 def load_force_scale(path: Path) -> ForceScale | None:
-    """The force scale in a calibration file, None where it holds none; raises FileProblem for a damaged one."""
+    """The force scale in a calibration file, None where it holds none.
+
+    Raises FileProblem for a damaged one.
+    """
     fields = read_arrays(path, "the calibration")
     if "force_scale" not in fields:
         return None
     own = {name: array for name, array in fields.items() if name.startswith("force_")}
     if any(array.size > _MOST_VALUES for array in own.values()):
-        raise FileProblem(f"the force scale holds a list of more than {_MOST_VALUES} values; calibrate again", path)
+        raise FileProblem(
+            f"the force scale holds a list of more than {_MOST_VALUES} values; calibrate again",
+            path,
+        )
     own = {name: array.tolist() for name, array in own.items()}
     content = convert(own, _Content, "the force scale", path, remedy="calibrate again")
     factor, exponent = content.force_scale
     weighings_n = freeze(np.array(content.force_weighings, np.float64))
-    return ForceScale(sensor=content.force_sensor, factor=factor, exponent=exponent, weighings_n=weighings_n)
+    return ForceScale(
+        sensor=content.force_sensor, factor=factor, exponent=exponent, weighings_n=weighings_n
+    )
 
 
 def format_force_scale(scale: ForceScale) -> list[str]:
     """The scale as lines for a terminal."""
     worst = 100 * float(np.abs(scale.residuals).max())
     return [
-        f"force of {scale.sensor}: {scale.factor:.4g} N times the estimate to the power of {scale.exponent:.3f}",
+        f"force of {scale.sensor}: {scale.factor:.4g} N times the estimate to the power of "
+        f"{scale.exponent:.3f}",
         f"  {len(scale.weighings_n)} weighings, largest residual {worst:.0f} %",
         *(f"  warning: {warning}" for warning in scale.warnings),
     ]

@@ -6,10 +6,12 @@ from pipeline.core.cached_kernels import kernel
 
 @kernel()
 def fill_by_means(out, means, weight, least, hidden):
-    """Fill the hidden pixels of `out` (rows, cols, channels) where a mean weighs more than `least`; return if any stay.
+    """Fill the hidden pixels of `out` (rows, cols, channels) where a mean weighs more than `least`.
 
-    means: sums around each pixel, of the shape of `out`; weight (rows, cols): of each sum. hidden (rows, cols) is
-    cleared where a pixel is filled.
+    Return if any stay.
+
+    means: sums around each pixel, of the shape of `out`; weight (rows, cols): of each sum. hidden
+    (rows, cols) is cleared where a pixel is filled.
     """
     rows, cols, channels = out.shape
     is_left = False

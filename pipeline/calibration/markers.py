@@ -24,7 +24,8 @@ _FULL_SIZE_SIGMA_PX = 1.6  # wider Gaussians are computed on fewer pixels
 
 
 def detect_markers(image: NDArray[Any], markers: Markers, pixel_mm: float) -> Mask:
-    """Mask (rows, cols) of dark dots up to the size of the sensor's markers, with their blurred rim.
+    """Mask (rows, cols) of dark dots up to the size of the sensor's markers, with their blurred
+    rim.
 
     Large dots are detected on a smaller image: closing by a disc costs its area for every pixel.
     """
@@ -34,7 +35,9 @@ def detect_markers(image: NDArray[Any], markers: Markers, pixel_mm: float) -> Ma
     if width > _DISC_MAX_PX:
         by = math.ceil(width / _DISC_MAX_PX)
         rows, cols = image.shape[:2]
-        small = cv2.resize(image, (max(1, cols // by), max(1, rows // by)), interpolation=cv2.INTER_AREA)
+        small = cv2.resize(
+            image, (max(1, cols // by), max(1, rows // by)), interpolation=cv2.INTER_AREA
+        )
         found = detect_markers(small, markers, pixel_mm * cols / small.shape[1])
         wide = cv2.resize(found.astype(np.float32), (cols, rows), interpolation=cv2.INTER_LINEAR)
         return np.asarray(wide > _HIDDEN_SHARE, np.bool_)
@@ -47,16 +50,19 @@ def detect_markers(image: NDArray[Any], markers: Markers, pixel_mm: float) -> Ma
 def track_markers(
     reference: NDArray[Any], image: NDArray[Any], markers: Markers, pixel_mm: float
 ) -> tuple[Doubles, Doubles]:
-    """(n, 2) places (column, row) in pixels of the markers in a reference image, and those in another image.
+    """(n, 2) places (column, row) in pixels of the markers in a reference image, and those in
+    another image.
 
-    Optical flow of the darkness of the dots, which does not change with the light; markers that it does not bring back
-    to where they were are left out.
+    Optical flow of the darkness of the dots, which does not change with the light; markers that it
+    does not bring back to where they were are left out.
     """
     import cv2
 
     width = _compute_dot_width_px(markers, pixel_mm)
     before, after = (_compute_darkness(a, width) for a in (reference, image))
-    count, _, boxes, centres = cv2.connectedComponentsWithStats((before > _DARK_GREY).astype(np.uint8), connectivity=8)
+    count, _, boxes, centres = cv2.connectedComponentsWithStats(
+        (before > _DARK_GREY).astype(np.uint8), connectivity=8
+    )
     area = boxes[1:count, cv2.CC_STAT_AREA]
     whole = area > _WHOLE_SHARE * np.median(area) if len(area) else np.zeros(0, np.bool_)
     start = centres[1:count][whole].astype(np.float32)
@@ -88,10 +94,14 @@ def _compute_darkness(image: NDArray[Any], width: int) -> NDArray[np.uint8]:
 
     brightest, around = _compare_with_surroundings(image, width)
     smooth = cv2.GaussianBlur(around.astype(np.float32), (0, 0), width / 4)
-    return np.asarray(255 * np.clip(1 - brightest / np.maximum(np.asarray(smooth), _BLACK), 0, 1), np.uint8)
+    return np.asarray(
+        255 * np.clip(1 - brightest / np.maximum(np.asarray(smooth), _BLACK), 0, 1), np.uint8
+    )
 
 
-def _compare_with_surroundings(image: NDArray[Any], width: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+def _compare_with_surroundings(
+    image: NDArray[Any], width: int
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """(rows, cols) brightest channel, and the same without dark dots of up to `width` pixels."""
     import cv2
 
@@ -106,7 +116,8 @@ def _compute_dot_width_px(markers: Markers, pixel_mm: float) -> int:
 
 
 def inpaint(change: Floats, hidden: Mask, sigma_px: float) -> Floats:
-    """`change` (rows, cols, channels) with hidden pixels replaced by a Gaussian mean of the visible ones around.
+    """`change` (rows, cols, channels) with hidden pixels replaced by a Gaussian mean of the visible
+    ones around.
 
     A wider mean takes over where a narrower one has no visible pixel.
     """
@@ -116,9 +127,12 @@ def inpaint(change: Floats, hidden: Mask, sigma_px: float) -> Floats:
 
     seen = (~hidden).astype(np.float32)
     shown = np.asarray(cv2.multiply(change, cv2.merge([seen] * change.shape[2])), np.float32)
-    out, left = shown.copy(), np.array(hidden)
+    out = shown.copy()
+    left = np.array(hidden)
     for reach in (sigma_px, 3 * sigma_px, 9 * sigma_px):
-        if not fill_by_means(out, _blur(shown, reach), _blur(seen, reach), np.float32(_VISIBLE_SHARE_MIN), left):
+        if not fill_by_means(
+            out, _blur(shown, reach), _blur(seen, reach), np.float32(_VISIBLE_SHARE_MIN), left
+        ):
             break
     return out
 
@@ -136,13 +150,17 @@ def _blur(image: Floats, sigma_px: float) -> Floats:
 
 
 @derive_once
-def remove_printed_markers(still: NDArray[Any], markers: Markers, pixel_mm: float) -> tuple[Mask, Floats]:
+def remove_printed_markers(
+    still: NDArray[Any], markers: Markers, pixel_mm: float
+) -> tuple[Mask, Floats]:
     """(mask of the markers of a reference image, the image (rows, cols, 3) without them).
 
     Computed once, since the same reference is used with every touch.
     """
     printed = detect_markers(still, markers, pixel_mm)
-    return freeze(printed), freeze(inpaint(still.astype(np.float32), printed, _compute_sigma_px(markers, pixel_mm)))
+    return freeze(printed), freeze(
+        inpaint(still.astype(np.float32), printed, _compute_sigma_px(markers, pixel_mm))
+    )
 
 
 def inpaint_markers(change: Floats, hidden: Mask, markers: Markers, pixel_mm: float) -> Floats:

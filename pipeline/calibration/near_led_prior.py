@@ -1,12 +1,14 @@
-"""Prior of a sensor instance's light before any touch: LEDs close to the gel, as in all instances that can be built.
+"""Prior of a sensor instance's light before any touch: LEDs close to the gel, as in all instances
+that can be built.
 
-A sensor's description has distant LEDs. In a real instance they stand a few millimetres next to the image: close to a
-LED its light falls steeply and hardly shades slopes, far from it at a glancing angle, and its beam meets the gel
-somewhere. Instances are sampled with LEDs of the described side, elevation (at the image centre) and colour, at random
-distances and beams, alike for the LEDs of one instance; light that no slope changes is added. The mean and covariance
-of their fields, widened by a smooth misfit, are the prior of `shading_field`. The ranges are those of such LEDs; the
-misfit is the one that does best on simulated instances of distant LEDs, with light of their own where they are
-pressed.
+A sensor's description has distant LEDs. In a real instance they stand a few millimetres next to the
+image: close to a LED its light falls steeply and hardly shades slopes, far from it at a glancing
+angle, and its beam meets the gel somewhere. Instances are sampled with LEDs of the described side,
+elevation (at the image centre) and colour, at random distances and beams, alike for the LEDs of one
+instance; light that no slope changes is added. The mean and covariance of their fields, widened by
+a smooth misfit, are the prior of `shading_field`. The ranges are those of such LEDs; the misfit is
+the one that does best on simulated instances of distant LEDs, with light of their own where they
+are pressed.
 """
 
 from dataclasses import dataclass
@@ -30,38 +32,61 @@ from pipeline.sensors.spec import Optics, SensorSpec
 _N_INSTANCES = 1200
 _GRID = (11, 13)  # rows and columns of the places at which the light is computed
 _STEP_MM = 0.1  # of the indentation, for the light's derivative
-_AZIMUTH_DEG, _ELEVATION_DEG, _LED_ELEVATION_DEG = 8.0, 8.0, 3.0  # standard deviations: of instances, of one LED
+# standard deviations: of instances, of one LED
+_AZIMUTH_DEG = 8.0
+_ELEVATION_DEG = 8.0
+_LED_ELEVATION_DEG = 3.0
 _ELEVATIONS_DEG = (6.0, 70.0)
-_NEAREST, _DISTANCE = 1.05, (1.1, 2.6)  # of the LEDs from the centre, in distances to the image border
+# of the LEDs from the centre, in distances to the image border
+_NEAREST = 1.05
+_DISTANCE = (1.1, 2.6)
 _BEAM_WIDTH_DEG = (12.0, 50.0)
 _FALLOFF_POWER = (0.0, 2.0)  # of the distance
 _STRIP_DEG = (0.0, 25.0)  # a LED is three points this far apart, as seen from the centre
 _LOG_POWER = 0.25  # standard deviation
 _OTHER_COLOURS = 0.15  # largest share of the LED's own colour
 _AMBIENT = (0.05, 1.0)  # light that no slope changes, in units of the LEDs' mean
-_AMBIENT_SPREAD, _AMBIENT_TILT = 0.3, 0.3  # between colours, and over half of the image
-_MISFIT, _MISFIT_REACH = 0.2, 0.7  # share of the field's size, and correlation length in halves of the image
+# between colours, and over half of the image
+_AMBIENT_SPREAD = 0.3
+_AMBIENT_TILT = 0.3
+# share of the field's size, and correlation length in halves of the image
+_MISFIT = 0.2
+_MISFIT_REACH = 0.7
 _RIDGE = 1e-9
-_GAINS = (0.05, 3.0)  # beyond, a colour carries no information, or the median of instances rests on a few
-_WEAK_SHADING = 0.8  # of the median: balls on a real Mini are wrong by 60 % below, by 12 % elsewhere
+# beyond, a colour carries no information, or the median of instances rests on a few
+_GAINS = (0.05, 3.0)
+# of the median: balls on a real Mini are wrong by 60 % below, by 12 % elsewhere
+_WEAK_SHADING = 0.8
 _SMALL_SLOPE = 1e-3  # mm/mm: the light is linear there
 _CODE = (
-    "pipeline.calibration.near_led_prior", "pipeline.calibration.shading_field", "pipeline.calibration.slope_model",
-    "pipeline.physics.optics", "pipeline.physics.optics_kernels", "pipeline.sensors.parts",
-)  # fmt: skip
+    "pipeline.calibration.near_led_prior",
+    "pipeline.calibration.shading_field",
+    "pipeline.calibration.slope_model",
+    "pipeline.physics.optics",
+    "pipeline.physics.optics_kernels",
+    "pipeline.sensors.parts",
+)
 _LEVEL_MISFIT = 0.3  # share of the misfit along z, where a tilt weakens all light alike
 
 
 @derive_once
 def compute_prior(sensor: SensorSpec, pixel_mm: float, shape: tuple[int, int]) -> ShadingFieldPrior:
-    """The prior of `sensor`'s field over an image of `shape` (rows, cols); CalibrationError for one without optics."""
+    """The prior of `sensor`'s field over an image of `shape` (rows, cols).
+
+    CalibrationError for one without optics.
+    """
     if sensor.optics is None:
         raise CalibrationError(
-            f"{sensor.name} has no optics to derive a calibration table from; it measures depth itself"
+            f"{sensor.name} has no optics to derive a calibration table from; it measures depth "
+            "itself"
         )
     optics = sensor.optics
     return disk_store.load_or_make(
-        ShadingFieldPrior, (optics, pixel_mm, shape), _CODE, lambda: _compute_prior(optics, pixel_mm, shape), "look_ups"
+        ShadingFieldPrior,
+        (optics, pixel_mm, shape),
+        _CODE,
+        lambda: _compute_prior(optics, pixel_mm, shape),
+        "look_ups",
     )
 
 
@@ -83,16 +108,27 @@ def sample_instances(
     half_mm = 0.5 * max(shape) * pixel_mm
     leds = _NearLeds(optics, u * half_mm, v * half_mm, count, rng)
     rgb = np.array([led.rgb for led in optics.leds])  # (LEDs, 3)
-    spill = rng.uniform(0.0, _OTHER_COLOURS, (count, len(rgb), 1)) * rng.random((count, len(rgb), 3))
-    rgb = rgb * np.exp(rng.normal(0.0, _LOG_POWER, (count, 1, 3))) + spill * rgb.mean(axis=1)[None, :, None]
+    spill = rng.uniform(0.0, _OTHER_COLOURS, (count, len(rgb), 1)) * rng.random(
+        (count, len(rgb), 3)
+    )
+    rgb = (
+        rgb * np.exp(rng.normal(0.0, _LOG_POWER, (count, 1, 3)))
+        + spill * rgb.mean(axis=1)[None, :, None]
+    )
     level = leds.compute_light(0.0)
     rise = (leds.compute_light(_STEP_MM)[..., 2:] - level[..., 2:]) / _STEP_MM
     change = np.einsum("nlpi,nlk->nkpi", np.concatenate([level, rise], axis=-1), rgb)
     still = np.einsum("nlp,nlk->nkp", level[..., 2], rgb)
-    share = rng.uniform(*_AMBIENT, (count, 1)) * np.exp(rng.normal(0.0, _AMBIENT_SPREAD, (count, 3)))
+    share = rng.uniform(*_AMBIENT, (count, 1)) * np.exp(
+        rng.normal(0.0, _AMBIENT_SPREAD, (count, 3))
+    )
     tilt = rng.normal(0.0, _AMBIENT_TILT, (2, count, 3, 1))
-    ambient = (share * still.mean(axis=(1, 2))[:, None])[..., None] * np.exp(tilt[0] * u + tilt[1] * v)
-    relative = slope_model.SPAN_GREY * change / (still + ambient + slope_model.OFFSET_GREY)[..., None]
+    ambient = (share * still.mean(axis=(1, 2))[:, None])[..., None] * np.exp(
+        tilt[0] * u + tilt[1] * v
+    )
+    relative = (
+        slope_model.SPAN_GREY * change / (still + ambient + slope_model.OFFSET_GREY)[..., None]
+    )
     return np.einsum("cp,nkpi->nkci", np.linalg.pinv(compute_position_terms(u, v)), relative)
 
 
@@ -103,13 +139,18 @@ class _Gains:
 
 @derive_once
 def compute_gains(sensor: SensorSpec) -> Floats:
-    """How strongly a slope changes the colours under near LEDs, in units of the described change; needs optics.
+    """How strongly a slope changes the colours under near LEDs, in units of the described change.
 
-    The median of random instances on a grid (rows, cols, 3) whose corners are the image's. Both changes are relative to
-    the reference image: the instance's own at that place, and the mean of the described one.
+    Needs optics.
+
+    The median of random instances on a grid (rows, cols, 3) whose corners are the image's. Both
+    changes are relative to the reference image: the instance's own at that place, and the mean of
+    the described one.
     """
     if sensor.optics is None:
-        raise CalibrationError(f"{sensor.name} has no optics to derive its light from; it measures depth itself")
+        raise CalibrationError(
+            f"{sensor.name} has no optics to derive its light from; it measures depth itself"
+        )
 
     made_of = (sensor.camera, sensor.optics, sensor.pixel_mm)
     return disk_store.load_or_make(
@@ -120,13 +161,17 @@ def compute_gains(sensor: SensorSpec) -> Floats:
 def _compute_gain_table(sensor: SensorSpec) -> Floats:
     from pipeline.physics import optics
 
-    described, shape = optics.require_optics(sensor), sensor.camera.shape
+    described = optics.require_optics(sensor)
+    shape = sensor.camera.shape
     u, v = _grid(shape)
-    fields = sample_instances(described, sensor.pixel_mm, shape, _N_INSTANCES, np.random.default_rng(0))
+    fields = sample_instances(
+        described, sensor.pixel_mm, shape, _N_INSTANCES, np.random.default_rng(0)
+    )
     tilted = np.einsum("gp,nkpi->nkgi", compute_position_terms(u, v), fields[..., :2])
     usual = compute_mean_reference_light(sensor.camera, described) + slope_model.OFFSET_GREY
     change = compute_described_change(sensor).reshape(-1, 3, 2)
-    change = -slope_model.SPAN_GREY * change / usual[:, None]  # of a normal's tilt, (places, colours, 2)
+    # of a normal's tilt, (places, colours, 2)
+    change = -slope_model.SPAN_GREY * change / usual[:, None]
     size = np.maximum((change**2).sum(axis=-1), 1e-9)
     gains = np.median(np.einsum("nkgi,gki->ngk", tilted, change) / size, axis=0)
     return freeze(np.clip(gains, *_GAINS).reshape(*_GRID, 3).astype(np.float32))
@@ -134,7 +179,9 @@ def _compute_gain_table(sensor: SensorSpec) -> Floats:
 
 @derive_once
 def compute_described_change(sensor: SensorSpec) -> Floats:
-    """Grey levels by which a small slope along x and y changes the described colours, per mm/mm; needs optics.
+    """Grey levels by which a small slope along x and y changes the described colours, per mm/mm.
+
+    Needs optics.
 
     (rows, cols, 3, 2) on the grid of `compute_gains`.
     """
@@ -142,16 +189,22 @@ def compute_described_change(sensor: SensorSpec) -> Floats:
 
     shape = sensor.camera.shape
     u, v = _grid(shape)
-    row, col = (np.rint(0.5 * (max(shape) * w + n - 1)).astype(np.intp) for w, n in zip((v, u), shape, strict=True))
-    level, steep = np.zeros(shape, np.float32), np.full(shape, _SMALL_SLOPE, np.float32)
+    row, col = (
+        np.rint(0.5 * (max(shape) * w + n - 1)).astype(np.intp)
+        for w, n in zip((v, u), shape, strict=True)
+    )
+    level = np.zeros(shape, np.float32)
+    steep = np.full(shape, _SMALL_SLOPE, np.float32)
     change = [
-        optics.compute_colour_change(sensor, *g)[row, col] / _SMALL_SLOPE for g in ((steep, level), (level, steep))
+        optics.compute_colour_change(sensor, *g)[row, col] / _SMALL_SLOPE
+        for g in ((steep, level), (level, steep))
     ]
     return freeze(np.stack(change, axis=-1).reshape(*_GRID, 3, 2).astype(np.float32))
 
 
 def has_weak_shading(contact: Mask, reference: Floats, sensor: SensorSpec) -> bool:
-    """Whether a contact (rows, cols) lies where near LEDs hardly shade slopes, by the reference image (rows, cols, 3).
+    """Whether a contact (rows, cols) lies where near LEDs hardly shade slopes, by the reference
+    image (rows, cols, 3).
 
     The slope direction with the weakest shading counts, relative to the median over the image.
     """
@@ -159,7 +212,8 @@ def has_weak_shading(contact: Mask, reference: Floats, sensor: SensorSpec) -> bo
 
     if not contact.any():
         return False
-    table, change = compute_gains(sensor), compute_described_change(sensor)
+    table = compute_gains(sensor)
+    change = compute_described_change(sensor)
     rows, cols = table.shape[:2]
     here = np.asarray(cv2.resize(reference, (cols, rows), interpolation=cv2.INTER_AREA), np.float32)
     offset = np.float32(slope_model.OFFSET_GREY)
@@ -167,42 +221,67 @@ def has_weak_shading(contact: Mask, reference: Floats, sensor: SensorSpec) -> bo
     by_slope = gain[..., None] * change  # (rows, cols, colours, 2)
     least = np.linalg.eigvalsh(np.einsum("rcki,rckj->rcij", by_slope, by_slope))[..., 0]
     share = np.sqrt(np.maximum(least, 0.0) / max(float(np.median(least)), 1e-6)).astype(np.float32)
-    full = np.asarray(cv2.resize(share, contact.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
+    full = np.asarray(
+        cv2.resize(share, contact.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32
+    )
     return float(np.median(full[contact])) < _WEAK_SHADING
 
 
 class _NearLeds:
     """LEDs of `count` instances above points (n,) in mm, and their light on level gel there."""
 
-    def __init__(self, optics: Optics, x_mm: Doubles, y_mm: Doubles, count: int, rng: np.random.Generator) -> None:
-        per_led, per_instance = (count, len(optics.leds)), (count, 1)
-        azimuth = np.radians([led.azimuth_deg for led in optics.leds] + rng.normal(0.0, _AZIMUTH_DEG, per_led))
-        elevation = np.array([led.elevation_deg for led in optics.leds]) + rng.normal(0.0, _ELEVATION_DEG, per_instance)
-        elevation = np.radians(np.clip(elevation + rng.normal(0.0, _LED_ELEVATION_DEG, per_led), *_ELEVATIONS_DEG))
-        edge = np.abs(x_mm).max() * np.abs(np.cos(azimuth)) + np.abs(y_mm).max() * np.abs(np.sin(azimuth))
+    def __init__(
+        self, optics: Optics, x_mm: Doubles, y_mm: Doubles, count: int, rng: np.random.Generator
+    ) -> None:
+        per_led = (count, len(optics.leds))
+        per_instance = (count, 1)
+        azimuth = np.radians(
+            [led.azimuth_deg for led in optics.leds] + rng.normal(0.0, _AZIMUTH_DEG, per_led)
+        )
+        elevation = np.array([led.elevation_deg for led in optics.leds]) + rng.normal(
+            0.0, _ELEVATION_DEG, per_instance
+        )
+        elevation = np.radians(
+            np.clip(elevation + rng.normal(0.0, _LED_ELEVATION_DEG, per_led), *_ELEVATIONS_DEG)
+        )
+        edge = np.abs(x_mm).max() * np.abs(np.cos(azimuth)) + np.abs(y_mm).max() * np.abs(
+            np.sin(azimuth)
+        )
         away = rng.uniform(*_DISTANCE, per_instance) * np.exp(rng.normal(0.0, 0.1, per_led))
         away = edge * np.maximum(away, _NEAREST)
         hits = (rng.uniform(-1.0, 1.0, per_instance) + rng.normal(0.0, 0.2, per_led)) * edge
-        width = np.radians(rng.uniform(*_BEAM_WIDTH_DEG, per_instance) * np.exp(rng.normal(0.0, 0.1, per_led)))
+        width = np.radians(
+            rng.uniform(*_BEAM_WIDTH_DEG, per_instance) * np.exp(rng.normal(0.0, 0.1, per_led))
+        )
         spread = np.radians(rng.uniform(*_STRIP_DEG, (count, 1, 1))) * np.array([-1.0, 0.0, 1.0])
         bearing = azimuth[..., None] + spread  # (instances, LEDs, strip)
         self._height = (away * np.tan(elevation))[..., None, None]
-        self._to_x = (away[..., None] * np.cos(bearing))[..., None] - x_mm  # (instances, LEDs, strip, n)
+        # of shape (instances, LEDs, strip, n)
+        self._to_x = (away[..., None] * np.cos(bearing))[..., None] - x_mm
         self._to_y = (away[..., None] * np.sin(bearing))[..., None] - y_mm
         self._across = np.hypot(self._to_x, self._to_y)
         self._beam = tuple(
-            a[..., None, None] for a in (elevation, np.arctan2(self._height[..., 0, 0], away - hits), width)
+            a[..., None, None]
+            for a in (elevation, np.arctan2(self._height[..., 0, 0], away - hits), width)
         )
         self._reach = np.hypot(away, self._height[..., 0, 0])[..., None, None]
         self._falloff = rng.uniform(*_FALLOFF_POWER, (count, 1, 1, 1))
 
     def compute_light(self, indentation_mm: float) -> Doubles:
-        """Direction times strength (instances, LEDs, n, 3) on a surface raised by `indentation_mm`; 1 at the centre."""
+        """Direction times strength (instances, LEDs, n, 3) on a surface raised by `indentation_mm`.
+
+        1 at the centre.
+        """
         elevation, axis, width = self._beam
         up = self._height - indentation_mm
         distance = np.hypot(self._across, up)
-        off, centre_off = (np.arctan2(up, self._across) - axis) / width, (elevation - axis) / width
-        strength = (self._reach / distance) ** self._falloff * np.exp(0.5 * (centre_off**2 - off**2)) / distance
+        off = (np.arctan2(up, self._across) - axis) / width
+        centre_off = (elevation - axis) / width
+        strength = (
+            (self._reach / distance) ** self._falloff
+            * np.exp(0.5 * (centre_off**2 - off**2))
+            / distance
+        )
         towards = (self._to_x, self._to_y, np.broadcast_to(up, distance.shape))
         return np.stack([(strength * part).mean(axis=2) for part in towards], axis=-1)
 
@@ -210,7 +289,9 @@ class _NearLeds:
 def _grid(shape: tuple[int, int]) -> tuple[Doubles, Doubles]:
     u, v = slope_model.compute_positions(shape)
     rows, cols = _GRID
-    down, across = np.meshgrid(np.linspace(v[0], v[-1], rows), np.linspace(u[0], u[-1], cols), indexing="ij")
+    down, across = np.meshgrid(
+        np.linspace(v[0], v[-1], rows), np.linspace(u[0], u[-1], cols), indexing="ij"
+    )
     return across.ravel().astype(np.float64), down.ravel().astype(np.float64)
 
 

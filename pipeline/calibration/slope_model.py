@@ -1,13 +1,14 @@
 """Slope from colour change: a polynomial in the change and the position, without a constant term.
 
-Without a colour change the slope is exactly zero: an untouched gel is flat. The change is relative to the reference
-brightness, so vignetting and fading light cancel to first order:
+Without a colour change the slope is exactly zero: an untouched gel is flat. The change is relative
+to the reference brightness, so vignetting and fading light cancel to first order:
 
-    q = span * (image - reference) / (blurred reference + offset)                      per colour, offset, span in grey
-    slope = sum_ab  C_ab  monomial_a(q_r, q_g, q_b)  monomial_b(u, v),     degree of a in 1..m, degree of b in 0..n
+    q = span * (image - reference) / (blurred reference + offset)                      per colour,
+    offset, span in grey slope = sum_ab  C_ab  monomial_a(q_r, q_g, q_b)  monomial_b(u, v),
+    degree of a in 1..m, degree of b in 0..n
 
-u and v run over the image from -1 to 1 along its longer axis. The magnitude of the slope is limited to `slope_max`, the
-range of the samples.
+u and v run over the image from -1 to 1 along its longer axis. The magnitude of the slope is limited
+to `slope_max`, the range of the samples.
 """
 
 from dataclasses import dataclass
@@ -28,7 +29,8 @@ class SlopeModel:
 
     colour_degree: int
     position_degree: int
-    coefficients: Floats  # (v powers, u powers, colour monomials, 2), zero where u + v exceed the degree
+    # (v powers, u powers, colour monomials, 2), zero where u + v exceed the degree
+    coefficients: Floats
     slope_max: float  # mm/mm
 
 
@@ -52,9 +54,13 @@ def compute_positions(shape: tuple[int, int]) -> tuple[Floats, Floats]:
 
 
 def list_exponents(degree: int) -> NDArray[np.int64]:
-    """Exponents (m, 3) of red, green and blue in the order of the coefficients: degrees 1 to `degree`."""
+    """Exponents (m, 3) of red, green and blue in the order of the coefficients: degrees 1 to
+    `degree`.
+    """
     n = range(degree + 1)
-    return np.array([(i, j, k) for i in n for j in n for k in n if 1 <= i + j + k <= degree], np.int64)
+    return np.array(
+        [(i, j, k) for i in n for j in n for k in n if 1 <= i + j + k <= degree], np.int64
+    )
 
 
 def compute_gain(reference: NDArray[np.generic]) -> Floats:
@@ -65,30 +71,54 @@ def compute_gain(reference: NDArray[np.generic]) -> Floats:
     return np.asarray(SPAN_GREY / (smooth + np.float32(OFFSET_GREY)), np.float32)
 
 
-def evaluate(model: SlopeModel, change: Floats, u: Floats, v: Floats, where: Mask) -> tuple[Floats, Floats]:
-    """(gx, gy) of an image of q (rows, cols, 3) at the columns `u` and rows `v`; zero outside `where`."""
+def evaluate(
+    model: SlopeModel, change: Floats, u: Floats, v: Floats, where: Mask
+) -> tuple[Floats, Floats]:
+    """(gx, gy) of an image of q (rows, cols, 3) at the columns `u` and rows `v`.
+
+    Zero outside `where`.
+    """
     from pipeline.calibration.slope_model_kernels import evaluate_polynomial
 
-    gx, gy = np.zeros(where.shape, np.float32), np.zeros(where.shape, np.float32)
+    gx = np.zeros(where.shape, np.float32)
+    gy = np.zeros(where.shape, np.float32)
     of_colour = list_exponents(model.colour_degree)
-    n_place, cols = len(model.coefficients), where.shape[1]
+    n_place = len(model.coefficients)
+    cols = where.shape[1]
     places = np.ascontiguousarray(np.vander(u, n_place, increasing=True).T, np.float32)
     row = np.empty((n_place, len(of_colour), 2), np.float32)
-    ladder, product = np.ones((3, model.colour_degree + 1, cols), np.float32), np.empty(cols, np.float32)
+    ladder = np.ones((3, model.colour_degree + 1, cols), np.float32)
+    product = np.empty(cols, np.float32)
     evaluate_polynomial(
-        change, places, v, where, of_colour, model.coefficients, np.float32(model.slope_max), row, ladder, product,
-        gx, gy,
-    )  # fmt: skip
+        change,
+        places,
+        v,
+        where,
+        of_colour,
+        model.coefficients,
+        np.float32(model.slope_max),
+        row,
+        ladder,
+        product,
+        gx,
+        gy,
+    )
     return gx, gy
 
 
 def compute_features(samples: SlopeSamples, colour_degree: int, position_degree: int) -> Floats:
     """The monomials (n, position x colour) of the formula, position slowest."""
-    q, e = samples.change, list_exponents(colour_degree)
+    q = samples.change
+    e = list_exponents(colour_degree)
     ladder = np.stack([q**k for k in range(colour_degree + 1)])  # (degree + 1, n, 3)
     colour = ladder[e[:, 0], :, 0] * ladder[e[:, 1], :, 1] * ladder[e[:, 2], :, 2]  # (m, n)
-    place = np.stack([samples.u**i * samples.v**j for j, i in _list_position_powers(position_degree)])  # (p, n)
-    return np.ascontiguousarray((place[:, None, :] * colour[None, :, :]).reshape(-1, len(q)).T, np.float32)
+    # of shape (p, n)
+    place = np.stack(
+        [samples.u**i * samples.v**j for j, i in _list_position_powers(position_degree)]
+    )
+    return np.ascontiguousarray(
+        (place[:, None, :] * colour[None, :, :]).reshape(-1, len(q)).T, np.float32
+    )
 
 
 def fit(
@@ -100,27 +130,35 @@ def fit(
     ridge: float,
     huber: float = 0.05,
 ) -> SlopeModel:
-    """The polynomial fitted to samples: ridge regression in closed form with three iterations of Huber weights.
+    """The polynomial fitted to samples: ridge regression in closed form with three iterations of
+    Huber weights.
 
-    `ridge` is relative to the mean square of each monomial and grows with its degree; `huber` is the residual in mm/mm
-    from which a sample's influence no longer grows.
+    `ridge` is relative to the mean square of each monomial and grows with its degree; `huber` is
+    the residual in mm/mm from which a sample's influence no longer grows.
     """
     f = compute_features(samples, colour_degree, position_degree)
     target = samples.slopes
     solution: Doubles = np.zeros((f.shape[1], 2))
     w = weights
     place = np.array([j + i for j, i in _list_position_powers(position_degree)])
-    stiffer = (_RIDGE_GROWTH ** (place[:, None] + list_exponents(colour_degree).sum(axis=1)[None, :] - 1.0)).ravel()
+    stiffer = (
+        _RIDGE_GROWTH ** (place[:, None] + list_exponents(colour_degree).sum(axis=1)[None, :] - 1.0)
+    ).ravel()
     for _ in range(3):
         weighted = f * w[:, None]
         normal = (weighted.T @ f).astype(np.float64)
         diagonal = np.diag(normal)
         least = 1e-9 * max(float(diagonal.max()), 1e-12)
         normal[np.diag_indices_from(normal)] += ridge * stiffer * diagonal + least
-        solution = np.asarray(np.linalg.solve(normal, (weighted.T @ target).astype(np.float64)), np.float64)
+        solution = np.asarray(
+            np.linalg.solve(normal, (weighted.T @ target).astype(np.float64)), np.float64
+        )
         residual = np.linalg.norm(f @ solution.astype(np.float32) - target, axis=1)
         w = weights * np.minimum(1.0, huber / np.maximum(residual, 1e-6)).astype(np.float32)
-    table = np.zeros((position_degree + 1, position_degree + 1, len(list_exponents(colour_degree)), 2), np.float32)
+    table = np.zeros(
+        (position_degree + 1, position_degree + 1, len(list_exponents(colour_degree)), 2),
+        np.float32,
+    )
     blocks = solution.reshape(-1, table.shape[2], 2)
     for block, (j, i) in zip(blocks, _list_position_powers(position_degree), strict=True):
         table[j, i] = block

@@ -9,11 +9,16 @@ from pipeline.core.cached_kernels import FAST, kernel
 
 
 @kernel(fastmath=FAST)
-def evaluate_polynomial(change, places, v, where, powers, coefficients, slope_max, row, ladder, product, gx, gy):
-    """Slopes (gx, gy) of every pixel of `where`; the powers of v are summed once a row, columns are innermost.
+def evaluate_polynomial(
+    change, places, v, where, powers, coefficients, slope_max, row, ladder, product, gx, gy
+):
+    """Slopes (gx, gy) of every pixel of `where`.
 
-    places (powers of u, cols); coefficients (powers of v, powers of u, colours, 2). Scratch: row (powers of u, colours,
-    2), ladder (3, degree + 1, cols) with ones in its first column, product (cols,). gx, gy hold zeros.
+    The powers of v are summed once a row, columns are innermost.
+
+    places (powers of u, cols); coefficients (powers of v, powers of u, colours, 2). Scratch: row
+    (powers of u, colours, 2), ladder (3, degree + 1, cols) with ones in its first column, product
+    (cols,). gx, gy hold zeros.
     """
     rows, cols = where.shape
     n_place = coefficients.shape[0]
@@ -38,7 +43,9 @@ def evaluate_polynomial(change, places, v, where, powers, coefficients, slope_ma
                 for c in range(cols):
                     ladder[k, d, c] = ladder[k, d - 1, c] * change[r, c, k]
         for m in range(n_colour):
-            first, second, third = powers[m, 0], powers[m, 1], powers[m, 2]
+            first = powers[m, 0]
+            second = powers[m, 1]
+            third = powers[m, 2]
             for c in range(cols):
                 product[c] = ladder[0, first, c] * ladder[1, second, c] * ladder[2, third, c]
             for i in range(n_place):

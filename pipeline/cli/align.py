@@ -19,7 +19,12 @@ from pipeline.core.frame_lists import parse_frames
 from pipeline.sensors.alignment_files import ALIGNMENT_SUFFIX, AlignmentFile, save_alignment
 from pipeline.translation.alignment import refine as refinement
 from pipeline.translation.alignment.coarse_start import estimate_alignment
-from pipeline.translation.alignment.refine import AlignmentFit, Refinement, hold_out_touches, refine_on_recording
+from pipeline.translation.alignment.refine import (
+    AlignmentFit,
+    Refinement,
+    hold_out_touches,
+    refine_on_recording,
+)
 from pipeline.translation.alignment.score import (
     UNIT_STEP,
     AlignmentScore,
@@ -33,8 +38,8 @@ from pipeline.translation.alignment.target_observation import observe_target
 from pipeline.translation.alignment.touches import AlignmentTouch, load_paired_touches
 from pipeline.translation.translate import Request, Translation, open_translation
 
-# Predicted standard deviation of a rotation from which a warning is printed. Two touches of a sample leave 0.8 deg and
-# are 1.1 deg off, three leave 0.7 deg and are 0.2 deg off.
+# Predicted standard deviation of a rotation from which a warning is printed. Two touches of a
+# sample leave 0.8 deg and are 1.1 deg off, three leave 0.7 deg and are 0.2 deg off.
 _WARN_ROTATION_STD_DEG = 0.75
 
 
@@ -60,16 +65,22 @@ class PairedTouchOptions:
     def build_request(self, recording: Path, alignment: Path | None = None) -> Request:
         """Request from source to target sensor."""
         return Request(
-            recording=recording, target=self.target, source=self.sensor, stream=self.stream, alignment=alignment
+            recording=recording,
+            target=self.target,
+            source=self.sensor,
+            stream=self.stream,
+            alignment=alignment,
         )
 
 
 def score(recording: Path, *, touches: PairedTouchOptions, alignment: Path | None = None) -> int:
-    """Print the agreement of every frame under the alignment, and the sensitivity to each axis; returns 0.
+    """Print the agreement of every frame under the alignment, and the sensitivity to each axis.
+
+    Returns 0.
 
     Args:
-        recording: Recording of both sensors.
-        alignment: The .toml to score; default: the recording's alignment, or that of the sensor descriptions.
+        recording: Recording of both sensors. alignment: The .toml to score; default: the
+        recording's alignment, or that of the sensor descriptions.
     """
     with (
         open_translation(touches.build_request(recording, alignment)) as translation,
@@ -80,7 +91,9 @@ def score(recording: Path, *, touches: PairedTouchOptions, alignment: Path | Non
         observed = [observe_target(pair.target, translation.target) for pair in pairs]
         scores = score_touches(pairs, observed, translation.alignment, progress=progress)
         best = int(np.argmax([score.overlap_px for score in scores]))
-        sensitivities = compute_sensitivities(pairs[best], translation.alignment, observed[best], progress=progress)
+        sensitivities = compute_sensitivities(
+            pairs[best], translation.alignment, observed[best], progress=progress
+        )
     _print_scores(pairs, scores)
     _print_sensitivities(sensitivities, pairs[best].index)
     return 0
@@ -101,12 +114,11 @@ def refine_alignment(
     Raises FileProblem if `out` exists, SettingProblem if no touch is left to fit to.
 
     Args:
-        recording: Recording of both sensors.
-        out: The .toml to write.
-        alignment: Initial alignment, a .toml; default: the recording's, or that of the sensor descriptions.
-        hold_out: Share of the touches that are not fitted to, only scored before and after.
-        into: Which of the two transforms takes the change.
-        tolerance: Directions with a predicted standard deviation above this times 0.2 mm or 1 degree stay unchanged.
+        recording: Recording of both sensors. out: The .toml to write. alignment: Initial alignment,
+        a .toml; default: the recording's, or that of the sensor descriptions. hold_out: Share of
+        the touches that are not fitted to, only scored before and after. into: Which of the two
+        transforms takes the change. tolerance: Directions with a predicted standard deviation above
+        this times 0.2 mm or 1 degree stay unchanged.
     """
     if not tolerance > 0:
         raise SettingProblem(f"--tolerance must be above 0, got {tolerance:g}")
@@ -123,20 +135,29 @@ def refine_alignment(
             tolerance=tolerance,
             progress=progress,
         )
-    origin = f"refined on {fit.used_fit[0].n_touches} touches of {recording.name}, change stored in {into}"
+    origin = (
+        f"refined on {fit.used_fit[0].n_touches} touches of {recording.name}, change stored "
+        f"in {into}"
+    )
     _write_refinement(out, translation, fit, origin)
     return 0
 
 
-def fit_alignment(recording: Path, *, touches: PairedTouchOptions, out: Path, hold_out: float = 0.2) -> int:
-    """Search all orientations in the plane, refine the best one, print the fit and write the alignment; returns 0.
+def fit_alignment(
+    recording: Path, *, touches: PairedTouchOptions, out: Path, hold_out: float = 0.2
+) -> int:
+    """Search all orientations in the plane, refine the best one, print the fit and write the
+    alignment; returns 0.
 
     Args:
         recording: Recording of both sensors; optical axes are within about 20 degrees of parallel.
         out: The .toml to write.
         hold_out: Share of the touches that are not fitted to, only scored before and after.
     """
-    with _open_pairs(recording, touches, out, hold_out) as translation, open_progress_bar() as progress:
+    with (
+        _open_pairs(recording, touches, out, hold_out) as translation,
+        open_progress_bar() as progress,
+    ):
         frames = parse_frames(touches.frames, translation.n_frames)
         found = load_paired_touches(translation, frames, exact=touches.truth, progress=progress)
         used, held_out = hold_out_touches(found, hold_out)
@@ -148,13 +169,21 @@ def fit_alignment(recording: Path, *, touches: PairedTouchOptions, out: Path, ho
 
 
 def _open_pairs(
-    recording: Path, touches: PairedTouchOptions, out: Path, hold_out: float, alignment: Path | None = None
+    recording: Path,
+    touches: PairedTouchOptions,
+    out: Path,
+    hold_out: float,
+    alignment: Path | None = None,
 ) -> Translation:
     """Check where to write and what to hold out before a recording is opened."""
     if not 0.0 <= hold_out < 1.0:
-        raise SettingProblem(f"--hold-out is a share of the frames, at least 0 and below 1, got {hold_out:g}")
+        raise SettingProblem(
+            f"--hold-out is a share of the frames, at least 0 and below 1, got {hold_out:g}"
+        )
     if out.suffix != ALIGNMENT_SUFFIX:
-        raise FileProblem("an alignment is written as TOML; give --out a name that ends in .toml", out)
+        raise FileProblem(
+            "an alignment is written as TOML; give --out a name that ends in .toml", out
+        )
     if out.exists():
         raise FileProblem("this alignment exists already and is kept; choose another --out", out)
     check_folder_for(out)
@@ -177,7 +206,9 @@ def _print_scores(touches: Sequence[AlignmentTouch], scores: Sequence[AlignmentS
     for name, score in rows:
         lengths = (score.depth_mm, score.depth_rms_mm, score.bias_mm)
         edge = _format_number(score.edge_px, 2)
-        table.add_row(name, f"{score.iou:.3f}", edge, *(_format_number(length, 3) for length in lengths))
+        table.add_row(
+            name, f"{score.iou:.3f}", edge, *(_format_number(length, 3) for length in lengths)
+        )
     Console().print(table)
 
 
@@ -185,14 +216,20 @@ def _print_sensitivities(sensitivities: Sequence[Sensitivity], frame: int) -> No
     title = f"change per {UNIT_STEP:g} mm or deg, frame {frame}"
     table = Table("axis", "mask IoU", "edge px", "depth rms mm", title=title)
     for axis in sensitivities:
-        cells = (_format_change(axis.iou, 4), _format_change(axis.edge_px, 3), _format_change(axis.depth_mm, 4))
+        cells = (
+            _format_change(axis.iou, 4),
+            _format_change(axis.edge_px, 3),
+            _format_change(axis.depth_mm, 4),
+        )
         table.add_row(f"{axis.axis} ({axis.unit})", *cells)
     Console().print(table)
     print_line("mean absolute change to either side, in brackets the slope along the axis")
 
 
 def print_refinement(fit: Refinement) -> None:
-    """Print the fit before and after, the motion, and the directions that the touches do not determine."""
+    """Print the fit before and after, the motion, and the directions that the touches do not
+    determine.
+    """
     table = Table("touches", "n", "surface mm", "outline mm", "compared")
     rows: list[tuple[str, tuple[AlignmentFit, AlignmentFit] | None]] = [
         ("used", fit.used_fit),
@@ -201,12 +238,17 @@ def print_refinement(fit: Refinement) -> None:
     for name, pair in rows:
         for when, one in zip(("before", "after"), pair or (), strict=False):
             lengths = (f"{one.surface_mm:.3f}", f"{one.outline_mm:.3f}")
-            table.add_row(f"{name}, {when}", str(one.n_touches), *lengths, f"{one.share_compared:.0%}")
+            table.add_row(
+                f"{name}, {when}", str(one.n_touches), *lengths, f"{one.share_compared:.0%}"
+            )
     Console().print(table)
-    rotation, translation = fit.std[:3], fit.std[3:]
+    rotation = fit.std[:3]
+    translation = fit.std[3:]
     moved = fit.motion[:3, :3] @ fit.pivot_mm + fit.motion[:3, 3] - fit.pivot_mm
     std = f"{_format_vector(translation)} mm, {_format_vector(rotation)} deg"
-    print_line(f"moved the contact by {_format_vector(moved)} mm; predicted standard deviation {std}")
+    print_line(
+        f"moved the contact by {_format_vector(moved)} mm; predicted standard deviation {std}"
+    )
     if float(np.max(rotation)) > _WARN_ROTATION_STD_DEG:
         print_line(
             f"warning: a rotation has a standard deviation of {np.max(rotation):.1f} deg; "

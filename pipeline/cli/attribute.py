@@ -9,7 +9,12 @@ from rich.console import Console
 from rich.table import Table
 
 from pipeline.cli.terminal import open_progress_bar, print_line
-from pipeline.cli.translation_options import DEFAULT_OPTIONS, StageSettings, TargetName, TranslationOptions
+from pipeline.cli.translation_options import (
+    DEFAULT_OPTIONS,
+    StageSettings,
+    TargetName,
+    TranslationOptions,
+)
 from pipeline.core.errors import SettingProblem
 from pipeline.core.files import check_folder_for, write_json
 from pipeline.core.frame_lists import parse_frames
@@ -33,16 +38,20 @@ def attribute(
     """Print every frame's error as a sum of shares, worst frame first, and the medians.
 
     Args:
-        recording: File or folder of any known format with ground truth, such as a simulated recording.
-        metric: Error to attribute, `stage.name` as in the report of `tactoscope translate`.
-        frame: The only frame to analyse; default: all frames.
-        json: File for the shares of every frame.
+        recording: File or folder of any known format with ground truth, such as a simulated
+        recording. metric: Error to attribute, `stage.name` as in the report of `tactoscope
+        translate`. frame: The only frame to analyse; default: all frames. json: File for the shares
+        of every frame.
     """
     request = options.build_request(recording, target)
     with open_translation(request, settings=settings, cache_bytes=_CACHE_BYTES) as translation:
         if json is not None:
             check_folder_for(json)
-        indices = parse_frames("", translation.n_frames) if frame is None else [translation.check_index(frame)]
+        indices = (
+            parse_frames("", translation.n_frames)
+            if frame is None
+            else [translation.check_index(frame)]
+        )
         with open_progress_bar() as progress:
             results: list[ErrorAttribution] = []
             for k, index in enumerate(indices):
@@ -76,6 +85,12 @@ def _print_table(results: Sequence[ErrorAttribution]) -> None:
         medians = (statistics.median(share[t] for share in shares if t in share) for t in titles)
         remainder = statistics.median(result.remainder for result in results)
         total = statistics.median(result.total for result in results)
-        table.add_row("median", f"{total:.3f}", *(f"{m:+.3f}" for m in medians), f"{remainder:+.3f}", style="bold")
+        table.add_row(
+            "median",
+            f"{total:.3f}",
+            *(f"{m:+.3f}" for m in medians),
+            f"{remainder:+.3f}",
+            style="bold",
+        )
     Console().print(table)
     print_line(f"frame {results[0].frame} is the worst: {results[0].summary}")

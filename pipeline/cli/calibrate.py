@@ -37,7 +37,9 @@ def balls(
     stream: str = "",
     seed: int = 0,
 ) -> int:
-    """Fit, save and report a calibration table; raises TouchError for presses or options that cannot be used.
+    """Fit, save and report a calibration table.
+
+    Raises TouchError for presses or options that cannot be used.
 
     Args:
         presses: Folder of images, one press each, anywhere on the gel.
@@ -60,39 +62,59 @@ def balls(
     check_folder_for(out)
     spec = load_sensor(sensor)
     frames = _load_presses(presses, sensor, reference, pattern, stream)
-    for mismatch in dict.fromkeys(describe_mismatch(frame, spec) for frame in frames[:_CHECKED_FRAMES]):
+    for mismatch in dict.fromkeys(
+        describe_mismatch(frame, spec) for frame in frames[:_CHECKED_FRAMES]
+    ):
         if mismatch:
             print_line(f"warning: {mismatch}; this calibration will fit images of that kind only")
-    images, reference_image = [cast("Image", f.image) for f in frames], cast("Image", frames[0].reference)
+    images = [cast("Image", f.image) for f in frames]
+    reference_image = cast("Image", frames[0].reference)
     with open_progress_bar() as progress:
         table = calibrate_sensor(
-            images, reference_image, spec, diameter_mm, pixel_mm=pixel_mm, progress=progress, seed=seed
+            images,
+            reference_image,
+            spec,
+            diameter_mm,
+            pixel_mm=pixel_mm,
+            progress=progress,
+            seed=seed,
         )
     path = save(table, out)
     _print_report(table, [Path(frame.origin).name for frame in frames])
     if pixel_mm is None:
         print_line(
-            f"presses of one ball do not determine the pixel width: {table.pixel_mm:.4f} mm is that of the description "
-            f"of {spec.name}; measure yours and give --pixel-mm if it differs: all sizes and depths scale with it"
+            f"presses of one ball do not determine the pixel width: {table.pixel_mm:.4f} mm is "
+            "that of the description "
+            f"of {spec.name}; measure yours and give --pixel-mm if it differs: all sizes and "
+            "depths scale with it"
         )
     print_line(f"calibration written to {path}; use it with --calibration")
     return 0
 
 
-def _load_presses(folder: Path, sensor: str, reference: Path, pattern: str, stream: str) -> list[TactileFrame]:
+def _load_presses(
+    folder: Path, sensor: str, reference: Path, pattern: str, stream: str
+) -> list[TactileFrame]:
     """The press images that match `pattern`, all with the same reference image."""
-    presses = open_recording(folder, sensor=sensor, stream=stream, reference=reference).stream(stream)
+    presses = open_recording(folder, sensor=sensor, stream=stream, reference=reference).stream(
+        stream
+    )
     frames = [presses.frame(i) for i in range(presses.n_frames)]
     frames = [frame for frame in frames if Path(frame.origin).match(pattern)]
     if not frames:
         raise FileProblem(f"no image matches {pattern!r}", folder)
-    distinct = {cast("Image", frame.image).tobytes(): frame for frame in reversed(frames)}  # a copy would judge itself
+    # a copy would judge itself
+    distinct = {cast("Image", frame.image).tobytes(): frame for frame in reversed(frames)}
     if len(distinct) < len(frames):
-        print_line(f"warning: {len(frames) - len(distinct)} images are copies of others and left out")
+        print_line(
+            f"warning: {len(frames) - len(distinct)} images are copies of others and left out"
+        )
         frames = list(reversed(distinct.values()))
     image = frames[0].reference
     if image is None or image.ndim != 3:
-        raise FileProblem("the reference must be a colour image of the sensor without contact", reference)
+        raise FileProblem(
+            "the reference must be a colour image of the sensor without contact", reference
+        )
     return frames
 
 

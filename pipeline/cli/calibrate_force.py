@@ -6,7 +6,12 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.calibration.force_scale import ForceScale, fit_force_scale, format_force_scale, save_force_scale
+from pipeline.calibration.force_scale import (
+    ForceScale,
+    fit_force_scale,
+    format_force_scale,
+    save_force_scale,
+)
 from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import (
     DEFAULT_OPTIONS,
@@ -32,22 +37,31 @@ def force(
     options: TranslationOptions = DEFAULT_OPTIONS,
     settings: StageSettings = (),
 ) -> int:
-    """Fit, save and report a force scale; raises TouchError for presses or forces that cannot be used.
+    """Fit, save and report a force scale.
+
+    Raises TouchError for presses or forces that cannot be used.
 
     Args:
         out: Calibration file to write (.npz); it also holds what the file of `--calibration` holds.
-        forces: Weighed normal force of each press in N, such as `1.2,5.0`; default: the forces in the recording.
-        frames: Frames of these presses, in the same order, such as `3,17`; default: all.
+        forces: Weighed normal force of each press in N, such as `1.2,5.0`; default: the forces in
+        the recording. frames: Frames of these presses, in the same order, such as `3,17`; default:
+        all.
     """
     check_folder_for(out)
     path = out if out.suffix == ".npz" else out.with_name(out.name + ".npz")
     request = options.build_request(presses, find_sensor(presses, options))
     with open_translation(request, settings=settings) as translation:
-        listed = [index for part in split_list(frames) for index in parse_frames(part, translation.n_frames)]
+        listed = [
+            index
+            for part in split_list(frames)
+            for index in parse_frames(part, translation.n_frames)
+        ]
         indices = listed or parse_frames("", translation.n_frames)
         weighed_n = _parse_forces(forces, indices, translation)
         if "depth" not in translation.stages:
-            raise SettingProblem(f"the route {request.route!r} measures no depth; choose --route t2d2")
+            raise SettingProblem(
+                f"the route {request.route!r} measures no depth; choose --route t2d2"
+            )
         estimated_n: list[float] = []
         with open_progress_bar() as progress:
             for done, index in enumerate(indices):
@@ -68,15 +82,21 @@ def _parse_forces(forces: str, indices: list[int], translation: Translation) -> 
         truths = [translation.read_source_truth(index) for index in indices]
         known = [-float(t.force_n[2]) for t in truths if t is not None and t.force_n is not None]
         if len(known) < len(indices):
-            raise SettingProblem("the recording holds no forces; give the weighed ones with --forces, such as 1.2,5.0")
+            raise SettingProblem(
+                "the recording holds no forces; give the weighed ones with --forces, such as "
+                "1.2,5.0"
+            )
         return known
     try:
         values = [float(word) for word in split_list(forces)]
     except ValueError:
-        raise SettingProblem(f"--forces takes numbers in N such as 1.2,5.0, got {forces[:40]!r}") from None
+        raise SettingProblem(
+            f"--forces takes numbers in N such as 1.2,5.0, got {forces[:40]!r}"
+        ) from None
     if len(values) != len(indices) or not all(map(math.isfinite, values)):
         raise SettingProblem(
-            f"--forces has {len(values)} values for {len(indices)} frames; give one for each, or name the frames with "
+            f"--forces has {len(values)} values for {len(indices)} frames; give one for each, or "
+            "name the frames with "
             "--frames"
         )
     return values
@@ -85,7 +105,9 @@ def _parse_forces(forces: str, indices: list[int], translation: Translation) -> 
 def _print_report(scale: ForceScale, indices: list[int]) -> None:
     table = Table("frame", "estimated (N)", "weighed (N)", "scaled (N)")
     for index, (estimated, weighed) in zip(indices, scale.weighings_n, strict=True):
-        table.add_row(str(index), f"{estimated:.3f}", f"{weighed:.3f}", f"{scale.apply(float(estimated)):.3f}")
+        table.add_row(
+            str(index), f"{estimated:.3f}", f"{weighed:.3f}", f"{scale.apply(float(estimated)):.3f}"
+        )
     Console().print(table)
     for line in format_force_scale(scale):
         print_line(line)

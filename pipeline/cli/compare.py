@@ -61,30 +61,36 @@ def compare(
     """Write one comparison's images and metrics, and print the metrics.
 
     Args:
-        recording: File or folder of any known format.
-        out: Folder for the images (PNG) and the metrics (compare.json); an earlier comparison there is replaced.
-        frame: Frame to compare.
-        order: Order of the methods by their error in contact.
-        stage: Stage to compare with that of the variant, or `all`.
-        variant: The variant as options of this command, such as `--method target_depth=paper`. Without a recording of
-            its own it is this translation with these options added; with one, it is what these options say alone.
-        across: What the columns of a grid try, such as `depth.certainty=0.2,0.4,0.8`, `touch.seed=0,1,2`,
+        recording: File or folder of any known format. out: Folder for the images (PNG) and the
+        metrics (compare.json); an earlier comparison there is replaced. frame: Frame to compare.
+        order: Order of the methods by their error in contact. stage: Stage to compare with that of
+        the variant, or `all`. variant: The variant as options of this command, such as `--method
+        target_depth=paper`. Without a recording of
+            its own it is this translation with these options added; with one, it is what these
+            options say alone.
+        across: What the columns of a grid try, such as `depth.certainty=0.2,0.4,0.8`,
+        `touch.seed=0,1,2`,
             `touch.method=physics,t2d2` or `touch.weights=one.safetensors,other.safetensors`.
-        down: What its rows try, if anything.
-        metric: Metric of the grid's cells, if ground truth is known; empty for images alone.
-        settings: `stage.parameter=value`, or `stage/method.parameter=value` of a method that is not in use, or
+        down: What its rows try, if anything. metric: Metric of the grid's cells, if ground truth is
+        known; empty for images alone. settings: `stage.parameter=value`, or
+        `stage/method.parameter=value` of a method that is not in use, or
             `display.parameter=value`; repeatable.
     """
     runner = VariantRunner()
     with ExitStack() as stack:
-        translation = stack.enter_context(open_translation(options.build_request(recording, target)))
+        translation = stack.enter_context(
+            open_translation(options.build_request(recording, target))
+        )
         progress = stack.enter_context(open_progress_bar())
-        translation.stream.frame(translation.check_index(frame))  # a damaged one leaves nothing to compare
+        # a damaged one leaves nothing to compare
+        translation.stream.frame(translation.check_index(frame))
         params, display = _parse_settings(translation, settings)
         check_tiles_folder(out)
         steps: Iterator[Comparison]
         if across or down:
-            plan = _parse_plan(Variant(label="", translation=translation, params=params), across, down, metric)
+            plan = _parse_plan(
+                Variant(label="", translation=translation, params=params), across, down, metric
+            )
             steps = compare_grid(runner, translation, frame, params, display, plan, progress)
         elif variant:
             other = _parse_variant(variant)
@@ -97,7 +103,9 @@ def compare(
             first = Variant(label="A", translation=translation, params=params)
             second = Variant(label="B", translation=opened, params=other_params)
             shown = "" if stage == "all" else stage
-            steps = compare_pair(runner, first, lambda: second, frame, display, shown, variant, progress)
+            steps = compare_pair(
+                runner, first, lambda: second, frame, display, shown, variant, progress
+            )
         else:
             steps = compare_methods(runner, translation, frame, params, display, order, progress)
         *_, comparison = steps
@@ -111,12 +119,16 @@ def _parse_plan(base: Variant, across: str, down: str, metric: str) -> GridPlan:
     """Both axes and the metric of a grid; raises SettingProblem."""
     stage, _, name = metric.partition(".")
     if metric and (name not in METRICS or stage not in base.translation.stages):
-        raise SettingProblem(f"no metric {metric!r} on this route; give one such as {DEFAULT_METRIC}")
+        raise SettingProblem(
+            f"no metric {metric!r} on this route; give one such as {DEFAULT_METRIC}"
+        )
     rows = parse_axis(base, down) if down else None
     return GridPlan(across=parse_axis(base, across), down=rows, metric=metric)
 
 
-def _parse_settings(translation: Translation, settings: Sequence[str]) -> tuple[dict[str, object], DisplayParams]:
+def _parse_settings(
+    translation: Translation, settings: Sequence[str]
+) -> tuple[dict[str, object], DisplayParams]:
     """(method key -> parameters, display parameters) of `--set` lines; raises SettingProblem."""
     params: dict[str, object] = {}
     display = DisplayParams()
@@ -132,8 +144,12 @@ def _parse_settings(translation: Translation, settings: Sequence[str]) -> tuple[
         stage, slash, method_name = key.partition("/")
         method = BUILT_IN.method(stage, method_name) if slash else methods.get(stage)
         if method is None:
-            raise SettingProblem(f"no stage {stage!r} on this route; there are {', '.join(methods)}")
-        params[method.key] = replace_value(params.get(method.key, method.params()), parameter, value)
+            raise SettingProblem(
+                f"no stage {stage!r} on this route; there are {', '.join(methods)}"
+            )
+        params[method.key] = replace_value(
+            params.get(method.key, method.params()), parameter, value
+        )
     return params, display
 
 
@@ -147,12 +163,16 @@ def _parse_variant(text: str) -> _VariantOptions:
         options: TranslationOptions = DEFAULT_OPTIONS,
         settings: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
     ) -> _VariantOptions:
-        return _VariantOptions(recording=recording, target=target, options=options, settings=settings)
+        return _VariantOptions(
+            recording=recording, target=target, options=options, settings=settings
+        )
 
     app = App(name="--variant", help_flags=[], version_flags=[])
     app.default(read)
     try:
-        command, bound, _ = app.parse_args(shlex.split(text), print_error=False, exit_on_error=False)
+        command, bound, _ = app.parse_args(
+            shlex.split(text), print_error=False, exit_on_error=False
+        )
     except (CycloptsError, ValueError) as error:
         raise SettingProblem(f"--variant takes options of this command; {error}") from error
     return command(*bound.args, **bound.kwargs)
@@ -162,17 +182,28 @@ def _with_base(
     variant: _VariantOptions, recording: Path, base: TranslationOptions, settings: Sequence[str]
 ) -> _VariantOptions:
     """The base translation with the variant's options in place of its own."""
-    changed = {field.name: getattr(variant.options, field.name) for field in fields(TranslationOptions)}
-    changed = {name: value for name, value in changed.items() if value != getattr(DEFAULT_OPTIONS, name)}
+    changed = {
+        field.name: getattr(variant.options, field.name) for field in fields(TranslationOptions)
+    }
+    changed = {
+        name: value for name, value in changed.items() if value != getattr(DEFAULT_OPTIONS, name)
+    }
     changed["methods"] = (*base.methods, *variant.options.methods)
     return replace(
-        variant, recording=recording, options=replace(base, **changed), settings=(*settings, *variant.settings)
-    )  # fmt: skip
+        variant,
+        recording=recording,
+        options=replace(base, **changed),
+        settings=(*settings, *variant.settings),
+    )
 
 
 def _print_metrics(tiles: Sequence[Tile]) -> None:
     names = list(dict.fromkeys(name for tile in tiles for name in tile.metrics))
     table = Table("", *names, "")
     for tile in tiles:
-        table.add_row(tile.title, *(f"{tile.metrics[n]:.4g}" if n in tile.metrics else "" for n in names), tile.problem)
+        table.add_row(
+            tile.title,
+            *(f"{tile.metrics[n]:.4g}" if n in tile.metrics else "" for n in names),
+            tile.problem,
+        )
     Console().print(table)

@@ -1,4 +1,6 @@
-"""`tactoscope doctor`: checks of Python, packages, system libraries, display, sensors and sample recordings."""
+"""`tactoscope doctor`: checks of Python, packages, system libraries, display, sensors and sample
+recordings.
+"""
 
 import importlib.metadata
 import os
@@ -45,7 +47,11 @@ def doctor() -> int:
     for good, line in chain.from_iterable(check() for check in checks):
         bad += not good
         print_line(f"{'ok     ' if good else 'MISSING'}  {line}")
-    print_line("everything is installed" if not bad else f"{bad} things are missing; each line says how to fix it")
+    print_line(
+        "everything is installed"
+        if not bad
+        else f"{bad} things are missing; each line says how to fix it"
+    )
     return 1 if bad else 0
 
 
@@ -53,11 +59,15 @@ def _check_machine() -> Iterator[tuple[bool, str]]:
     good = sys.version_info >= (3, 11)
     yield (
         good,
-        f"Python {platform.python_version()} on {platform.platform()}" + ("" if good else "; 3.11 or newer is needed"),
+        f"Python {platform.python_version()} on {platform.platform()}"
+        + ("" if good else "; 3.11 or newer is needed"),
     )
     yield True, f"{os.cpu_count()} cores"
     home = "a home folder for compiled kernels, logs and recovery"
-    yield has_home(), home if has_home() else f"{home}; set HOME or XDG_CACHE_HOME and XDG_STATE_HOME"
+    yield (
+        has_home(),
+        home if has_home() else f"{home}; set HOME or XDG_CACHE_HOME and XDG_STATE_HOME",
+    )
 
 
 def _check_packages() -> Iterator[tuple[bool, str]]:
@@ -73,17 +83,26 @@ def _check_libraries() -> Iterator[tuple[bool, str]]:
         return
     for library, package in _LIBRARIES.items():
         found = find_library(library)
-        yield found is not None, f"lib{library}" + ("" if found else f"; run 'apt-get install {package}'")
+        yield (
+            found is not None,
+            f"lib{library}" + ("" if found else f"; run 'apt-get install {package}'"),
+        )
 
 
 def _check_display() -> Iterator[tuple[bool, str]]:
-    if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or not sys.platform.startswith("linux"):
+    if (
+        os.environ.get("DISPLAY")
+        or os.environ.get("WAYLAND_DISPLAY")
+        or not sys.platform.startswith("linux")
+    ):
         yield True, "a display"
         return
     virtual = shutil.which("xvfb-run")
     yield (
         virtual is not None,
-        "no display; xvfb-run provides a virtual one" if virtual else "a display; run 'apt-get install xvfb xauth'",
+        "no display; xvfb-run provides a virtual one"
+        if virtual
+        else "a display; run 'apt-get install xvfb xauth'",
     )
 
 
@@ -93,7 +112,8 @@ def _check_project() -> Iterator[tuple[bool, str]]:
             spec = load_sensor(name)
             yield (
                 True,
-                f"sensor {name}: {spec.camera.cols} x {spec.camera.rows} px, {len(spec.assumed_keys)} assumed values",
+                f"sensor {name}: {spec.camera.cols} x {spec.camera.rows} px, "
+                f"{len(spec.assumed_keys)} assumed values",
             )
         except TouchError as error:
             yield False, str(error)
@@ -101,13 +121,18 @@ def _check_project() -> Iterator[tuple[bool, str]]:
     if not samples and (_ROOT / "pyproject.toml").is_file():
         yield False, "the sample recordings; clone the project again"
     elif not samples:
-        yield True, "no sample recordings and no benchmarks: they are in the source tree, not in the installed package"
+        yield (
+            True,
+            "no sample recordings and no benchmarks: they are in the source tree, not in the "
+            "installed package",
+        )
     for path in samples:
         try:
             recording = open_recording(path)
             yield (
                 True,
-                f"sample {path.name}: " + ", ".join(f"{s.n_frames} frames of {s.sensor}" for s in recording.streams),
+                f"sample {path.name}: "
+                + ", ".join(f"{s.n_frames} frames of {s.sensor}" for s in recording.streams),
             )
             recording.close()
         except TouchError as error:

@@ -1,4 +1,6 @@
-"""`tactoscope evaluate`: the paper's tables, its results next to ours, and run time against error."""
+"""`tactoscope evaluate`: the paper's tables, its results next to ours, and run time against
+error.
+"""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -44,11 +46,18 @@ from pipeline.lab.training.recorded_pairs import PairFolder
 from pipeline.sensors.spec import load_sensor
 from pipeline.translation.catalogue import BUILT_IN, with_method
 
-_POSE_TITLES = {"signed_distances": "registration", "network": "network", PAPER_GRASP: "the paper's protocol"}
+_POSE_TITLES = {
+    "signed_distances": "registration",
+    "network": "network",
+    PAPER_GRASP: "the paper's protocol",
+}
 _REGION_METRICS = {  # columns of the second table, each with a value per region
-    "error_mm": "error, mm", "iou": "contact IoU", "correlation": "correlation less the mean",
-    "ssim_exact": "SSIM, no noise", "psnr_exact_db": "PSNR, no noise, dB",
-}  # fmt: skip
+    "error_mm": "error, mm",
+    "iou": "contact IoU",
+    "correlation": "correlation less the mean",
+    "ssim_exact": "SSIM, no noise",
+    "psnr_exact_db": "PSNR, no noise, dB",
+}
 
 
 def evaluate(
@@ -76,26 +85,27 @@ def evaluate(
 
     Args:
         split: Test split: new grasps of training objects, or objects that no method was trained on.
-        recordings: Recorded pairs of both sensors in place of simulated touches: a file or folder, as for `train
+        recordings: Recorded pairs of both sensors in place of simulated touches: a file or folder,
+        as for `train
             --pairs`.
-        hold_out: Pairs to score, as for `train --hold-out`; default: those that the training of the weights held out.
-        weights: `method=FILE`, repeatable: weights of a touch method, or of a stage such as `depth`.
-        json: File for all metrics of all rows.
-        grasps: Touches per object.
+        hold_out: Pairs to score, as for `train --hold-out`; default: those that the training of the
+        weights held out. weights: `method=FILE`, repeatable: weights of a touch method, or of a
+        stage such as `depth`. json: File for all metrics of all rows. grasps: Touches per object.
         seed: Seed of the simulated touches; every seed gives other poses and sensor instances.
         vary: Variation between source sensor instances, 1 = as measured between real ones.
-        directions: `source:target`, repeatable; default: the paper's four, as far as they are recorded.
-        only: `recorded`, `own`, `no_contact`, `mean` or a touch method, repeatable; default: all.
-        stage_methods: `stage=method` of the other stages in place of the route's own, such as `depth=network`.
-        settings: `stage.parameter=value`, repeatable; a touch parameter applies to the methods that have it.
-        poses: Pose methods to judge touches by, comma-separated; `none` leaves poses out. `paper_grasp` is the paper's
+        directions: `source:target`, repeatable; default: the paper's four, as far as they are
+        recorded. only: `recorded`, `own`, `no_contact`, `mean` or a touch method, repeatable;
+        default: all. stage_methods: `stage=method` of the other stages in place of the route's own,
+        such as `depth=network`. settings: `stage.parameter=value`, repeatable; a touch parameter
+        applies to the methods that have it. poses: Pose methods to judge touches by,
+        comma-separated; `none` leaves poses out. `paper_grasp` is the paper's
             released protocol: both fingers of a recorded grasp together.
         sweep: `steps`, `guidance` or both, comma-separated: run time against error at many values.
-        plots: Folder for one plot of the sweep per direction.
-        figures: Folder for the paper's figures 4 and 5 of this split: touches by T2T and T2D2 next to the recorded
+        plots: Folder for one plot of the sweep per direction. figures: Folder for the paper's
+        figures 4 and 5 of this split: touches by T2T and T2D2 next to the recorded
             ones.
-        folder: Folder of the simulated touches; default: the user's cache.
-        scheduler: Address of a Dask scheduler whose workers score the recordings, such as `tcp://host:8786`. It must be
+        folder: Folder of the simulated touches; default: the user's cache. scheduler: Address of a
+        Dask scheduler whose workers score the recordings, such as `tcp://host:8786`. It must be
             trusted: what it sends is run on this machine.
     """
     swept = split_list(sweep)
@@ -104,17 +114,24 @@ def evaluate(
     for assignment in stage_methods:
         chosen = with_method(chosen, assignment)
     files = parse_weights(weights)
-    trained = find_trained_hold_out(files) if recordings is not None and hold_out is None else hold_out
-    if only and recordings is not None:  # recorded pairs are always compared with the untouched image, mean and physics
+    trained = (
+        find_trained_hold_out(files) if recordings is not None and hold_out is None else hold_out
+    )
+    # recorded pairs are always compared with the untouched image, mean and physics
+    if only and recordings is not None:
         only = tuple(dict.fromkeys((*only, *BASELINES, "physics")))
     judges = () if poses == "none" else split_list(poses)
     request = EvaluationRequest(
-        split=split, held_out=HeldOutOptions(grasps=grasps, seed=seed, sensor_variation=vary, folder=folder),
-        directions=tuple(parse_direction(text) for text in directions), candidates=only,
-        methods=chosen, settings=settings, weights=files,
+        split=split,
+        held_out=HeldOutOptions(grasps=grasps, seed=seed, sensor_variation=vary, folder=folder),
+        directions=tuple(parse_direction(text) for text in directions),
+        candidates=only,
+        methods=chosen,
+        settings=settings,
+        weights=files,
         pairs=PairFolder(path=os.fspath(recordings) if recordings else "", hold_out=trained or ""),
         pose_methods=tuple(name for name in judges if name in POSE_METHODS or name != "network"),
-    )  # fmt: skip
+    )
     if json is not None:
         check_folder_for(json)
     if plots is not None:
@@ -127,7 +144,9 @@ def evaluate(
     with ExitStack() as stack:
         progress = stack.enter_context(open_progress_bar())
         job_mapper = stack.enter_context(connect_cluster(scheduler)).map if scheduler else None
-        table = evaluate_tables(request, SubProgress(progress, 0.0, 0.5 if swept else 1.0), job_mapper)
+        table = evaluate_tables(
+            request, SubProgress(progress, 0.0, 0.5 if swept else 1.0), job_mapper
+        )
         if swept:
             points = sweep_parameters(request, swept, SubProgress(progress, 0.5, 0.5), job_mapper)
         if figures is not None:
@@ -147,20 +166,25 @@ def evaluate(
 
 def parse_weights(assignments: Sequence[str]) -> dict[str, Path]:
     """Touch method or stage -> file of `name=FILE`; raises SettingProblem."""
-    known = {*(m.name for m in BUILT_IN.stage("touch").methods), *(stage.name for stage in BUILT_IN.stages)}
+    known = {
+        *(m.name for m in BUILT_IN.stage("touch").methods),
+        *(stage.name for stage in BUILT_IN.stages),
+    }
     files: dict[str, Path] = {}
     for assignment in assignments:
         name, equals, file = (part.strip() for part in assignment.partition("="))
         if not equals or name not in known:
             raise SettingProblem(
-                f"weights are given by method=FILE, got {assignment!r}; names are {', '.join(sorted(known))}"
+                f"weights are given by method=FILE, got {assignment!r}; names are "
+                f"{', '.join(sorted(known))}"
             )
         files[name] = Path(file)
     return files
 
 
 def _print_tables(table: EvaluationTable, *, is_recorded: bool) -> None:
-    console, judges = Console(width=200), list(dict.fromkeys(name for row in table.rows for name in row.pose_errors))
+    console = Console(width=200)
+    judges = list(dict.fromkeys(name for row in table.rows for name in row.pose_errors))
     split = table.split.replace("_", " ")
     first = Table(
         "transfer",
@@ -173,12 +197,17 @@ def _print_tables(table: EvaluationTable, *, is_recorded: bool) -> None:
             for name in judges
             for what in ("translation, mm", "rotation, deg")
         ),
-        title=f"{split}: ours, {'recorded' if is_recorded else 'simulated'} [95 % interval] (the paper's)",
+        title=f"{split}: ours, {'recorded' if is_recorded else 'simulated'} [95 % interval] (the "
+        "paper's)",
     )
     second = Table(
-        "transfer", "model", *_REGION_METRICS.values(), "kernel", "ms a touch",
+        "transfer",
+        "model",
+        *_REGION_METRICS.values(),
+        "kernel",
+        "ms a touch",
         title=f"{split}: {' / '.join(REGIONS.values())}",
-    )  # fmt: skip
+    )
     for row in table.rows:
         first.add_row(*_paper_cells(row, judges))
         if row.metrics:
@@ -191,12 +220,20 @@ def _print_tables(table: EvaluationTable, *, is_recorded: bool) -> None:
 
 def _format_transfer(row: TableRow) -> str:
     target = load_sensor(row.target).title
-    return target if not row.source or row.candidate in BASELINES else f"{load_sensor(row.source).title} > {target}"
+    return (
+        target
+        if not row.source or row.candidate in BASELINES
+        else f"{load_sensor(row.source).title} > {target}"
+    )
 
 
 def _paper_cells(row: TableRow, judges: Sequence[str]) -> list[str]:
-    paper, sets = row.paper, row.set_distances
-    cells = [_format_transfer(row), f"{row.title} ({paper.model})" if paper and paper.model else row.title]
+    paper = row.paper
+    sets = row.set_distances
+    cells = [
+        _format_transfer(row),
+        f"{row.title} ({paper.model})" if paper and paper.model else row.title,
+    ]
     for name, published in (("psnr_db", paper and paper.psnr_db), ("ssim", paper and paper.ssim)):
         ours = row.metrics.get(name, {}).get("all")
         text = "-" if ours is None else f"{ours:.2f}{_format_interval(row, name, 'all')}"
@@ -205,7 +242,9 @@ def _paper_cells(row: TableRow, judges: Sequence[str]) -> list[str]:
     cells.append("-" if sets is None else f"{sets.frechet:.2f} ({sets.frechet_floor:.2f}{fid})")
     for judge in judges:
         errors = row.pose_errors.get(judge)
-        cells.append(_format_spread(errors and errors.translation_mm, paper and paper.translation_mm))
+        cells.append(
+            _format_spread(errors and errors.translation_mm, paper and paper.translation_mm)
+        )
         cells.append(_format_spread(errors and errors.rotation_deg, paper and paper.rotation_deg))
     return cells
 
@@ -233,7 +272,11 @@ def _region_cells(row: TableRow) -> list[str]:
 def _format_interval(row: TableRow, metric: str, region: str) -> str:
     """The 95 % interval of a metric, with a leading space; "" where it is not known."""
     interval = row.intervals.get(metric, {}).get(region)
-    return "" if interval is None else f" [{_format_number(interval[0])}, {_format_number(interval[1])}]"
+    return (
+        ""
+        if interval is None
+        else f" [{_format_number(interval[0])}, {_format_number(interval[1])}]"
+    )
 
 
 def _format_number(value: float | None) -> str:
@@ -241,24 +284,38 @@ def _format_number(value: float | None) -> str:
 
 
 def _print_sweep(points: Sequence[SweepPoint]) -> None:
-    table = Table("transfer", "model", "parameter", "ms a touch", "error in contact, mm", "SSIM, no noise")
+    table = Table(
+        "transfer", "model", "parameter", "ms a touch", "error in contact, mm", "SSIM, no noise"
+    )
     for point in points:
-        error, ssim = point.contact_error_mm, point.row.metrics.get("ssim_exact", {}).get("all")
+        error = point.contact_error_mm
+        ssim = point.row.metrics.get("ssim_exact", {}).get("all")
         table.add_row(
-            _format_transfer(point.row), point.row.title,
-            f"{point.parameter} {point.value:g}" if point.parameter else "default", f"{point.row.ms:.0f}",
-            "-" if error is None else f"{error:.3f}", "-" if ssim is None else f"{ssim:.4f}",
-        )  # fmt: skip
+            _format_transfer(point.row),
+            point.row.title,
+            f"{point.parameter} {point.value:g}" if point.parameter else "default",
+            f"{point.row.ms:.0f}",
+            "-" if error is None else f"{error:.3f}",
+            "-" if ssim is None else f"{ssim:.4f}",
+        )
     Console().print(table)
 
 
 def _as_json(
-    table: EvaluationTable, points: Sequence[SweepPoint], request: EvaluationRequest, machine: Mapping[str, object]
+    table: EvaluationTable,
+    points: Sequence[SweepPoint],
+    request: EvaluationRequest,
+    machine: Mapping[str, object],
 ) -> dict[str, object]:
     return {
-        "split": table.split, "notes": list(table.notes), "regions": dict(REGIONS),
+        "split": table.split,
+        "notes": list(table.notes),
+        "regions": dict(REGIONS),
         "metrics": {name: asdict(metric) for name, metric in TOUCH_METRICS.items()},
-        "request": {"methods": dict(request.methods), "settings": list(request.settings)}, "machine": dict(machine),
+        "request": {"methods": dict(request.methods), "settings": list(request.settings)},
+        "machine": dict(machine),
         "rows": [asdict(row) for row in table.rows],
-        "sweep": [{"parameter": p.parameter, "value": p.value, "row": asdict(p.row)} for p in points],
-    }  # fmt: skip
+        "sweep": [
+            {"parameter": p.parameter, "value": p.value, "row": asdict(p.row)} for p in points
+        ],
+    }

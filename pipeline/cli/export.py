@@ -22,10 +22,17 @@ from pipeline.core.errors import escape_text, shorten_text
 from pipeline.lab.tasks.rollout_bundle import is_rollout_bundle, replay_rollout
 from pipeline.translation.reports.export import export_file
 from pipeline.translation.reports.export_request import SHEET, ExportRequest, PaneContent
-from pipeline.translation.reports.repro_bundle import REPLAY_TOLERANCE, StageAgreement, replay_bundle, write_bundle
+from pipeline.translation.reports.repro_bundle import (
+    REPLAY_TOLERANCE,
+    StageAgreement,
+    replay_bundle,
+    write_bundle,
+)
 
 _DISPLAY_HELP = "`stage.parameter=value`, or `display.parameter=value` for the display; repeatable."
-_DisplaySettings = Annotated[tuple[str, ...], Parameter(name="--set", negative="", help=_DISPLAY_HELP)]
+_DisplaySettings = Annotated[
+    tuple[str, ...], Parameter(name="--set", negative="", help=_DISPLAY_HELP)
+]
 
 
 def export(
@@ -41,23 +48,33 @@ def export(
     section: tuple[float, float, float, float] | None = None,
     settings: _DisplaySettings = (),
 ) -> int:
-    """Write one file of a translation; returns 2 if frames that could not be read are left out, else 0.
+    """Write one file of a translation.
+
+    Returns 2 if frames that could not be read are left out, else 0.
 
     Args:
-        out: File to write: .png or .pdf of a pane or the sheet, .ply of a pane's points in mm, .npz of its arrays, .csv
-            of force and metrics of all frames, up to the pane, .mp4 or .avi of a pane through the frames, .rrd (Rerun)
-            or .mcap (Foxglove) of all stages through the frames.
-        pane: A stage, `source`, or `sheet` for all of them side by side.
-        content: Computed value, ground truth, or their difference; the last two need ground truth.
-        frame: Frame of an image, of points or of arrays.
-        frames: Frames of a table, video or viewer file, such as `0,3-7`; default: all.
-        section: x, y of the start and of the end of a line in mm from the source camera's axis, on the gel: the .csv
-            then holds the height of each pane along it on one frame; --pane takes several, comma-separated.
+        out: File to write: .png or .pdf of a pane or the sheet, .ply of a pane's points in mm, .npz
+        of its arrays, .csv
+            of force and metrics of all frames, up to the pane, .mp4 or .avi of a pane through the
+            frames, .rrd (Rerun) or .mcap (Foxglove) of all stages through the frames.
+        pane: A stage, `source`, or `sheet` for all of them side by side. content: Computed value,
+        ground truth, or their difference; the last two need ground truth. frame: Frame of an image,
+        of points or of arrays. frames: Frames of a table, video or viewer file, such as `0,3-7`;
+        default: all. section: x, y of the start and of the end of a line in mm from the source
+        camera's axis, on the gel: the .csv
+            then holds the height of each pane along it on one frame; --pane takes several,
+            comma-separated.
     """
     request = ExportRequest(
-        request=options.build_request(recording, target), settings=settings, pane=pane, content=content, frame=frame,
-        frames=frames, section=section or (), path=out,
-    )  # fmt: skip
+        request=options.build_request(recording, target),
+        settings=settings,
+        pane=pane,
+        content=content,
+        frame=frame,
+        frames=frames,
+        section=section or (),
+        path=out,
+    )
     with open_progress_bar() as progress:
         outcome = export_file(request, progress)
     for problem in outcome.problems:
@@ -86,14 +103,23 @@ def bundle(
         note: Description of the problem.
     """
     with open_progress_bar() as progress:
-        write_bundle(options.build_request(recording, target), settings, frame, out, note=note, progress=progress)
+        write_bundle(
+            options.build_request(recording, target),
+            settings,
+            frame,
+            out,
+            note=note,
+            progress=progress,
+        )
     command = f"tactoscope replay {shlex.quote(os.fspath(out))}"
     print_line(f"repro bundle of frame {frame} written; replay it with: {command}")
     return 0
 
 
 def replay(folder: Path) -> int:
-    """Replay a repro bundle and print the agreement of each stage; returns 0 if all agree, otherwise 1.
+    """Replay a repro bundle and print the agreement of each stage.
+
+    Returns 0 if all agree, otherwise 1.
 
     Args:
         folder: Folder written by `tactoscope bundle`, `tactoscope rollout bundle` or the window.
@@ -108,10 +134,13 @@ def replay(folder: Path) -> int:
     for stage in result.agreements:
         worst = stage.worst_array if stage.largest_difference > 0 else ""
         cells = (stage.stage, str(stage.n_arrays), _format_agreement(stage), worst)
-        table.add_row(*(Text(shorten_text(escape_text(cell), 80)) for cell in cells))  # names of a file are no markup
+        # names of a file are no markup
+        table.add_row(*(Text(shorten_text(escape_text(cell), 80)) for cell in cells))
     Console().print(table)
     for name, value in result.metrics.items():
-        print_line(f"{name} {value:.4g}, recorded {result.expected_metrics.get(name, float('nan')):.4g}")
+        print_line(
+            f"{name} {value:.4g}, recorded {result.expected_metrics.get(name, float('nan')):.4g}"
+        )
     print_line("same result as recorded" if result.is_same else "NOT the recorded result")
     return 0 if result.is_same else 1
 
@@ -124,7 +153,8 @@ def _replay_rollout(folder: Path) -> int:
     print_line(result.cause)
     agreement = result.agreement
     print_line(
-        f"object within {agreement.pose_mm:.2g} mm, contact force within {agreement.force_n:.2g} N at every tick"
+        f"object within {agreement.pose_mm:.2g} mm, contact force within {agreement.force_n:.2g} "
+        "N at every tick"
     )
     print_line("same result as recorded" if agreement.is_same else "NOT the recorded result")
     return 0 if agreement.is_same else 1

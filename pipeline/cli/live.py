@@ -24,7 +24,9 @@ _STOP_TIMEOUT_S = 5.0  # for the reader's thread to end
 
 def live(
     *,
-    source: Annotated[tuple[str, ...], Parameter(consume_multiple=True, negative="")] = ("simulated",),
+    source: Annotated[tuple[str, ...], Parameter(consume_multiple=True, negative="")] = (
+        "simulated",
+    ),
     sensor: str = "",
     object_source: Annotated[str, Parameter(name="--object")] = "sphere",
     rate: float = 15.0,
@@ -35,27 +37,32 @@ def live(
     """Print a sensor's status every second; returns the exit code.
 
     Args:
-        source: `simulated`, `folder DIR` into which another program writes images, `device NAME`: a part of a
-            camera's name or serial number, or the path of a camera or of a recorded stream, `camera:0` by number,
-            `http://...` or `rtsp://...`: a video stream of a network, or `ws://HOST:PORT TOPIC`: images or depth that
-            a Foxglove bridge (ROS 1 and 2) publishes.
-        sensor: Sensor type, if neither device name nor image size identifies it; for `simulated` the sensor to
+        source: `simulated`, `folder DIR` into which another program writes images, `device NAME`: a
+        part of a
+            camera's name or serial number, or the path of a camera or of a recorded stream,
+            `camera:0` by number, `http://...` or `rtsp://...`: a video stream of a network, or
+            `ws://HOST:PORT TOPIC`: images or depth that a Foxglove bridge (ROS 1 and 2) publishes.
+        sensor: Sensor type, if neither device name nor image size identifies it; for `simulated`
+        the sensor to
             simulate.
-        object_source: Object pressed into a simulated sensor: an object of `tactoscope simulate`, or a mesh file.
-        rate: Frames per second of a simulated sensor.
-        record: Recording to write, an .h5 file that is readable while it grows and after a crash.
-        seconds: Stop after this time; 0 = at Ctrl-C.
-        list_devices: Only list the connected cameras.
+        object_source: Object pressed into a simulated sensor: an object of `tactoscope simulate`,
+        or a mesh file. rate: Frames per second of a simulated sensor. record: Recording to write,
+        an .h5 file that is readable while it grows and after a crash. seconds: Stop after this
+        time; 0 = at Ctrl-C. list_devices: Only list the connected cameras.
     """
     if list_devices:
         return _list_cameras()
-    return _watch_sensor(parse_source(source, sensor=sensor, tool=object_source, rate_hz=rate), record, seconds)
+    return _watch_sensor(
+        parse_source(source, sensor=sensor, tool=object_source, rate_hz=rate), record, seconds
+    )
 
 
 def _list_cameras() -> int:
     cameras = list_usb_cameras()
     for camera in cameras:
-        print_line(f"{camera.name}  {camera.profile.sensor or 'no known sensor'}  {os.fspath(camera.node)}")
+        print_line(
+            f"{camera.name}  {camera.profile.sensor or 'no known sensor'}  {os.fspath(camera.node)}"
+        )
     if not cameras:
         print_line("no camera is connected")
     return 0
@@ -66,14 +73,17 @@ def _watch_sensor(source: LiveSource, record: Path | None, seconds: float) -> in
     if not 0.0 <= seconds < math.inf:
         raise SettingProblem(f"--seconds must be 0 or more, got {seconds:g}")
     recorder = None if record is None else LiveRecorder(record, source.title)
-    reader, ended = LiveReader(source), threading.Event()
+    reader = LiveReader(source)
+    ended = threading.Event()
     if recorder is not None:
         reader.set_listener(recorder.offer)
     start_s = time.monotonic()
     try:
         with handle_interrupts(lambda *_: ended.set()):
             reader.start()
-            while not ended.wait(_STATUS_PERIOD_S) and (seconds <= 0 or time.monotonic() - start_s < seconds):
+            while not ended.wait(_STATUS_PERIOD_S) and (
+                seconds <= 0 or time.monotonic() - start_s < seconds
+            ):
                 _print_status(reader, recorder)
     finally:
         reader.set_listener(None)
@@ -85,12 +95,17 @@ def _watch_sensor(source: LiveSource, record: Path | None, seconds: float) -> in
 
 def _print_status(reader: LiveReader, recorder: LiveRecorder | None) -> None:
     status = reader.status()
-    written = "" if recorder is None else f", {recorder.n_written} recorded, {recorder.n_dropped} left out"
+    written = (
+        ""
+        if recorder is None
+        else f", {recorder.n_written} recorded, {recorder.n_dropped} left out"
+    )
     clock = f", {status.n_doubled} doubled" if status.n_doubled else ""
     clock += f", {status.n_clock_jumps} jumps of its clock" if status.n_clock_jumps else ""
     problem = status.message or ("" if recorder is None else recorder.problem)
     print_line(
-        f"{status.state}: {status.rate_hz:.1f} Hz, {status.n_frames} frames, {status.n_lost} lost{clock}{written}"
+        f"{status.state}: {status.rate_hz:.1f} Hz, {status.n_frames} frames, {status.n_lost} "
+        f"lost{clock}{written}"
         f"{'' if reader.has_reference else ', no reference yet'}{f'; {problem}' if problem else ''}"
     )
 
@@ -98,18 +113,24 @@ def _print_status(reader: LiveReader, recorder: LiveRecorder | None) -> None:
 def _print_result(reader: LiveReader, recorder: LiveRecorder | None) -> int:
     status = reader.status()
     if not status.n_frames:
-        print_line(f"no frame came from {reader.source.title}{f': {status.message}' if status.message else ''}")
+        print_line(
+            "no frame came from "
+            f"{reader.source.title}{f': {status.message}' if status.message else ''}"
+        )
         return 1
     if recorder is None:
         return 0
     if recorder.n_written:
-        left_out = status.n_frames - recorder.n_written  # also those that came before the reference or after a problem
+        # also those that came before the reference or after a problem
+        left_out = status.n_frames - recorder.n_written
         print_line(
-            f"{recorder.n_written} of {status.n_frames} frames in {os.fspath(recorder.path)}, {left_out} left out"
+            f"{recorder.n_written} of {status.n_frames} frames in {os.fspath(recorder.path)}, "
+            f"{left_out} left out"
         )
     elif not recorder.problem:
         print_line(
-            f"nothing was recorded and no file is left: the first {reference_capture.AUTO_CAPTURE_FRAMES} frames make "
+            "nothing was recorded and no file is left: the first "
+            f"{reference_capture.AUTO_CAPTURE_FRAMES} frames make "
             f"the reference, {status.n_frames} came; record for longer"
         )
         return 1

@@ -1,4 +1,6 @@
-"""`tactoscope prepare`: compile all kernels once, so that the first touch of a new process is fast."""
+"""`tactoscope prepare`: compile all kernels once, so that the first touch of a new process is
+fast.
+"""
 
 from __future__ import annotations
 
@@ -28,16 +30,24 @@ _MARKER = "prepared"  # file in the cache folder: nothing is left to compile
 
 
 def prepare() -> int:
-    """Run the chain and the simulator once, so that all their kernels are compiled and cached; 0."""
+    """Run the chain and the simulator once, so that all their kernels are compiled and cached.
+
+    0.
+    """
     folder = compiling.kernel_folder()
     marker = folder / _MARKER
     if not marker.exists():
         before_s = time.process_time()
-        with Console(stderr=True).status("compiling kernels") as status, compiling.report_compiling(status.update):
+        with (
+            Console(stderr=True).status("compiling kernels") as status,
+            compiling.report_compiling(status.update),
+        ):
             for task in _list_tasks():
                 task()
         n = compiling.count_compiled()
-        print_line(f"{n} kernels compiled in {time.process_time() - before_s:.0f} s of processor time")
+        print_line(
+            f"{n} kernels compiled in {time.process_time() - before_s:.0f} s of processor time"
+        )
         with contextlib.suppress(OSError):
             marker.touch()
     print_line(f"all kernels are compiled, cached in {folder}")
@@ -55,22 +65,29 @@ def _list_tasks() -> Iterator[Callable[[], object]]:
 
 
 def _translate_sample(
-    source: str, target: str, methods: tuple[tuple[str, str], ...] = (), settings: tuple[str, ...] = ()
+    source: str,
+    target: str,
+    methods: tuple[tuple[str, str], ...] = (),
+    settings: tuple[str, ...] = (),
 ) -> None:
     from pipeline.physics.simulation.datasets import SimulationPlan, make_recording
     from pipeline.translation.translate import Request, open_translation
 
-    recording, frame = None, _FRAME
+    recording = None
+    frame = _FRAME
     if not SAMPLE_RECORDING.exists():  # an installed package brings no samples
         plan = SimulationPlan(sensors=(source,), object_source=_TOOL, n_poses=1, seed=0)
-        recording, frame = make_recording(plan), 0
+        recording = make_recording(plan)
+        frame = 0
     request = Request(recording=SAMPLE_RECORDING, source=source, target=target, methods=methods)
     with open_translation(request, recording=recording, settings=settings) as opened:
         opened.evaluate(frame)
 
 
 def _build_geometry() -> None:
-    """Build the distance grid of a mesh, a rest surface from a mesh, and distances from both kinds of rest surface."""
+    """Build the distance grid of a mesh, a rest surface from a mesh, and distances from both
+    kinds of rest surface.
+    """
     from pipeline.core.geometry import distance_grid, mesh_membrane
     from pipeline.core.geometry.meshes import Mesh
     from pipeline.physics.simulation import shapes
@@ -99,7 +116,9 @@ def _simulate_presses() -> None:
 
 
 def _estimate_adaptive_depth() -> None:
-    """Estimate depth with swapped colours, so that adaptive illumination is tried with and without shadows."""
+    """Estimate depth with swapped colours, so that adaptive illumination is tried with and
+    without shadows.
+    """
     from pipeline.core.values.frames import TactileFrame
     from pipeline.physics import optics
     from pipeline.physics.simulation import shapes
@@ -110,7 +129,14 @@ def _estimate_adaptive_depth() -> None:
 
     mesh = shapes.make_shape(_TOOL).mesh
     for gel in map(load_sensor, _ADAPTIVE_SENSORS):
-        image = cast("Image", simulate_press(mesh, make_paper_grid(mesh, n=1, seed=0)[0], gel, seed=0).image)
+        image = cast(
+            "Image", simulate_press(mesh, make_paper_grid(mesh, n=1, seed=0)[0], gel, seed=0).image
+        )
         swapped = np.ascontiguousarray(image[..., ::-1])
         reference = np.ascontiguousarray(optics.render_reference(gel)[..., ::-1])
-        estimate_depth(TactileFrame(sensor=gel.name, image=swapped, reference=reference), gel, None, DepthParams())
+        estimate_depth(
+            TactileFrame(sensor=gel.name, image=swapped, reference=reference),
+            gel,
+            None,
+            DepthParams(),
+        )

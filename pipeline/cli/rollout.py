@@ -33,9 +33,16 @@ def list_rollouts(folder: Path) -> int:
     for trial in trials:
         cause = trial.problem or ": ".join(filter(None, (trial.cause, trial.share)))
         cells = (
-            str(trial.trial), trial.task, trial.case or trial.path.name, trial.touch, _format(trial.tolerance_mm, "g"),
-            trial.outcome, _format(trial.error_mm, ".2f"), _format(trial.error_deg, ".1f"), cause,
-        )  # fmt: skip
+            str(trial.trial),
+            trial.task,
+            trial.case or trial.path.name,
+            trial.touch,
+            _format(trial.tolerance_mm, "g"),
+            trial.outcome,
+            _format(trial.error_mm, ".2f"),
+            _format(trial.error_deg, ".1f"),
+            cause,
+        )
         table.add_row(*(Text(shorten_text(escape_text(cell), 100)) for cell in cells))
     Console(width=200).print(table)
     return 0
@@ -52,10 +59,13 @@ def attribute_recorded(file: Path) -> int:
     rollout = read_rollout(file)
     with open_progress_bar() as progress:
         decisions = attribute_rollout(rollout, progress)
-    title, succeeds = load_task(rollout.plan.task).error_title, rollout.summary.succeeds
+    title = load_task(rollout.plan.task).error_title
+    succeeds = rollout.summary.succeeds
     for decision in decisions:
         if decision.shares or len(decisions) == 1:
-            print_line(f"tick {decision.tick}: {describe_error(decision, title, succeeds=succeeds)}")
+            print_line(
+                f"tick {decision.tick}: {describe_error(decision, title, succeeds=succeeds)}"
+            )
     return 0
 
 
@@ -81,7 +91,9 @@ def bundle(file: Path, *, out: Path, note: str = "") -> int:
         note: Description of the problem.
     """
     write_rollout_bundle(file, out, note=note)
-    print_line(f"repro bundle written; replay it with: tactoscope replay {shlex.quote(os.fspath(out))}")
+    print_line(
+        f"repro bundle written; replay it with: tactoscope replay {shlex.quote(os.fspath(out))}"
+    )
     return 0
 
 

@@ -21,7 +21,10 @@ from pipeline.lab.tasks.task import ManipulationTask, load_task
 
 
 def task(
-    name: Annotated[str, Parameter(help="`insertion`, `stack`, `marble`, or a TOML file of a tool for insertion.")],
+    name: Annotated[
+        str,
+        Parameter(help="`insertion`, `stack`, `marble`, or a TOML file of a tool for insertion."),
+    ],
     *,
     trials: int = 0,
     touch: str = "",
@@ -38,26 +41,31 @@ def task(
     """Run the trials and print successes with 95 % intervals; the same seed gives the same bytes.
 
     Args:
-        trials: Trials per case; default: as many as in the paper.
-        touch: Touch methods, `true` (the target's own frame), `own` (the source's, not translated) and `none`,
+        trials: Trials per case; default: as many as in the paper. touch: Touch methods, `true` (the
+        target's own frame), `own` (the source's, not translated) and `none`,
             comma-separated, such as `object,own,true`.
-        case: Objects, comma-separated; default: all of the task.
-        tolerance_mm: Clearances or tolerances in mm, comma-separated, such as `0.5,1`.
-        seed: Seed of starts, sensor instances and noise.
-        vary: Variation between sensor instances, 1 = as between real ones.
-        attribute: Attribute the error of every failed trial to stages, and run it again with the truth in place of
+        case: Objects, comma-separated; default: all of the task. tolerance_mm: Clearances or
+        tolerances in mm, comma-separated, such as `0.5,1`. seed: Seed of starts, sensor instances
+        and noise. vary: Variation between sensor instances, 1 = as between real ones. attribute:
+        Attribute the error of every failed trial to stages, and run it again with the truth in
+        place of
             each.
-        jobs: Number of processes.
-        json: File for every trial with its decisions.
-        record: Folder for one recording per rollout; the same command continues an interrupted run.
-        scheduler: Address of a Dask scheduler whose workers run the trials, such as `tcp://host:8786`. It must be
+        jobs: Number of processes. json: File for every trial with its decisions. record: Folder for
+        one recording per rollout; the same command continues an interrupted run. scheduler: Address
+        of a Dask scheduler whose workers run the trials, such as `tcp://host:8786`. It must be
             trusted: what it sends is run on this machine.
     """
     planned = make_jobs(
-        name, cases=split_list(case), touches=split_list(touch),
-        tolerances_mm=[_parse_mm(text) for text in split_list(tolerance_mm)], n_trials=trials, seed=seed, vary=vary,
-        attribute=attribute, folder=None if record is None else record.resolve(),
-    )  # fmt: skip
+        name,
+        cases=split_list(case),
+        touches=split_list(touch),
+        tolerances_mm=[_parse_mm(text) for text in split_list(tolerance_mm)],
+        n_trials=trials,
+        seed=seed,
+        vary=vary,
+        attribute=attribute,
+        folder=None if record is None else record.resolve(),
+    )
     if json is not None:
         check_folder_for(json)
     if record is not None:
@@ -71,7 +79,11 @@ def task(
         summaries = run_jobs(planned, jobs, cluster, progress)
     _print_table(chosen, summaries)
     if json is not None:
-        write_json(json, {"task": chosen.name, "seed": seed, "vary": vary, "rollouts": summaries}, "the rollouts")
+        write_json(
+            json,
+            {"task": chosen.name, "seed": seed, "vary": vary, "rollouts": summaries},
+            "the rollouts",
+        )
     return 0
 
 
@@ -86,9 +98,15 @@ def _print_table(chosen: ManipulationTask, summaries: Sequence[Summary]) -> None
     from scipy.stats import binomtest
 
     touches, tolerances, cases = (
-        list(dict.fromkeys(one[key] for one in summaries)) for key in ("touch", "tolerance_mm", "case")
+        list(dict.fromkeys(one[key] for one in summaries))
+        for key in ("touch", "tolerance_mm", "case")
     )
-    table = Table("case", chosen.tolerance_title, *touches, title=f"{chosen.title}: successes (95 %); the paper's")
+    table = Table(
+        "case",
+        chosen.tolerance_title,
+        *touches,
+        title=f"{chosen.title}: successes (95 %); the paper's",
+    )
     for case in [*cases, *(["all"] if len(cases) > 1 else [])]:
         for tolerance in tolerances:
             cells: list[str] = []
@@ -96,14 +114,20 @@ def _print_table(chosen: ManipulationTask, summaries: Sequence[Summary]) -> None
                 outcomes = [
                     one["succeeds"]
                     for one in summaries
-                    if one["touch"] == touch and one["tolerance_mm"] == tolerance and case in (one["case"], "all")
+                    if one["touch"] == touch
+                    and one["tolerance_mm"] == tolerance
+                    and case in (one["case"], "all")
                 ]
                 low, high = binomtest(sum(outcomes), len(outcomes)).proportion_ci(method="wilson")
                 published = chosen.published.get((case, touch), "")
                 cells.append(
-                    f"{sum(outcomes)}/{len(outcomes)} ({low:.0%}-{high:.0%})" + (f"; {published}" if published else "")
+                    f"{sum(outcomes)}/{len(outcomes)} ({low:.0%}-{high:.0%})"
+                    + (f"; {published}" if published else "")
                 )
             table.add_row(case, f"{tolerance:g}", *cells)
     Console(width=200).print(table)
     for one in [one for one in summaries if not one["succeeds"] and one["decisions"][0]["shares"]]:
-        print_line(f"{one['case']} {one['trial']} by {one['touch']} at {one['tolerance_mm']:g} mm: {one['cause']}")
+        print_line(
+            f"{one['case']} {one['trial']} by {one['touch']} at {one['tolerance_mm']:g} mm: "
+            f"{one['cause']}"
+        )

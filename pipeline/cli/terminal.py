@@ -1,7 +1,8 @@
-"""Terminal output shared by the commands: lines, error sentences, and a progress bar that Ctrl-C and SIGTERM end.
+"""Terminal output shared by the commands: lines, error sentences, and a progress bar that Ctrl-C
+and SIGTERM end.
 
-A signal sets a flag that the work checks at its next step: an exception raised at an arbitrary point could be swallowed
-while a kernel compiles, or leave a file half written.
+A signal sets a flag that the work checks at its next step: an exception raised at an arbitrary
+point could be swallowed while a kernel compiles, or leave a file half written.
 """
 
 from __future__ import annotations
@@ -21,10 +22,16 @@ if TYPE_CHECKING:  # an error sentence is printed without loading rich
 
 
 class TerminalProgress:
-    """A pipeline progress shown on the terminal; ends the work at its next step after a request to stop."""
+    """A pipeline progress shown on the terminal.
+
+    Ends the work at its next step after a request to stop.
+    """
 
     def __init__(self, bar: Progress, task: TaskID, total: float) -> None:
-        self._bar, self._task, self._total, self._stop_requested = bar, task, total, False
+        self._bar = bar
+        self._task = task
+        self._total = total
+        self._stop_requested = False
 
     def request_stop(self, *_signal: object) -> None:
         """Stop the work at its next step."""
@@ -36,26 +43,38 @@ class TerminalProgress:
         self._bar.update(self._task, description=text)
 
     def step(self, fraction: float, text: str) -> None:
-        """Show the fraction done and what is being done; raises KeyboardInterrupt after a request to stop."""
+        """Show the fraction done and what is being done.
+
+        Raises KeyboardInterrupt after a request to stop.
+        """
         self._bar.update(self._task, completed=round(fraction * self._total, 6), description=text)
         if self._stop_requested:
             raise KeyboardInterrupt
 
 
 @contextmanager
-def open_progress_bar(n_pieces: int = 0, console: Console | None = None) -> Generator[TerminalProgress]:
-    """Progress bar on stderr that disappears when the work is done; counts `n_pieces`, or shows per cent for 0.
+def open_progress_bar(
+    n_pieces: int = 0, console: Console | None = None
+) -> Generator[TerminalProgress]:
+    """Progress bar on stderr that disappears when the work is done.
 
-    Nothing is drawn where the console is no terminal: a log or a pipe gets the command's own lines alone.
+    Counts `n_pieces`, or shows per cent for 0.
+
+    Nothing is drawn where the console is no terminal: a log or a pipe gets the command's own lines
+    alone.
     """
     from rich import progress
     from rich.console import Console
 
     counter = progress.MofNCompleteColumn() if n_pieces else progress.TaskProgressColumn()
-    text, left = progress.TextColumn("{task.description}", markup=False), progress.TimeRemainingColumn()
-    console, total = console or Console(stderr=True), float(n_pieces or 1)
+    text = progress.TextColumn("{task.description}", markup=False)
+    left = progress.TimeRemainingColumn()
+    console = console or Console(stderr=True)
+    total = float(n_pieces or 1)
     columns = (text, progress.BarColumn(), counter, left)
-    with progress.Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with progress.Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
         shown = TerminalProgress(bar, bar.add_task("", total=total), total)
         with handle_interrupts(shown.request_stop):
             yield shown
@@ -63,9 +82,14 @@ def open_progress_bar(n_pieces: int = 0, console: Console | None = None) -> Gene
 
 @contextmanager
 def handle_interrupts(handler: Callable[..., None]) -> Generator[None]:
-    """Call `handler` on Ctrl-C and SIGTERM while the context lasts; no effect outside the main thread."""
+    """Call `handler` on Ctrl-C and SIGTERM while the context lasts.
+
+    No effect outside the main thread.
+    """
     is_main = threading.current_thread() is threading.main_thread()
-    previous = {kind: signal.signal(kind, handler) for kind in (signal.SIGINT, signal.SIGTERM) if is_main}
+    previous = {
+        kind: signal.signal(kind, handler) for kind in (signal.SIGINT, signal.SIGTERM) if is_main
+    }
     try:
         yield
     finally:

@@ -23,7 +23,9 @@ from pipeline.translation.translate import open_translation
 
 TrackedStage = Annotated[
     Literal["depth", "touch_depth"],
-    Parameter(help="Membrane to follow: the source's, or that of the generated touch (needs `--target`)."),
+    Parameter(
+        help="Membrane to follow: the source's, or that of the generated touch (needs `--target`)."
+    ),
 ]
 
 
@@ -37,7 +39,9 @@ def track(
     options: TranslationOptions = DEFAULT_OPTIONS,
     settings: StageSettings = (),
 ) -> int:
-    """Write track.csv, track.json and the fused surface patch.ply; report drift where true poses are known.
+    """Write track.csv, track.json and the fused surface patch.ply.
+
+    Report drift where true poses are known.
 
     Returns 0, or 2 if some frame could not be read and so counts as lost.
 
@@ -48,7 +52,9 @@ def track(
     """
     source = target or find_sensor(recording, options)
     check_folder(out)
-    with open_translation(options.build_request(recording, source), settings=settings) as translation:
+    with open_translation(
+        options.build_request(recording, source), settings=settings
+    ) as translation:
         indices = parse_frames(frames, translation.n_frames)
         with open_progress_bar() as progress:
             record = track_recording(translation, stage, indices, progress)
@@ -61,17 +67,28 @@ def track(
 
 def _print_summary(record: TrackRecord, out: Path) -> None:
     table = Table("frames", "tracked", "lost", "no contact", "parts", "key frames", "closed loops")
-    counts = (len(record.rows), *(record.count(state) for state in ("tracked", "lost", "no contact")))
-    table.add_row(*(str(n) for n in (*counts, record.n_parts, len(record.key_frames), record.n_loops)))
+    counts = (
+        len(record.rows),
+        *(record.count(state) for state in ("tracked", "lost", "no contact")),
+    )
+    table.add_row(
+        *(str(n) for n in (*counts, record.n_parts, len(record.key_frames), record.n_loops))
+    )
     Console().print(table)
     if record.weak_directions:
         print_line(
-            f"not measured in some frames, and taken as in the frame before: {'; '.join(record.weak_directions[:3])}"
+            "not measured in some frames, and taken as in the frame before: "
+            f"{'; '.join(record.weak_directions[:3])}"
         )
     if record.error is not None:
         print_line(
-            f"largest error {record.error.drift_mm:.3f} mm and {record.error.drift_deg:.2f} degrees over a path of "
+            f"largest error {record.error.drift_mm:.3f} mm and {record.error.drift_deg:.2f} "
+            "degrees over a path of "
             f"{record.error.path_mm:.1f} mm and {record.error.turned_deg:.0f} degrees"
         )
-    patch = "no surface could be fused" if record.patch is None else f"{len(record.patch.triangles)} triangles"
+    patch = (
+        "no surface could be fused"
+        if record.patch is None
+        else f"{len(record.patch.triangles)} triangles"
+    )
     print_line(f"{out / TABLE}, patch map: {patch}")

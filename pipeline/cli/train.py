@@ -17,7 +17,12 @@ from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.lab.training.export import export_run
 from pipeline.lab.training.loop import TrainingRun
 from pipeline.lab.training.loop import train as train_run
-from pipeline.lab.training.recipe import list_shipped_recipes, load_recipe, override_pairs, override_training
+from pipeline.lab.training.recipe import (
+    list_shipped_recipes,
+    load_recipe,
+    override_pairs,
+    override_training,
+)
 from pipeline.lab.training.task import TASKS
 from pipeline.stages.networks.weights import SUFFIX, Weights
 
@@ -45,33 +50,39 @@ def train(
 ) -> int:
     """Train on examples that are simulated on the fly, or on recorded pairs.
 
-    Ctrl-C and SIGTERM keep the state, a kill loses a minute at most; the same command with --resume continues. Under
-    `torchrun` each process takes one device and all train together.
+    Ctrl-C and SIGTERM keep the state, a kill loses a minute at most; the same command with --resume
+    continues. Under `torchrun` each process takes one device and all train together.
 
     Args:
-        recipe: Name of a shipped recipe, or a .toml file; with --pairs the default starts from shipped weights.
-        out: Folder for the state, `curve.csv`, `figures.csv`, `curve.png` and `weights.safetensors`.
-        initial_weights: Weights to start from, a file or the name of shipped ones, instead of the recipe's.
-        pairs: Recording or folder of both sensors, such as touch2touch's `data`: trained on instead of
+        recipe: Name of a shipped recipe, or a .toml file; with --pairs the default starts from
+        shipped weights. out: Folder for the state, `curve.csv`, `figures.csv`, `curve.png` and
+        `weights.safetensors`. initial_weights: Weights to start from, a file or the name of shipped
+        ones, instead of the recipe's. pairs: Recording or folder of both sensors, such as
+        touch2touch's `data`: trained on instead of
             simulated touches.
-        hold_out: Pairs that only validate: `tool` for a quarter of the tools, names of tools separated by commas, `lab`
-            or `paper` for published lists of tools, or a split.json; default: the splits of the folder, else `tool`.
-        share: Share of the pairs to train on that is used, such as 0.1 to adapt a network to another sensor.
-        resume: Continue the training in that folder.
-        minutes: Training time in all, instead of the recipe's steps; the learning rate follows the clock.
-        steps: Number of steps, instead of the recipe's.
-        seed: Seed of weights and examples, instead of the recipe's.
+        hold_out: Pairs that only validate: `tool` for a quarter of the tools, names of tools
+        separated by commas, `lab`
+            or `paper` for published lists of tools, or a split.json; default: the splits of the
+            folder, else `tool`.
+        share: Share of the pairs to train on that is used, such as 0.1 to adapt a network to
+        another sensor. resume: Continue the training in that folder. minutes: Training time in all,
+        instead of the recipe's steps; the learning rate follows the clock. steps: Number of steps,
+        instead of the recipe's. seed: Seed of weights and examples, instead of the recipe's.
         workers: Processes that make examples; 0 makes them in the main process.
     """
     known = {entry.subcommand for entry in TASKS.values()}
     if what not in known:
-        raise SettingProblem(f"nothing called {what!r} can be trained; there are {', '.join(sorted(known))}")
+        raise SettingProblem(
+            f"nothing called {what!r} can be trained; there are {', '.join(sorted(known))}"
+        )
     if minutes is not None and not 0.0 < minutes <= 1e6:
         raise SettingProblem(f"--minutes must lie above 0 and at most a million, got {minutes:g}")
     if minutes is not None and steps is not None:
         raise SettingProblem("give either --minutes or --steps, not both")
     if not recipe and pairs is None:
-        raise SettingProblem(f"name a recipe with --recipe: {', '.join(list_shipped_recipes(what))}")
+        raise SettingProblem(
+            f"name a recipe with --recipe: {', '.join(list_shipped_recipes(what))}"
+        )
     if (hold_out or share != 1.0) and pairs is None:
         raise SettingProblem(f"{'--hold-out' if hold_out else '--share'} needs --pairs")
     chosen = load_recipe(recipe or f"{what}_pairs", what, initial_weights)
@@ -79,9 +90,13 @@ def train(
         chosen = override_pairs(chosen, os.fspath(pairs), hold_out, share)
     pace = {name: value for name, value in (("steps", steps), ("seed", seed)) if value is not None}
     run = TrainingRun(
-        recipe=override_training(chosen, **pace), folder=out, resume=resume, max_minutes=minutes,
-        n_workers=workers, command=shlex.join(["tactoscope", *sys.argv[1:]]),
-    )  # fmt: skip
+        recipe=override_training(chosen, **pace),
+        folder=out,
+        resume=resume,
+        max_minutes=minutes,
+        n_workers=workers,
+        command=shlex.join(["tactoscope", *sys.argv[1:]]),
+    )
     run_with_progress_bar(run)
     if os.environ.get("RANK", "0") == "0":
         _print_model_card(export_run(out, out / WEIGHTS_FILE))
@@ -106,9 +121,13 @@ def export_weights(run: Path, *, to: Path, half: Flag = False) -> int:
 
 
 def run_with_progress_bar(run: TrainingRun) -> None:
-    """Run a training with a progress bar; Ctrl-C and SIGTERM raise KeyboardInterrupt between two steps."""
+    """Run a training with a progress bar.
+
+    Ctrl-C and SIGTERM raise KeyboardInterrupt between two steps.
+    """
     console = Console(stderr=True, quiet=os.environ.get("RANK", "0") != "0")
-    log, handler = logging.getLogger("tactoscope"), _ConsoleHandler(console)
+    log = logging.getLogger("tactoscope")
+    handler = _ConsoleHandler(console)
     log.addHandler(handler)
     log.setLevel(logging.INFO)
     with open_progress_bar(console=console) as bar:
@@ -138,4 +157,6 @@ class _ConsoleHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Print one line."""
         style = "yellow" if record.levelno > logging.INFO else "dim"
-        self._console.print(record.getMessage(), style=style, markup=False, highlight=False, soft_wrap=True)
+        self._console.print(
+            record.getMessage(), style=style, markup=False, highlight=False, soft_wrap=True
+        )

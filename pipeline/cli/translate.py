@@ -44,8 +44,12 @@ from pipeline.translation.translate import Request, Translation, open_translatio
 from pipeline.translation.truth_view import add_truth_warnings
 
 CACHE_BYTES = 32 * 1024 * 1024  # a few frames: a run does not return to earlier ones
-_FORCE_SKIPPED = "force: skipped; give --force, or a --calibration that 'tactoscope calibrate force' wrote"
-_MAX_JOBS, _MAX_CORES = 64, 8  # processes, as requested and unasked
+_FORCE_SKIPPED = (
+    "force: skipped; give --force, or a --calibration that 'tactoscope calibrate force' wrote"
+)
+# processes, as requested and unasked
+_MAX_JOBS = 64
+_MAX_CORES = 8
 _FRAMES_PER_WORKER = 24  # a process takes as long to start as some twenty frames with contact
 _LISTED_FRAMES = 8  # frame numbers listed behind a warning
 
@@ -76,30 +80,38 @@ def translate(
     scheduler: str = "",
     meshes: Path | None = None,
 ) -> int:
-    """Translate and write the frames that no earlier run has finished with the same request, settings and versions.
+    """Translate and write the frames that no earlier run has finished with the same request,
+    settings and versions.
 
-    Returns 0, 2 if some frame could not be translated (the report says why), 1 if one failed unexpectedly.
+    Returns 0, 2 if some frame could not be translated (the report says why), 1 if one failed
+    unexpectedly.
 
     Args:
-        out: Folder for `frame_NNNN/stages.npz`, `frame_NNNN/sheet.png` and `report.json`.
-        frame: The only frame to translate; default without --all: the first one with contact.
-        all_frames: Translate every frame.
-        follow: With --all, start each pose at that of the previous frame: several times as fast, for moving sequences.
-        force: Compute the normal force of frames as well; done anyway with the scale of `tactoscope calibrate force`.
-        jobs: With --all, processes that translate frames at once, each with some 400 MB; 0 = one a core where there
+        out: Folder for `frame_NNNN/stages.npz`, `frame_NNNN/sheet.png` and `report.json`. frame:
+        The only frame to translate; default without --all: the first one with contact. all_frames:
+        Translate every frame. follow: With --all, start each pose at that of the previous frame:
+        several times as fast, for moving sequences. force: Compute the normal force of frames as
+        well; done anyway with the scale of `tactoscope calibrate force`. jobs: With --all,
+        processes that translate frames at once, each with some 400 MB; 0 = one a core where there
             are frames enough to be worth their start.
-        scheduler: With --all, address of a Dask scheduler whose workers translate the frames, such as
+        scheduler: With --all, address of a Dask scheduler whose workers translate the frames, such
+        as
             `tcp://host:8786`. It must be trusted: what it sends is run on this machine.
-        meshes: Folder of meshes; the likeliest one by the first translated frame is the object, with its margin noted.
+        meshes: Folder of meshes; the likeliest one by the first translated frame is the object,
+        with its margin noted.
     """
     _check_options(options, meshes, frame, jobs, scheduler, all_frames=all_frames, follow=follow)
     request = options.build_request(recording, target)
-    console, request = Console(stderr=True), _with_absolute_paths(request) if scheduler else request
+    console = Console(stderr=True)
+    request = _with_absolute_paths(request) if scheduler else request
     translation = open_translation(request, settings=settings, cache_bytes=CACHE_BYTES)
     translation.check_index(0)
     force = force or translation.force_scale is not None
     check_folder(out)
-    with console.status("looking for a contact") as status, compiling.report_compiling(status.update):
+    with (
+        console.status("looking for a contact") as status,
+        compiling.report_compiling(status.update),
+    ):
         indices = range(translation.n_frames) if all_frames else [_select_frame(translation, frame)]
     translation = _identify_object(translation, indices[0], meshes, console)
     reports: list[FrameReport] = []
@@ -110,7 +122,13 @@ def translate(
             n_workers = 0 if follow or scheduler or meshes else _choose_workers(jobs, len(indices))
             if scheduler or n_workers > 1:
                 pieces = [
-                    _FrameJob(request=request, settings=tuple(settings), force=force, out=out.resolve(), index=k)
+                    _FrameJob(
+                        request=request,
+                        settings=tuple(settings),
+                        force=force,
+                        out=out.resolve(),
+                        index=k,
+                    )
                     for k in indices
                 ]
                 _translate_elsewhere(pieces, scheduler, n_workers, bar)
@@ -119,7 +137,9 @@ def translate(
                 part.step(0.0, "")
                 with compiling.report_compiling(bar.show):
                     previous = last if follow else None
-                    is_resumed, last = _translate_frame(translation, index, out, previous, part, force=force)
+                    is_resumed, last = _translate_frame(
+                        translation, index, out, previous, part, force=force
+                    )
                 reports.append(last.report)
                 n_resumed += is_resumed
     finally:  # also on Ctrl-C: finished frames are complete and listed
@@ -133,7 +153,12 @@ def translate(
         return _exit_code(failed)  # the tables below would be empty
     for note in translation.notes:
         console.print(
-            escape_text(f"note: {note}"), style="dim", highlight=False, markup=False, emoji=False, soft_wrap=True
+            escape_text(f"note: {note}"),
+            style="dim",
+            highlight=False,
+            markup=False,
+            emoji=False,
+            soft_wrap=True,
         )
     print_stage_table(reports)
     for line in (
@@ -148,7 +173,9 @@ def translate(
     return _exit_code(failed)
 
 
-def _identify_object(translation: Translation, index: int, meshes: Path | None, console: Console) -> Translation:
+def _identify_object(
+    translation: Translation, index: int, meshes: Path | None, console: Console
+) -> Translation:
     """The translation with the likeliest mesh of a folder as its object, by the frame `index`."""
     if meshes is None:
         return translation
@@ -158,38 +185,60 @@ def _identify_object(translation: Translation, index: int, meshes: Path | None, 
 
 
 def _check_options(
-    options: TranslationOptions, meshes: Path | None, frame: int | None, jobs: int, scheduler: str, *,
-    all_frames: bool, follow: bool,
-) -> None:  # fmt: skip
+    options: TranslationOptions,
+    meshes: Path | None,
+    frame: int | None,
+    jobs: int,
+    scheduler: str,
+    *,
+    all_frames: bool,
+    follow: bool,
+) -> None:
     """Raise SettingProblem for options that exclude each other."""
     if meshes is not None and (options.mesh is not None or scheduler or jobs):
-        raise SettingProblem("--meshes chooses the mesh; give it without --mesh, --jobs and --scheduler")
+        raise SettingProblem(
+            "--meshes chooses the mesh; give it without --mesh, --jobs and --scheduler"
+        )
     if frame is not None and all_frames:
         raise SettingProblem("give either --frame or --all, not both")
     if follow and not all_frames:
         raise SettingProblem("--follow uses the previous frame's pose; give it with --all")
     if scheduler and (follow or not all_frames):
-        raise SettingProblem("--scheduler distributes single frames; give it with --all, and without --follow")
+        raise SettingProblem(
+            "--scheduler distributes single frames; give it with --all, and without --follow"
+        )
     if jobs and (follow or scheduler or not all_frames):
-        raise SettingProblem("--jobs share single frames; give it with --all, without --follow and --scheduler")
+        raise SettingProblem(
+            "--jobs share single frames; give it with --all, without --follow and --scheduler"
+        )
     check_range("--jobs", jobs, 0, _MAX_JOBS)
 
 
 def print_stage_table(reports: Sequence[FrameReport]) -> None:
-    """Print per stage the median and largest time in ms, how often it was skipped, and its errors."""
-    table = Table("stage", "median ms", "largest ms", "skipped", "error against ground truth", title=None)
+    """Print per stage the median and largest time in ms, how often it was skipped, and its
+    errors.
+    """
+    table = Table(
+        "stage", "median ms", "largest ms", "skipped", "error against ground truth", title=None
+    )
     done = [report for report in reports if report.results]
     for name in done[0].results if done else ():
         ms = sorted(report.results[name].ms for report in done)
         skipped = sum(report.results[name].state == "skipped" for report in done)
         table.add_row(
-            name, f"{ms[len(ms) // 2]:.2f}", f"{ms[-1]:.2f}", f"{skipped} of {len(done)}", _format_metrics(name, done)
+            name,
+            f"{ms[len(ms) // 2]:.2f}",
+            f"{ms[-1]:.2f}",
+            f"{skipped} of {len(done)}",
+            _format_metrics(name, done),
         )
     Console().print(table)
 
 
 def list_fallbacks(reports: Sequence[FrameReport]) -> list[str]:
-    """One sentence for each stage that another method than the requested one computed, with the reason."""
+    """One sentence for each stage that another method than the requested one computed, with the
+    reason.
+    """
     reasons: dict[tuple[str, str], list[str]] = {}
     for report in reports:
         for name, result in report.results.items():
@@ -202,7 +251,10 @@ def list_fallbacks(reports: Sequence[FrameReport]) -> list[str]:
 
 
 def list_warnings(reports: Sequence[FrameReport]) -> list[str]:
-    """Every warning once with its frames, at its first stage; warnings that differ in numbers only are merged."""
+    """Every warning once with its frames, at its first stage.
+
+    Warnings that differ in numbers only are merged.
+    """
     stages: dict[str, str] = {}
     frames: dict[str, dict[int, str]] = {}
     for report in reports:
@@ -219,7 +271,9 @@ def list_warnings(reports: Sequence[FrameReport]) -> list[str]:
 
 
 def _format_frames(warnings_by_frame: Mapping[int, str]) -> str:
-    """The first frame numbers, and which frame the numbers in the warning are of where they differ."""
+    """The first frame numbers, and which frame the numbers in the warning are of where they
+    differ.
+    """
     few = ", ".join(str(n) for n in list(warnings_by_frame)[:_LISTED_FRAMES])
     if len(warnings_by_frame) == 1:
         return f"frame {few}"
@@ -229,27 +283,43 @@ def _format_frames(warnings_by_frame: Mapping[int, str]) -> str:
     return f"{len(warnings_by_frame)} frames: {few}{more}{numbers_of}"
 
 
-def _describe_force(reports: Sequence[FrameReport], translation: Translation, *, force: bool) -> list[str]:
-    """The range of the forces, and whether its scale is known or it was skipped; empty without a contact model."""
+def _describe_force(
+    reports: Sequence[FrameReport], translation: Translation, *, force: bool
+) -> list[str]:
+    """The range of the forces, and whether its scale is known or it was skipped.
+
+    Empty without a contact model.
+    """
     if not force:
         return [_FORCE_SKIPPED] if list_force_metrics(translation) else []
     out: list[str] = []
     remark = f"; {UNKNOWN_SCALE}" if translation.force_scale is None else ""
-    for name, title in zip(list_force_metrics(translation), ("normal force", "shear force"), strict=False):
+    for name, title in zip(
+        list_force_metrics(translation), ("normal force", "shear force"), strict=False
+    ):
         forces = [report.metrics[name] for report in reports if name in report.metrics]
         if any(forces):
-            low, high = f"{min(forces):.2f}", f"{max(forces):.2f}"
+            low = f"{min(forces):.2f}"
+            high = f"{max(forces):.2f}"
             out.append(f"{title} {high if low == high else f'{low} to {high}'} N{remark}")
     return out
 
 
 def _choose_workers(jobs: int, n_frames: int) -> int:
-    """How many processes translate `n_frames`: as requested, else one a core, each with some frames to do."""
-    return min(n_frames, jobs or min(os.cpu_count() or 1, _MAX_CORES, n_frames // _FRAMES_PER_WORKER))
+    """How many processes translate `n_frames`: as requested, else one a core, each with some
+    frames to do.
+    """
+    return min(
+        n_frames, jobs or min(os.cpu_count() or 1, _MAX_CORES, n_frames // _FRAMES_PER_WORKER)
+    )
 
 
-def _translate_elsewhere(jobs: Sequence[_FrameJob], scheduler: str, n_workers: int, progress: Progress) -> None:
-    """Have frames translated and written by the workers of a scheduler, or by processes of this machine."""
+def _translate_elsewhere(
+    jobs: Sequence[_FrameJob], scheduler: str, n_workers: int, progress: Progress
+) -> None:
+    """Have frames translated and written by the workers of a scheduler, or by processes of this
+    machine.
+    """
     if scheduler:
         with connect_cluster(scheduler) as workers:
             workers.map(_run_job, jobs, progress)
@@ -260,12 +330,18 @@ def _translate_elsewhere(jobs: Sequence[_FrameJob], scheduler: str, n_workers: i
         futures = [pool.submit(_run_job_here, job) for job in jobs]
         for n_done, future in enumerate(as_completed(futures), 1):
             future.result()
-            progress.step(n_done / len(jobs), f"{n_done} of {len(jobs)} frames by {n_workers} processes")
+            progress.step(
+                n_done / len(jobs), f"{n_done} of {len(jobs)} frames by {n_workers} processes"
+            )
 
 
 def _run_job_here(job: _FrameJob) -> None:
-    """Translate one frame in a process of this machine, which keeps the recording and the weights open."""
-    _translate_frame(_open_once(job.request, job.settings), job.index, job.out, None, SILENT, force=job.force)
+    """Translate one frame in a process of this machine, which keeps the recording and the
+    weights open.
+    """
+    _translate_frame(
+        _open_once(job.request, job.settings), job.index, job.out, None, SILENT, force=job.force
+    )
 
 
 @lru_cache(maxsize=1)
@@ -274,14 +350,23 @@ def _open_once(request: Request, settings: tuple[str, ...]) -> Translation:
 
 
 def _run_job(job: _FrameJob) -> None:
-    """Translate one frame on a worker and write it; a frame that fails is left to the main process."""
-    with open_translation(job.request, settings=job.settings, cache_bytes=CACHE_BYTES) as translation:
+    """Translate one frame on a worker and write it.
+
+    A frame that fails is left to the main process.
+    """
+    with open_translation(
+        job.request, settings=job.settings, cache_bytes=CACHE_BYTES
+    ) as translation:
         _translate_frame(translation, job.index, job.out, None, SILENT, force=job.force)
 
 
 def _with_absolute_paths(request: Request) -> Request:
     """The same request for workers with another current folder."""
-    paths = {f.name: value.resolve() for f in fields(request) if isinstance(value := getattr(request, f.name), Path)}
+    paths = {
+        f.name: value.resolve()
+        for f in fields(request)
+        if isinstance(value := getattr(request, f.name), Path)
+    }
     weights = tuple((stage, file.resolve()) for stage, file in request.weights)
     return replace(request, weights=weights, **paths)
 
@@ -299,13 +384,18 @@ def _translate_frame(
     *,
     force: bool,
 ) -> tuple[bool, FinishedFrame]:
-    """(whether an earlier run had finished it, the frame); a frame that fails has its problem in the report."""
+    """(whether an earlier run had finished it, the frame).
+
+    A frame that fails has its problem in the report.
+    """
     try:
         key = compute_frame_key(translation, index, previous, with_force=force)
         finished = load_finished_frame(out, index, key)
         if finished is not None:
             return True, finished
-        results = translation.evaluate(index, progress=progress, previous=previous.pose if previous else None)
+        results = translation.evaluate(
+            index, progress=progress, previous=previous.pose if previous else None
+        )
         truth = translation.read_ground_truth(index)
         results = {name: add_truth_warnings(result, truth) for name, result in results.items()}
         metrics = translation.compute_metrics(results, index)
@@ -317,7 +407,9 @@ def _translate_frame(
     except Exception as error:  # noqa: BLE001 - whatever one frame does, the others are translated
         is_user_error = isinstance(error, TouchError)
         problem = str(error) if is_user_error else error_log.log_error(error)
-    report = FrameReport(index=index, results={}, metrics={}, problem=problem, is_user_error=is_user_error)
+    report = FrameReport(
+        index=index, results={}, metrics={}, problem=problem, is_user_error=is_user_error
+    )
     return False, FinishedFrame(report=report, key="")
 
 
@@ -325,7 +417,9 @@ def _get_pose(report: FrameReport) -> ObjectPose | None:
     """The pose of a frame; None without one, which ends a followed sequence."""
     result = report.results.get("pose")
     output = None if result is None else result.output
-    return output if isinstance(output, ObjectPose) and output.sensor_from_object is not None else None
+    return (
+        output if isinstance(output, ObjectPose) and output.sensor_from_object is not None else None
+    )
 
 
 def _select_frame(translation: Translation, frame: int | None) -> int:
@@ -343,10 +437,14 @@ def _select_frame(translation: Translation, frame: int | None) -> int:
 
 def _format_metrics(name: str, reports: Sequence[FrameReport]) -> str:
     """Median of every metric of a stage."""
-    keys = sorted({key for report in reports for key in report.metrics if key.startswith(f"{name}.")})
+    keys = sorted(
+        {key for report in reports for key in report.metrics if key.startswith(f"{name}.")}
+    )
     parts: list[str] = []
     for key in keys:
-        values = sorted(r.metrics[key] for r in reports if key in r.metrics and r.metrics[key] == r.metrics[key])
+        values = sorted(
+            r.metrics[key] for r in reports if key in r.metrics and r.metrics[key] == r.metrics[key]
+        )
         if values:
             parts.append(f"{key.partition('.')[2]} {values[len(values) // 2]:.3g}")
     return ", ".join(parts) or "no ground truth"

@@ -21,7 +21,8 @@ Vector3 = Annotated[tuple[float, float, float], Parameter(negative="")]
 RecordingPath = Annotated[Path, Parameter(help=f"File or folder: {describe_formats()}.")]
 TargetName = Annotated[str, Parameter(help="Sensor to translate to.")]
 StageSettings = Annotated[
-    tuple[str, ...], Parameter(name="--set", negative="", help="`stage.parameter=value`; repeatable.")
+    tuple[str, ...],
+    Parameter(name="--set", negative="", help="`stage.parameter=value`; repeatable."),
 ]
 Flag = Annotated[bool, Parameter(negative="")]
 DepthUnit = Annotated[
@@ -32,10 +33,17 @@ ReferenceImagePath = Annotated[
     Path | None, Parameter(help="Reference image (no contact), if the recording holds none.")
 ]
 ReferenceFrames = Annotated[
-    str, Parameter(help="Make the reference of the recording's own frames: `median`, `untouched`, or a frame's number.")
+    str,
+    Parameter(
+        help="Make the reference of the recording's own frames: `median`, `untouched`, or a "
+        "frame's number."
+    ),
 ]
 _WEIGHTS = "File of network weights; `stage=FILE` if several stages use a network."
-_METHODS = "`stage=method` in place of the route's own, such as `target_depth=paper`, or `depth=truth`; repeatable."
+_METHODS = (
+    "`stage=method` in place of the route's own, such as `target_depth=paper`, or "
+    "`depth=truth`; repeatable."
+)
 
 
 @Parameter(name="*")
@@ -44,9 +52,9 @@ class TranslationOptions:
     """What a translation reads besides the recording.
 
     Args:
-        sensor: Sensor that made the recording, if the file does not name it; also selects one of several streams.
-        stream: Name of the stream, if one sensor has several.
-        calibration: Calibration file made by `tactoscope calibrate`; default: the sensor's built-in table, force
+        sensor: Sensor that made the recording, if the file does not name it; also selects one of
+        several streams. stream: Name of the stream, if one sensor has several. calibration:
+        Calibration file made by `tactoscope calibrate`; default: the sensor's built-in table, force
             without scale.
         route: Route through the stages; it names a method for each.
         mesh: Mesh of the touched object, for its pose.
@@ -74,7 +82,10 @@ class TranslationOptions:
     pivot_mm: Vector3 = (0.0, 0.0, 0.0)
 
     def build_request(self, recording: Path, target: str) -> Request:
-        """The request of these options; raises SettingProblem for a malformed `stage=method` or an offset too large."""
+        """The request of these options.
+
+        Raises SettingProblem for a malformed `stage=method` or an offset too large.
+        """
         from pipeline.translation.catalogue import with_method, with_weights
         from pipeline.translation.translate import Request
 
@@ -85,20 +96,33 @@ class TranslationOptions:
         for assignment in self.weights:
             weights = with_weights(weights, assignment)
         return Request(
-            recording=recording, target=target, source=self.sensor, stream=self.stream, route=self.route,
-            methods=tuple(methods.items()), reference=self.reference, reference_frames=self.reference_frames,
-            calibration=self.calibration, mesh=self.mesh, mesh_unit=self.mesh_unit, depth_unit=self.depth_unit,
+            recording=recording,
+            target=target,
+            source=self.sensor,
+            stream=self.stream,
+            route=self.route,
+            methods=tuple(methods.items()),
+            reference=self.reference,
+            reference_frames=self.reference_frames,
+            calibration=self.calibration,
+            mesh=self.mesh,
+            mesh_unit=self.mesh_unit,
+            depth_unit=self.depth_unit,
             alignment=self.alignment,
-            weights=tuple(weights.items()), refuses_unusable_weights=True, offsets=self._build_offsets(),
-        )  # fmt: skip
+            weights=tuple(weights.items()),
+            refuses_unusable_weights=True,
+            offsets=self._build_offsets(),
+        )
 
     def _build_offsets(self) -> Offsets:
         from pipeline.core.typed_data import InvalidField, check
         from pipeline.sensors.alignment import Offsets
 
         vectors = {
-            "translation_mm": self.translation_mm, "rotation_deg": self.rotation_deg, "pivot_mm": self.pivot_mm,
-        }  # fmt: skip
+            "translation_mm": self.translation_mm,
+            "rotation_deg": self.rotation_deg,
+            "pivot_mm": self.pivot_mm,
+        }
         try:
             return check(vectors, Offsets)
         except InvalidField as error:
@@ -117,12 +141,19 @@ def find_sensor(recording: Path, options: TranslationOptions) -> str:
 
     if options.sensor:
         return options.sensor
-    with closing(open_recording(
-        recording, stream=options.stream, depth_unit=options.depth_unit, reference=options.reference
-    )) as opened:  # fmt: skip
+    with closing(
+        open_recording(
+            recording,
+            stream=options.stream,
+            depth_unit=options.depth_unit,
+            reference=options.reference,
+        )
+    ) as opened:
         sensor = opened.stream(options.stream).sensor
     if not sensor:
-        raise UnknownSensor(f"the recording does not say which sensor made it; choose one (--sensor): '{recording}'")
+        raise UnknownSensor(
+            f"the recording does not say which sensor made it; choose one (--sensor): '{recording}'"
+        )
     return sensor
 
 

@@ -1,4 +1,7 @@
-"""Array types, and medians without numpy's overhead for a call; arrays that leave a function are read-only."""
+"""Array types, and medians without numpy's overhead for a call.
+
+Arrays that leave a function are read-only.
+"""
 
 import importlib.util
 import sys
@@ -9,10 +12,17 @@ from numpy.typing import NDArray
 
 
 def defer_import(*names: str) -> None:
-    """Load submodules of loaded packages at their first attribute access; modules already loaded are unchanged."""
+    """Load submodules of loaded packages at their first attribute access.
+
+    Modules already loaded are unchanged.
+    """
     for name in names:
         package, _, last = name.rpartition(".")
-        spec = None if name in sys.modules or package not in sys.modules else importlib.util.find_spec(name)
+        spec = (
+            None
+            if name in sys.modules or package not in sys.modules
+            else importlib.util.find_spec(name)
+        )
         if spec is None or spec.loader is None:
             continue
         spec.loader = importlib.util.LazyLoader(spec.loader)
@@ -21,7 +31,8 @@ def defer_import(*names: str) -> None:
         setattr(sys.modules[package], last, module)
 
 
-defer_import("numpy.f2py", "numpy.testing")  # scipy touches all of numpy, including a Fortran compiler's front end
+# scipy touches all of numpy, including a Fortran compiler's front end
+defer_import("numpy.f2py", "numpy.testing")
 
 Image = NDArray[np.uint8]  # (rows, cols, 3) RGB
 Floats = NDArray[np.float32]
@@ -44,14 +55,23 @@ def ensure_float(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def median(values: Floats, where: Mask | None = None) -> np.float32:
-    """The median of an array, or of its values in a mask `where` of the same shape, which holds at least one."""
+    """The median of an array, or of its values in a mask `where` of the same shape, which holds
+    at least one.
+    """
     return percentile(values, 50.0, where)
 
 
 def percentile(values: Floats, percent: float, where: Mask | None = None) -> np.float32:
-    """The percentile, interpolated linearly, of an array or of its values in a mask, which holds at least one."""
-    flat = np.asarray(values, np.float32).reshape(-1) if where is None else np.asarray(values, np.float32)[where]
+    """The percentile, interpolated linearly, of an array or of its values in a mask, which holds
+    at least one.
+    """
+    flat = (
+        np.asarray(values, np.float32).reshape(-1)
+        if where is None
+        else np.asarray(values, np.float32)[where]
+    )
     whole, share = divmod((flat.size - 1) * percent / 100.0, 1.0)
-    low, high = int(whole), min(int(whole) + 1, flat.size - 1)
+    low = int(whole)
+    high = min(int(whole) + 1, flat.size - 1)
     ordered = np.partition(flat, (low, high))
     return np.float32(ordered[low] + (np.float64(ordered[high]) - ordered[low]) * share)

@@ -1,4 +1,6 @@
-"""Decorators of numba kernels: compiled at the first call and cached on disk in `compiling.kernel_folder()`."""
+"""Decorators of numba kernels: compiled at the first call and cached on disk in
+`compiling.kernel_folder()`.
+"""
 # pyright: basic
 
 import contextlib
@@ -18,9 +20,13 @@ config.CACHE_DIR = os.fspath(compiling.kernel_folder())  # pyright: ignore[repor
 
 FAST = {"contract", "arcp", "nsz", "reassoc"}  # not nnan: a NaN has to stay a NaN
 
-inline_kernel: Any = partial(njit, inline="always")  # becomes part of its callers before they are compiled
-# Called by kernels only: compiled into them, without an entry point for Python and without a cache file.
-inner_kernel: Any = partial(njit, no_cfunc_wrapper=True, no_cpython_wrapper=True, error_model="numpy")  # type: ignore[reportCallIssue]
+# becomes part of its callers before they are compiled
+inline_kernel: Any = partial(njit, inline="always")
+# Called by kernels only: compiled into them, without an entry point for Python and without a cache
+# file.
+inner_kernel: Any = partial(
+    njit, no_cfunc_wrapper=True, no_cpython_wrapper=True, error_model="numpy"
+)  # type: ignore[reportCallIssue]
 
 
 class _ModuleLocator(UserProvidedCacheLocator):
@@ -36,16 +42,21 @@ class _ModuleCacheImpl(CompileResultCacheImpl):
 
 
 class _TolerantCache(FunctionCache):
-    """Numba's cache of one kernel. A file that is damaged or cannot be written costs a compilation, not an error."""
+    """Numba's cache of one kernel. A file that is damaged or cannot be written costs a
+    compilation, not an error.
+    """
 
     _impl_class = _ModuleCacheImpl
 
     def load_overload(self, sig, target_context):
-        # Numba's own method first imports what only compiling needs: its numpy and scipy implementations.
+        # Numba's own method first imports what only compiling needs: its numpy and scipy
+        # implementations.
         rtsys.initialize(target_context)
         cached = self._load_tolerantly(sig, target_context)
         function = self._py_func
-        if cached is None and compiling.compile_elsewhere(function.__module__, function.__qualname__, sig):
+        if cached is None and compiling.compile_elsewhere(
+            function.__module__, function.__qualname__, sig
+        ):
             cached = self._load_tolerantly(sig, target_context)
         return cached
 
@@ -64,7 +75,8 @@ class _TolerantCache(FunctionCache):
 
 def kernel(**options: Any) -> Any:
     """Decorate a function that Python calls: compiled once and cached; `options` are numba's."""
-    # Kernels are never called from C: without the entry point for C, compiling takes a seventh less time.
+    # Kernels are never called from C: without the entry point for C, compiling takes a seventh less
+    # time.
     compiled: Any = njit(cache=True, no_cfunc_wrapper=True, error_model="numpy", **options)  # type: ignore[reportCallIssue]
 
     def declare_kernel(function: Any) -> Any:
@@ -76,7 +88,10 @@ def kernel(**options: Any) -> Any:
 
 
 class _CompileListener(event.Listener):
-    """Report compilations and measure their time; kernels that a kernel compiles count as part of it."""
+    """Report compilations and measure their time.
+
+    Kernels that a kernel compiles count as part of it.
+    """
 
     _depth = 0  # changed under the compiler's lock
     _started_s = 0.0

@@ -1,8 +1,10 @@
-"""Where compiled kernels are cached, and how long compiling has held up a thread. Does not import numba.
+"""Where compiled kernels are cached, and how long compiling has held up a thread. Does not import
+numba.
 
-Numba alone would load a cached kernel that calls a kernel of another module as it was before that module changed.
-The cache folder is therefore named by a digest of all kernel sources and of the versions that compile them, and of no
-path: all clones of the same sources share it. What it holds is run, so that it must belong to this user alone.
+Numba alone would load a cached kernel that calls a kernel of another module as it was before that
+module changed. The cache folder is therefore named by a digest of all kernel sources and of the
+versions that compile them, and of no path: all clones of the same sources share it. What it holds
+is run, so that it must belong to this user alone.
 """
 
 import contextlib
@@ -34,7 +36,8 @@ class _ThreadState(threading.local):
     report: Callable[[str], None] | None = None
 
 
-Compiler = Callable[[str, str, object], bool]  # (module, kernel, types of its arguments) -> whether it is cached now
+# (module, kernel, types of its arguments) -> whether it is cached now
+Compiler = Callable[[str, str, object], bool]
 
 _thread = _ThreadState()
 _n_compiled = 0
@@ -45,10 +48,11 @@ _compiler: Compiler | None = None
 def report_compiling(report: Callable[[str], None]) -> Generator[Callable[[], float]]:
     """Call `report` with a sentence for each kernel that this thread compiles in the block.
 
-    Yields a function that returns the seconds that compiling has taken in the block so far. `report` must not raise:
-    it is called from inside the compiler.
+    Yields a function that returns the seconds that compiling has taken in the block so far.
+    `report` must not raise: it is called from inside the compiler.
     """
-    before_s, outer = _thread.spent_s, _thread.report
+    before_s = _thread.spent_s
+    outer = _thread.report
     _thread.report = report
     try:
         yield lambda: _thread.spent_s - before_s
@@ -73,7 +77,10 @@ def set_compiler(compiler: Compiler | None) -> None:
 
 
 def compile_elsewhere(module: str, name: str, signature: object) -> bool:
-    """Return whether another process compiled a kernel of a module into the cache; reported like any other."""
+    """Return whether another process compiled a kernel of a module into the cache.
+
+    Reported like any other.
+    """
     if _compiler is None or not hasattr(sys.modules.get(module), name):
         return False
     begin_kernel()
@@ -101,7 +108,8 @@ def end_kernel(seconds: float) -> None:
 def kernel_folder() -> Path:
     """Return the folder of compiled kernels: in NUMBA_CACHE_DIR if set, else in the user's cache.
 
-    Where neither can be written, or others could write into it, a temporary folder of this process is used.
+    Where neither can be written, or others could write into it, a temporary folder of this process
+    is used.
     """
     given = os.environ.get("NUMBA_CACHE_DIR")
     for root in (*([Path(given)] if given else []), find_user_folder("cache")):
@@ -113,14 +121,20 @@ def kernel_folder() -> Path:
 
 
 def _prepare_folder(kernels: Path) -> Path | None:
-    """The folder of these sources within that of all kernels; None where it cannot be used. Raises OSError."""
+    """The folder of these sources within that of all kernels.
+
+    None where it cannot be used. Raises OSError.
+    """
     folder = kernels / digest_sources()
     is_new = not folder.is_dir()
     kernels.parent.mkdir(parents=True, exist_ok=True)
     for place in (kernels, folder):
         place.mkdir(mode=0o700, exist_ok=True)
         if not _is_private(place):
-            log.warning("compiled kernels are not taken from a folder that others own or may write: '%s'", place)
+            log.warning(
+                "compiled kernels are not taken from a folder that others own or may write: '%s'",
+                place,
+            )
             return None
     if not os.access(folder, os.W_OK):
         return None
@@ -131,10 +145,13 @@ def _prepare_folder(kernels: Path) -> Path | None:
 
 
 def _is_private(folder: Path) -> bool:
-    """Whether a folder, not a link to one, belongs to this user, and no other one may write into it."""
+    """Whether a folder, not a link to one, belongs to this user, and no other one may write into
+    it.
+    """
     found = folder.lstat()
     is_own = stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid()
-    if is_own and folder.name == "kernels":  # earlier versions left it as the user's mask says; it holds folders alone
+    # earlier versions left it as the user's mask says; it holds folders alone
+    if is_own and folder.name == "kernels":
         folder.chmod(0o700)
         return True
     return is_own and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
@@ -142,7 +159,9 @@ def _is_private(folder: Path) -> bool:
 
 @cache
 def digest_sources() -> str:
-    """Return a digest of the names and contents of all kernel sources, and of the versions that compile them."""
+    """Return a digest of the names and contents of all kernel sources, and of the versions that
+    compile them.
+    """
     versions = [importlib.metadata.version(name) for name in ("numba", "llvmlite", "numpy")]
     whole = hashlib.sha256(f"{sys.version} {versions}".encode())
     for path in sorted(_PACKAGE_FOLDER.rglob("*_kernels.py")):
@@ -152,7 +171,9 @@ def digest_sources() -> str:
 
 
 def _remove_old_folders(current: Path) -> None:
-    others = sorted((p for p in current.parent.iterdir() if p != current), key=lambda p: p.stat().st_mtime)
+    others = sorted(
+        (p for p in current.parent.iterdir() if p != current), key=lambda p: p.stat().st_mtime
+    )
     for old in others[:-_MAX_FOLDERS]:
         shutil.rmtree(old, ignore_errors=True)
 

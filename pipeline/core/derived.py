@@ -1,7 +1,8 @@
-"""The cache of derived values: what follows from a description alone, such as the reference image of a sensor.
+"""The cache of derived values: what follows from a description alone, such as the reference image
+of a sensor.
 
-One cache for all of them, bounded in bytes, whose keys are functions and contents of arguments. What follows from a
-frame or from parameters belongs to the graph, whose own cache counts it.
+One cache for all of them, bounded in bytes, whose keys are functions and contents of arguments.
+What follows from a frame or from parameters belongs to the graph, whose own cache counts it.
 """
 
 import functools
@@ -19,14 +20,19 @@ DERIVED: Memo[tuple[object, ...], tuple[Any]] = Memo(most_bytes=_MAX_BYTES)
 
 
 def derive_once(function: Callable[P, V]) -> Callable[P, V]:
-    """Decorate a function without side effects: equal arguments give the object that was computed first.
+    """Decorate a function without side effects: equal arguments give the object that was computed
+    first.
 
     Arguments are hashable, or have a content digest; the value must not be written to.
     """
 
     @functools.wraps(function)
     def derive(*args: P.args, **kwargs: P.kwargs) -> V:
-        key = (function, *map(_make_key, args), *((name, _make_key(value)) for name, value in kwargs.items()))
+        key = (
+            function,
+            *map(_make_key, args),
+            *((name, _make_key(value)) for name, value in kwargs.items()),
+        )
         return DERIVED.get_or_make(key, lambda: (function(*args, **kwargs),))[0]
 
     return derive

@@ -20,14 +20,17 @@ UNDIGESTED: Mapping[str, bool] = MappingProxyType({"digest": False})
 """Metadata of a dataclass field that the digest leaves out, such as steps kept for display."""
 
 _MIN_CACHED_BYTES = 4096  # bytes; a smaller array is hashed faster than looked up
-_MAX_BYTES = 4 * 1024 * 1024  # per digest cache: values used for each frame, not the frames of a recording
+# per digest cache: values used for each frame, not the frames of a recording
+_MAX_BYTES = 4 * 1024 * 1024
 _arrays: Memo[int, tuple[NDArray[Any], bytes]] = Memo(256, most_bytes=_MAX_BYTES)
 
 
 def compute_digest(value: object) -> str:
-    """Return the hexadecimal digest of plain values, bytes, arrays, paths, tuples, mappings or dataclasses.
+    """Return the hexadecimal digest of plain values, bytes, arrays, paths, tuples, mappings or
+    dataclasses.
 
-    Raises TypeError for anything else: a stage that reads a value without a digest cannot be cached.
+    Raises TypeError for anything else: a stage that reads a value without a digest cannot be
+    cached.
     """
     state = xxhash.xxh3_128()
     _feed(state, value)
@@ -35,10 +38,11 @@ def compute_digest(value: object) -> str:
 
 
 class DigestCache:
-    """Digests cached by identity, for values that stay the same for long, such as sensors and meshes.
+    """Digests cached by identity, for values that stay the same for long, such as sensors and
+    meshes.
 
-    Only immutable values are cached; they are held, so that their identity is not reused. The least recently used goes
-    first. Safe to share between threads.
+    Only immutable values are cached; they are held, so that their identity is not reused. The least
+    recently used goes first. Safe to share between threads.
     """
 
     def __init__(self, most: int = 32) -> None:
@@ -63,11 +67,15 @@ compute_cached_digest = DigestCache(most=128).compute_digest  # for keys of all 
 
 
 def is_frozen(value: object) -> bool:
-    """Return whether a value is immutable: no array in it, nor one that it is a view of, is writable."""
+    """Return whether a value is immutable: no array in it, nor one that it is a view of, is
+    writable.
+    """
     if isinstance(value, np.ndarray):
         array = cast("NDArray[Any]", value)
         base: object = array.base
-        return not array.flags.writeable and (base is None or isinstance(base, bytes) or is_frozen(base))
+        return not array.flags.writeable and (
+            base is None or isinstance(base, bytes) or is_frozen(base)
+        )
     if isinstance(value, tuple):
         return all(is_frozen(v) for v in cast("tuple[object, ...]", value))
     names = field_names(type(value))
@@ -91,7 +99,11 @@ def _digest_array(array: NDArray[Any]) -> bytes:
 
 @lru_cache(maxsize=256)
 def _list_digested_fields(kind: type) -> tuple[str, ...] | None:
-    return tuple(f.name for f in fields(kind) if f.metadata.get("digest", True)) if is_dataclass(kind) else None
+    return (
+        tuple(f.name for f in fields(kind) if f.metadata.get("digest", True))
+        if is_dataclass(kind)
+        else None
+    )
 
 
 def _feed(state: xxhash.xxh3_128, value: object) -> None:

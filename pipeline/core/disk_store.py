@@ -1,7 +1,7 @@
 """Cache on disk for slow results of few inputs, in the user's cache folder.
 
-A file is named by the digest of its inputs and of the code that made it. Damaged files are made again; without a
-readable or writable folder everything works uncached.
+A file is named by the digest of its inputs and of the code that made it. Damaged files are made
+again; without a readable or writable folder everything works uncached.
 """
 
 import contextlib
@@ -26,11 +26,14 @@ _MAX_FILES = 40  # per folder; a distance grid takes 16 MB
 T = TypeVar("T")
 
 
-def load_or_make(kind: type[T], made_of: object, code: tuple[str, ...], make: Callable[[], T], folder: Path | str) -> T:
+def load_or_make(
+    kind: type[T], made_of: object, code: tuple[str, ...], make: Callable[[], T], folder: Path | str
+) -> T:
     """Read the value that `make` makes of `made_of` from disk, or make and write it.
 
-    `code` names the modules that it depends on; a package stands for its own modules. `kind` is a flat dataclass of
-    arrays, numbers and tuples of words; a relative `folder` is within the user's cache.
+    `code` names the modules that it depends on; a package stands for its own modules. `kind` is a
+    flat dataclass of arrays, numbers and tuples of words; a relative `folder` is within the user's
+    cache.
     """
     key = compute_digest((_digest_source(code), made_of))
     path = cache_folder() / folder / f"{key}.npz"
@@ -57,11 +60,16 @@ def _files(name: str) -> list[Path]:
     spec = find_spec(name)
     if spec is None or not spec.origin:
         return []
-    return sorted(Path(spec.origin).parent.glob("*.py")) if spec.submodule_search_locations else [Path(spec.origin)]
+    return (
+        sorted(Path(spec.origin).parent.glob("*.py"))
+        if spec.submodule_search_locations
+        else [Path(spec.origin)]
+    )
 
 
 def _read(kind: type[T], path: Path, key: str) -> T | None:
-    found, names = read_cached_arrays(path), {f.name for f in fields(cast("Any", kind))}
+    found = read_cached_arrays(path)
+    names = {f.name for f in fields(cast("Any", kind))}
     if found is None or str(found.pop("key", "")) != key or set(found) != names:
         return None
     return kind(**{name: _to_field_value(array) for name, array in found.items()})
@@ -74,7 +82,9 @@ def _to_field_value(array: NDArray[Any]) -> object:
 
 
 def _write(value: object, path: Path, key: str) -> None:
-    arrays: dict[str, Any] = {f.name: np.asarray(getattr(value, f.name)) for f in fields(cast("Any", value))}
+    arrays: dict[str, Any] = {
+        f.name: np.asarray(getattr(value, f.name)) for f in fields(cast("Any", value))
+    }
     with contextlib.suppress(FileProblem, OSError):
         with open_atomic(path, "a file of the cache", None) as file:
             np.savez(file, key=np.array(key), **arrays)

@@ -1,7 +1,7 @@
 """Values that other installed packages add to this program through Python entry points.
 
-A package can break nothing but itself: what cannot be loaded, or is not of the declared types, is left out with a
-warning in the log.
+A package can break nothing but itself: what cannot be loaded, or is not of the declared types, is
+left out with a warning in the log.
 """
 
 import importlib
@@ -17,14 +17,19 @@ from pipeline.core.errors import TouchError, escape_text, shorten_text
 
 log = logging.getLogger("tactoscope")
 T = TypeVar("T")
-FOREIGN_ERRORS = (Exception, SystemExit)  # what another package's code may raise; Ctrl-C is the user's
+# what another package's code may raise; Ctrl-C is the user's
+FOREIGN_ERRORS = (Exception, SystemExit)
 
 
 @cache
-def load_entry_points(group: str, kind: type[T], check: Callable[[T], object] = bool) -> tuple[T, ...]:
-    """The values of an entry point group such as `tactoscope.formats`, sorted by name and loaded once.
+def load_entry_points(
+    group: str, kind: type[T], check: Callable[[T], object] = bool
+) -> tuple[T, ...]:
+    """The values of an entry point group such as `tactoscope.formats`, sorted by name and loaded
+    once.
 
-    A value is of `kind`, its fields are of the types that `kind` declares, and `check` raises nothing for it.
+    A value is of `kind`, its fields are of the types that `kind` declares, and `check` raises
+    nothing for it.
     """
     values: list[T] = []
     for entry in _list_entries(group):
@@ -40,7 +45,8 @@ def load_entry_points(group: str, kind: type[T], check: Callable[[T], object] = 
 
 
 def call_package(function: Callable[[], T], default: T, what: str) -> T:
-    """What a function of another package returns, `default` with a warning in the log where it fails.
+    """What a function of another package returns, `default` with a warning in the log where it
+    fails.
 
     A TouchError is passed on: it says what is wrong with the user's file.
     """
@@ -71,7 +77,9 @@ def _list_entries(group: str) -> list[importlib.metadata.EntryPoint]:
 
 
 def _require_types(value: object, kind: type) -> None:
-    """Raise TypeError where a value, or a field of a dataclass, has another type than it declares."""
+    """Raise TypeError where a value, or a field of a dataclass, has another type than it
+    declares.
+    """
     if not isinstance(value, kind):
         raise TypeError(f"it is a {type(value).__name__}, not a {kind.__name__}")
     if is_dataclass(kind):
@@ -82,14 +90,19 @@ def _require_types(value: object, kind: type) -> None:
 
 
 def _has_type(value: Any, hint: Any) -> bool:
-    """Whether a value has a declared type, as far as a table of values can be checked without calling anything."""
-    origin, inner = get_origin(hint) or hint, get_args(hint)
+    """Whether a value has a declared type, as far as a table of values can be checked without
+    calling anything.
+    """
+    origin = get_origin(hint) or hint
+    inner = get_args(hint)
     if origin in (Union, UnionType):
         return any(_has_type(value, one) for one in inner)
     if origin is Literal:
         return value in inner
     if origin is tuple:
-        return isinstance(value, tuple) and all(_has_type(one, inner[0]) for one in cast("tuple[Any, ...]", value))
+        return isinstance(value, tuple) and all(
+            _has_type(one, inner[0]) for one in cast("tuple[Any, ...]", value)
+        )
     if origin in (int, float):
         return isinstance(value, (int, origin)) and not isinstance(value, bool)
     if origin in (str, bytes, bool, type, type(None), Mapping):

@@ -1,4 +1,5 @@
-"""Errors that a user can solve, each one sentence (what, where and what to try), and notes on a stage's result.
+"""Errors that a user can solve, each one sentence (what, where and what to try), and notes on a
+stage's result.
 
 Foreign text in them is safe to show: control characters in names and attributes are escaped.
 """
@@ -16,10 +17,15 @@ MOST_LETTERS = 500  # of a sentence; a file may hold texts of any length
 
 
 def escape_text(text: str) -> str:
-    r"""Return `text` on one line: control and direction marks and undecodable bytes become escapes such as `\x1b`."""
+    r"""Return `text` on one line: control and direction marks and undecodable bytes become
+    escapes such as `\x1b`.
+    """
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else _escape_character(c) for c in text)
+    return "".join(
+        c if c.isprintable() or unicodedata.category(c) == "Zs" else _escape_character(c)
+        for c in text
+    )
 
 
 def shorten_text(text: str, most: int = MOST_LETTERS) -> str:
@@ -28,7 +34,10 @@ def shorten_text(text: str, most: int = MOST_LETTERS) -> str:
 
 
 def hint_decimal_comma(text: str) -> str:
-    """Return a hint with the first decimal comma of `text` as a point, to end a sentence; empty without a comma."""
+    """Return a hint with the first decimal comma of `text` as a point, to end a sentence.
+
+    Empty without a comma.
+    """
     found = re.search(r"-?\d*,\d+", text)
     return f"; use a decimal point: {found[0].replace(',', '.')}" if found else ""
 
@@ -45,8 +54,8 @@ def _escape_character(character: str) -> str:
 class TouchError(Exception):
     """Root of all errors that a user can solve; the text is shown without a traceback.
 
-    Control characters from files and names are escaped, so that it stays one sentence on any terminal; of a long text
-    the start and the end are shown.
+    Control characters from files and names are escaped, so that it stays one sentence on any
+    terminal; of a long text the start and the end are shown.
     """
 
     alternatives: tuple[Path, ...] = ()  # recordings of the same folder, one of which may be meant
@@ -67,7 +76,10 @@ class FileProblem(TouchError):
         super().__init__(f"{what}: '{path}'")
 
     def relocate(self, place: Path, instead_of: Path) -> FileProblem:
-        """Return the error with its path under `instead_of` moved to `place`; unchanged for a file elsewhere."""
+        """Return the error with its path under `instead_of` moved to `place`.
+
+        Unchanged for a file elsewhere.
+        """
         if not self.path.is_relative_to(instead_of):
             return self
         return FileProblem(self._what, place / self.path.relative_to(instead_of), field=self.field)
@@ -110,7 +122,10 @@ class MeshProblem(TouchError):
 
 
 class ModelMissing(TouchError):
-    """Weights of a network are missing or belong to another network; a method without them is used instead."""
+    """Weights of a network are missing or belong to another network.
+
+    A method without them is used instead.
+    """
 
 
 class NotConverged(TouchError):
@@ -133,15 +148,21 @@ class CalibrationWarning(StageWarning):
 
 
 class UnseenObjectWarning(StageWarning):
-    """A warning that the target touches more of the object than the source measured: the touch may be wrong by mm."""
+    """A warning that the target touches more of the object than the source measured: the touch
+    may be wrong by mm.
+    """
 
 
 class OutsideViewWarning(UnseenObjectWarning):
-    """A warning that a method leaves out what lies outside the source's view: one that generates it is better."""
+    """A warning that a method leaves out what lies outside the source's view: one that generates
+    it is better.
+    """
 
 
 class UncertainContact(StageWarning):
-    """A warning that a frame without a measured contact may have one: neither "no contact" nor "exact"."""
+    """A warning that a frame without a measured contact may have one: neither "no contact" nor
+    "exact".
+    """
 
 
 class ChangeNote(str):
@@ -149,7 +170,8 @@ class ChangeNote(str):
 
 
 UNCERTAIN_CONTACT = UncertainContact(
-    "contact uncertain: the image has changed; a light, large touch would look the same: add an untouched frame as the "
+    "contact uncertain: the image has changed; a light, large touch would look the same: add an "
+    "untouched frame as the "
     "reference"
 )
 AT_BORDER = StageWarning("the contact reaches the image border: the part beyond is missing")
@@ -161,9 +183,11 @@ def find_uncertain_contact(notes: Iterable[str]) -> UncertainContact | None:
 
 
 def describe_no_contact(result: str, notes: Iterable[str], certainty: str = "") -> str:
-    """Return the note of a value without contact, uncertain where one of the `notes` of what it is made of is.
+    """Return the note of a value without contact, uncertain where one of the `notes` of what it is
+    made of is.
 
-    `result` says what the value is, `certainty` what holds of it only where there is certainly no contact.
+    `result` says what the value is, `certainty` what holds of it only where there is certainly no
+    contact.
     """
     if find_uncertain_contact(notes) is not None:
         return UncertainContact(f"contact uncertain: {result}")

@@ -14,11 +14,16 @@ if TYPE_CHECKING:
 
 
 def make_figure(**options: Any) -> Figure:
-    """Return an empty figure with a canvas; a `matplotlibrc` in the current folder does not change it."""
+    """Return an empty figure with a canvas.
+
+    A `matplotlibrc` in the current folder does not change it.
+    """
     try:
         import matplotlib
     except UnicodeDecodeError as error:
-        raise SettingProblem("the file 'matplotlibrc' in the current folder is no text; rename it") from error
+        raise SettingProblem(
+            "the file 'matplotlibrc' in the current folder is no text; rename it"
+        ) from error
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

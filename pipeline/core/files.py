@@ -1,7 +1,7 @@
 """Write files atomically, and read only regular files.
 
-Files are written under a temporary name in the same folder, flushed to disk, read back and then renamed: what cannot be
-opened again replaces nothing.
+Files are written under a temporary name in the same folder, flushed to disk, read back and then
+renamed: what cannot be opened again replaces nothing.
 """
 
 import contextlib
@@ -35,10 +35,22 @@ MOST_BYTES = 2 << 30  # of one image or mesh
 MOST_TEXT_BYTES = 16 << 20  # of a description, an alignment or a session, which are a few kB
 _POINTER_START = b"version https://git-lfs"
 _TOML_FILES = {  # a key that only such a file has -> what reads it, and what a user does with it
-    "alignment_from_source": ("the alignment", "an alignment, to be given as --alignment or dropped on the window"),
-    "kind": ("the sensor description", "the description of a sensor, to be given as --sensor or --target"),
-    "extends": ("the sensor description", "the description of a sensor, to be given as --sensor or --target"),
-    "task": ("the recipe", "the recipe of a training, to be given to 'tactoscope train' as --recipe"),
+    "alignment_from_source": (
+        "the alignment",
+        "an alignment, to be given as --alignment or dropped on the window",
+    ),
+    "kind": (
+        "the sensor description",
+        "the description of a sensor, to be given as --sensor or --target",
+    ),
+    "extends": (
+        "the sensor description",
+        "the description of a sensor, to be given as --sensor or --target",
+    ),
+    "task": (
+        "the recipe",
+        "the recipe of a training, to be given to 'tactoscope train' as --recipe",
+    ),
     "depth_mm": ("the task", "a tool for insertion, to be given to 'tactoscope task'"),
 }
 _MAX_TRIES = 10  # of making or replacing a folder while other processes do
@@ -48,9 +60,10 @@ _MAX_TRIES = 10  # of making or replacing a folder while other processes do
 def open_atomic(path: Path, what: str, read: FileReader | None) -> Generator[BinaryIO, None, None]:
     """Yield a temporary file that replaces `path` when the block succeeds and is removed otherwise.
 
-    `read` is the program's reader of such files, which must accept what was written; None where there is none. A link
-    stays a link to the new file, and a replaced file leaves its permissions. Raises FileProblem "cannot write `what`"
-    with the system's reason, also for an OSError of the block itself, and where `path` is no regular file.
+    `read` is the program's reader of such files, which must accept what was written; None where
+    there is none. A link stays a link to the new file, and a replaced file leaves its permissions.
+    Raises FileProblem "cannot write `what`" with the system's reason, also for an OSError of the
+    block itself, and where `path` is no regular file.
     """
     place = Path(os.path.realpath(path))
     part = place.with_name(_name_part())
@@ -77,14 +90,16 @@ def read_back(written: Path, path: Path, what: str, read: FileReader) -> None:
         read(written)
     except TouchError as error:
         reason = str(error).replace(f": '{written}'", "")
-        raise FileProblem(f"{what} cannot be read back as it was written ({reason})", path) from error
+        raise FileProblem(
+            f"{what} cannot be read back as it was written ({reason})", path
+        ) from error
 
 
 def write_folder(folder: Path, fill: Callable[[Path], None], own: Collection[str] = ()) -> None:
     """Have `fill` write into a new folder that replaces `folder` once it is complete.
 
-    What is there is replaced only if it is empty or holds `own[0]` and nothing but files named in `own`. Raises
-    FileProblem.
+    What is there is replaced only if it is empty or holds `own[0]` and nothing but files named in
+    `own`. Raises FileProblem.
     """
     part, before = (folder.with_name(_name_part()) for _ in range(2))
     require_own(folder, own)
@@ -97,42 +112,57 @@ def write_folder(folder: Path, fill: Callable[[Path], None], own: Collection[str
     except FileProblem as error:
         raise error.relocate(folder, instead_of=part) from error
     except OSError as error:
-        raise FileProblem(f"cannot write the results ({describe_os_error(error)})", folder) from error
+        raise FileProblem(
+            f"cannot write the results ({describe_os_error(error)})", folder
+        ) from error
     finally:
         _remove(before)
 
 
 def require_own(folder: Path, own: Collection[str]) -> None:
-    """Raise FileProblem where `folder` is a file, or holds files that this program did not write there."""
+    """Raise FileProblem where `folder` is a file, or holds files that this program did not write
+    there.
+    """
     if folder.is_file():
         raise FileProblem("this is a file, not a folder; choose another name", folder)
     found = {entry.name for entry in folder.iterdir()} if folder.is_dir() else set[str]()
-    foreign = sorted(found - set(own)) or ([] if not found or next(iter(own), "") in found else sorted(found))
+    foreign = sorted(found - set(own)) or (
+        [] if not found or next(iter(own), "") in found else sorted(found)
+    )
     if foreign:
         raise FileProblem(
-            f"this folder holds other files ({foreign[0]!r}) that would be lost; move them or choose another folder",
+            f"this folder holds other files ({foreign[0]!r}) that would be lost; move them or "
+            "choose another folder",
             folder,
         )
 
 
 def require_separate(out: Path, inputs: Iterable[Path]) -> None:
-    """Raise FileProblem if writing `out` would replace one of `inputs`, or a file in a folder among them."""
+    """Raise FileProblem if writing `out` would replace one of `inputs`, or a file in a folder
+    among them.
+    """
     for path in inputs:
         with contextlib.suppress(OSError, ValueError):  # what does not exist is not replaced
             is_same = out.samefile(path)
-            is_part = path.is_dir() and out.is_file() and out.resolve().is_relative_to(path.resolve())
+            is_part = (
+                path.is_dir() and out.is_file() and out.resolve().is_relative_to(path.resolve())
+            )
             if is_same or is_part:
                 raise FileProblem("this would replace what is read; choose another output", out)
 
 
 def _name_part() -> str:
-    """Return a new name that no other process, container or machine gives to its temporary files."""
+    """Return a new name that no other process, container or machine gives to its temporary
+    files.
+    """
     return f".tactoscope-{_get_boot()}-{uuid.uuid4().hex}.part"
 
 
 @functools.cache
 def _get_boot() -> str:
-    """Return a digest of this machine's name and start: the locks of its processes can be seen from here."""
+    """Return a digest of this machine's name and start: the locks of its processes can be seen
+    from here.
+    """
     with contextlib.suppress(OSError):
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
         return hashlib.sha256(boot.encode()).hexdigest()[:12]
@@ -141,7 +171,9 @@ def _get_boot() -> str:
 
 @contextlib.contextmanager
 def _create_part(part: Path) -> Generator[None, None, None]:
-    """Make a new folder that lasts as long as the context, locked against other processes where the system can."""
+    """Make a new folder that lasts as long as the context, locked against other processes where
+    the system can.
+    """
     missing = [folder for folder in part.parents if not folder.exists()]
     descriptor = _lock_new_folder(part)
     try:
@@ -155,7 +187,10 @@ def _create_part(part: Path) -> Generator[None, None, None]:
 
 
 def _lock_new_folder(part: Path) -> int:
-    """The descriptor of a new locked folder; another process may take it for a leftover until it is locked."""
+    """The descriptor of a new locked folder.
+
+    Another process may take it for a leftover until it is locked.
+    """
     for _ in range(_MAX_TRIES):
         part.mkdir(parents=True, exist_ok=True)
         with contextlib.suppress(FileNotFoundError):
@@ -170,7 +205,10 @@ def _lock_new_folder(part: Path) -> int:
 
 
 def _replace_folder(part: Path, folder: Path, before: Path) -> None:
-    """Rename `part` to `folder`, and `folder` to `before`; safe against other processes doing the same."""
+    """Rename `part` to `folder`, and `folder` to `before`.
+
+    Safe against other processes doing the same.
+    """
     for _ in range(_MAX_TRIES):
         with contextlib.suppress(FileNotFoundError):
             folder.replace(before)
@@ -185,7 +223,9 @@ def _replace_folder(part: Path, folder: Path, before: Path) -> None:
 
 
 def check_folder(folder: Path) -> None:
-    """Make sure that `folder` is writable or can be made, before long work; nothing is left where that work fails.
+    """Make sure that `folder` is writable or can be made, before long work.
+
+    Nothing is left where that work fails.
 
     Raises FileProblem otherwise.
     """
@@ -194,12 +234,16 @@ def check_folder(folder: Path) -> None:
             pass
     except OSError as error:
         raise FileProblem(
-            f"this folder is not writable ({describe_os_error(error)}); choose another place", folder
+            f"this folder is not writable ({describe_os_error(error)}); choose another place",
+            folder,
         ) from error
 
 
 def _find_existing(folder: Path) -> Path:
-    """The folder, or the nearest one above it that exists; raises OSError for a name that the file system refuses."""
+    """The folder, or the nearest one above it that exists.
+
+    Raises OSError for a name that the file system refuses.
+    """
     for place in (folder, *folder.parents):
         with contextlib.suppress(FileNotFoundError, NotADirectoryError):
             os.lstat(place)
@@ -218,7 +262,8 @@ def check_folder_for(path: Path) -> None:
 def open_growing_file(path: Path, what: str) -> Generator[BinaryIO, None, None]:
     """Yield a new file in its final place, to be read while it grows.
 
-    The writer keeps it valid at every moment. Raises FileProblem, also for an OSError of the block itself.
+    The writer keeps it valid at every moment. Raises FileProblem, also for an OSError of the block
+    itself.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -245,12 +290,16 @@ def open_lock(path: Path) -> BinaryIO:
 def set_aside(path: Path) -> Path:
     """Rename the file at `path` so that a new one does not overwrite it; returns the new path."""
     aside = next(
-        place for n in itertools.count() if not (place := path.with_name(f"{path.name}.unread{n or ''}")).exists()
+        place
+        for n in itertools.count()
+        if not (place := path.with_name(f"{path.name}.unread{n or ''}")).exists()
     )
     try:
         path.rename(aside)
     except OSError as error:
-        raise FileProblem(f"cannot put this file aside ({describe_os_error(error)})", path) from error
+        raise FileProblem(
+            f"cannot put this file aside ({describe_os_error(error)})", path
+        ) from error
     return aside
 
 
@@ -260,8 +309,11 @@ def write_text(path: Path, text: str, what: str, read: FileReader | None) -> Non
         file.write(text.encode("utf-8"))
 
 
-def write_together(folder: Path, contents: Mapping[str, bytes], what: str, read: FileReader) -> None:
-    """Write several files of a folder: all of them are replaced, or none where one cannot be written or read back.
+def write_together(
+    folder: Path, contents: Mapping[str, bytes], what: str, read: FileReader
+) -> None:
+    """Write several files of a folder: all of them are replaced, or none where one cannot be
+    written or read back.
 
     `read` reads the folder. Raises FileProblem.
     """
@@ -281,13 +333,18 @@ def write_together(folder: Path, contents: Mapping[str, bytes], what: str, read:
             os.fsync(file.fileno())  # a full disk shows here, before the first file is replaced
 
 
-def write_json(path: Path, value: object, what: str = "the report", read: FileReader | None = None) -> None:
+def write_json(
+    path: Path, value: object, what: str = "the report", read: FileReader | None = None
+) -> None:
     """Write `value` as indented JSON; numbers that are not finite become null.
 
     `read` None: no command of ours reads it, and it must be JSON.
     """
     write_text(
-        path, format_json(value), what, read or (lambda written: _parse(written, what, json.loads, "JSON", MOST_BYTES))
+        path,
+        format_json(value),
+        what,
+        read or (lambda written: _parse(written, what, json.loads, "JSON", MOST_BYTES)),
     )
 
 
@@ -297,15 +354,22 @@ def format_json(value: object) -> str:
 
 
 def write_arrays(
-    path: Path, arrays: Mapping[str, NDArray[Any]], what: str = "the arrays", read: FileReader | None = None
+    path: Path,
+    arrays: Mapping[str, NDArray[Any]],
+    what: str = "the arrays",
+    read: FileReader | None = None,
 ) -> None:
-    """Write `arrays` as one lightly compressed .npz without pickle; `read` None: they must be readable as arrays."""
+    """Write `arrays` as one lightly compressed .npz without pickle.
+
+    `read` None: they must be readable as arrays.
+    """
     with open_atomic(path, what, read or (lambda written: read_arrays(written, what))) as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]
 
 
 def read_arrays(path: Path, what: str) -> dict[str, NDArray[Any]]:
-    """Read every array of an .npz by its key, or the memory-mapped array of an .npy by its file's stem.
+    """Read every array of an .npz by its key, or the memory-mapped array of an .npy by its file's
+    stem.
 
     Raises FileProblem for damaged files, and for pickled objects, which could run code.
     """
@@ -323,13 +387,18 @@ def read_arrays(path: Path, what: str) -> dict[str, NDArray[Any]]:
     except FileProblem:
         raise
     except Exception as error:  # zip and zlib errors have no common root
-        if any(words in str(error) for words in ("allow_pickle", "Object arrays", "Python objects")):
+        if any(
+            words in str(error) for words in ("allow_pickle", "Object arrays", "Python objects")
+        ):
             raise FileProblem(
-                f"loading {what} could run code: the file holds pickled objects; in the program that made it, save "
+                f"loading {what} could run code: the file holds pickled objects; in the program "
+                "that made it, save "
                 "them as plain arrays with numpy.savez",
                 path,
             ) from error
-        raise FileProblem(f"{what} cannot be read: the file is cut short or damaged, or no .npz", path) from error
+        raise FileProblem(
+            f"{what} cannot be read: the file is cut short or damaged, or no .npz", path
+        ) from error
 
 
 def read_cached_arrays(path: Path) -> dict[str, NDArray[Any]] | None:
@@ -342,7 +411,10 @@ def read_cached_arrays(path: Path) -> dict[str, NDArray[Any]] | None:
 
 
 def require_file(path: Path, what: str, most_bytes: int = MOST_BYTES) -> None:
-    """Raise FileProblem unless `path` is a regular file of at most `most_bytes`; reading a pipe could block forever."""
+    """Raise FileProblem unless `path` is a regular file of at most `most_bytes`.
+
+    Reading a pipe could block forever.
+    """
     try:
         found = path.stat()
     except (OSError, ValueError) as error:
@@ -352,13 +424,19 @@ def require_file(path: Path, what: str, most_bytes: int = MOST_BYTES) -> None:
         raise FileProblem(f"cannot read {what} (this is {kind}, not a file)", path)
     if found.st_size > most_bytes:
         raise FileProblem(f"cannot read {what} ({found.st_size:.3g} bytes is too large)", path)
-    with contextlib.suppress(OSError), path.open("rb") as file:  # who reads the file says why it cannot be read
+    # who reads the file says why it cannot be read
+    with contextlib.suppress(OSError), path.open("rb") as file:
         if file.read(len(_POINTER_START)) == _POINTER_START:
-            raise FileProblem(f"this is the Git LFS pointer of {what}; fetch the content by 'git lfs pull'", path)
+            raise FileProblem(
+                f"this is the Git LFS pointer of {what}; fetch the content by 'git lfs pull'", path
+            )
 
 
 def read_bytes(path: Path, what: str, most_bytes: int = MOST_BYTES) -> bytes:
-    """Return the content of a regular file; raises FileProblem "cannot read `what`" with the reason."""
+    """Return the content of a regular file.
+
+    Raises FileProblem "cannot read `what`" with the reason.
+    """
     require_file(path, what, most_bytes)
     try:
         return path.read_bytes()
@@ -367,7 +445,10 @@ def read_bytes(path: Path, what: str, most_bytes: int = MOST_BYTES) -> bytes:
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
-    """Return the tables of a TOML file; raises FileProblem, also for excessive nesting and a file of another use."""
+    """Return the tables of a TOML file.
+
+    Raises FileProblem, also for excessive nesting and a file of another use.
+    """
     tables = _parse(path, what, tomllib.loads, "TOML")
     for key, (reader, use) in _TOML_FILES.items():
         if key in tables and reader != what:
@@ -380,10 +461,18 @@ def read_json(path: Path, what: str) -> Any:
     return _parse(path, what, json.loads, "JSON")
 
 
-def _parse(path: Path, what: str, parse: Callable[[str], Any], language: str, most_bytes: int = MOST_TEXT_BYTES) -> Any:
+def _parse(
+    path: Path,
+    what: str,
+    parse: Callable[[str], Any],
+    language: str,
+    most_bytes: int = MOST_TEXT_BYTES,
+) -> Any:
     try:
-        return parse(read_bytes(path, what, most_bytes).decode("utf-8-sig"))  # editors of Windows mark UTF-8
-    except (ValueError, RecursionError) as error:  # both languages' own errors, and that of UTF-8, are ValueErrors
+        # editors of Windows mark UTF-8
+        return parse(read_bytes(path, what, most_bytes).decode("utf-8-sig"))
+    # both languages' own errors, and that of UTF-8, are ValueErrors
+    except (ValueError, RecursionError) as error:
         raise FileProblem(f"{what} is not valid {language} ({error})", path) from error
 
 
@@ -394,7 +483,9 @@ def describe_os_error(error: Exception) -> str:
 
 
 def _remove_leftovers(folder: Path) -> None:
-    """Remove temporary files of processes of this machine that were killed: their locks are free."""
+    """Remove temporary files of processes of this machine that were killed: their locks are
+    free.
+    """
     for rest in folder.glob(f".tactoscope-{_get_boot()}-*.part"):
         with contextlib.suppress(OSError):  # being written, another user's, or gone
             descriptor = os.open(rest, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)

@@ -4,15 +4,18 @@ import os
 from pathlib import Path
 
 _MAX_WHOLE_BYTES = 64 << 20  # larger files: size and some blocks
-_BLOCK_BYTES, _BLOCKS = 256 << 10, 64
+_BLOCK_BYTES = 256 << 10
+_BLOCKS = 64
 _MAX_ENTRIES = 20_000  # of a folder
 
 
 def compute_fingerprint(path: Path) -> str:
-    """Return XXH3-128 in hexadecimal of a file's bytes, or of the names and sizes in a folder; "" if unreadable.
+    """Return XXH3-128 in hexadecimal of a file's bytes, or of the names and sizes in a folder.
 
-    Beyond 64 MiB the size and 64 evenly spread blocks count: fast for recordings of many gigabytes, but a change
-    between two blocks is missed.
+    "" if unreadable.
+
+    Beyond 64 MiB the size and 64 evenly spread blocks count: fast for recordings of many gigabytes,
+    but a change between two blocks is missed.
     """
     import xxhash
 
@@ -44,7 +47,9 @@ def _list_entries(folder: Path) -> list[bytes]:
         folders.sort()
         for name in sorted(files):
             size = (Path(where) / name).stat().st_size
-            found.append(f"{os.path.relpath(where, folder)}/{name} {size}\n".encode(errors="surrogateescape"))
+            found.append(
+                f"{os.path.relpath(where, folder)}/{name} {size}\n".encode(errors="surrogateescape")
+            )
         if len(found) >= _MAX_ENTRIES:
             break
     return found

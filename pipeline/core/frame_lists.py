@@ -17,7 +17,10 @@ def check_frame_index(index: int, n_frames: int) -> int:
 
 
 def parse_frames(listed: str, n_frames: int) -> list[int]:
-    """Return the frame numbers of a text such as `0,3-7`; all if it is empty. Raises SettingProblem."""
+    """Return the frame numbers of a text such as `0,3-7`.
+
+    All if it is empty. Raises SettingProblem.
+    """
     check_frame_index(0, n_frames)
     if not listed.strip():
         return list(range(n_frames))
@@ -25,10 +28,16 @@ def parse_frames(listed: str, n_frames: int) -> list[int]:
     for part in listed.split(","):
         match = _RANGE.fullmatch(part.strip())
         if match is None:
-            raise SettingProblem(f"frames are given as numbers and ranges such as 0,3-7, got {listed[:40]!r}")
-        first, last = int(match[1]), int(match[2] or match[1])
+            raise SettingProblem(
+                f"frames are given as numbers and ranges such as 0,3-7, got {listed[:40]!r}"
+            )
+        first = int(match[1])
+        last = int(match[2] or match[1])
         check_frame_index(max(first, last), n_frames)
         if last < first:
-            raise SettingProblem(f"a range of frames goes from the smaller number to the larger, got {part.strip()!r}")
+            raise SettingProblem(
+                "a range of frames goes from the smaller number to the larger, got "
+                f"{part.strip()!r}"
+            )
         frames.update(range(first, last + 1))
     return sorted(frames)

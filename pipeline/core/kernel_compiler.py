@@ -1,6 +1,7 @@
 """Compile kernels in a process of its own, which ends when nothing is left to compile.
 
-A process that compiles keeps about 150 MB of the compiler for as long as it runs, and its other threads wait meanwhile.
+A process that compiles keeps about 150 MB of the compiler for as long as it runs, and its other
+threads wait meanwhile.
 """
 
 import atexit
@@ -27,14 +28,19 @@ _POLL_S = 1.0  # between looks at a process that has not answered yet
 
 
 def compile_in_own_process() -> None:
-    """Make this process load kernels from the cache only: another process compiles those that are missing."""
+    """Make this process load kernels from the cache only: another process compiles those that
+    are missing.
+    """
     process = _CompilerProcess()
     atexit.register(process.stop)
     compiling.set_compiler(process.compile)
 
 
 def serve() -> None:
-    """Compile what standard input asks for; ends with the process that asks, or when nothing is asked for a while."""
+    """Compile what standard input asks for.
+
+    Ends with the process that asks, or when nothing is asked for a while.
+    """
     with contextlib.suppress(ValueError):
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that asks
     replies = os.fdopen(os.dup(1), "wb")
@@ -64,8 +70,12 @@ def _end_when_idle() -> Generator[None]:
 
 
 def _wait_for_answer(process: subprocess.Popen[bytes]) -> bool:
-    """Whether the process answers or ends; False where it is stopped, as by a debugger, or takes too long."""
-    until_s, replies = time.monotonic() + _ANSWER_S, cast("BinaryIO", process.stdout)
+    """Whether the process answers or ends.
+
+    False where it is stopped, as by a debugger, or takes too long.
+    """
+    until_s = time.monotonic() + _ANSWER_S
+    replies = cast("BinaryIO", process.stdout)
     while time.monotonic() < until_s:
         if select.select([replies], [], [], _POLL_S)[0]:
             return True
@@ -75,18 +85,24 @@ def _wait_for_answer(process: subprocess.Popen[bytes]) -> bool:
 
 
 class _CompilerProcess:
-    """Starts the process when it is needed; called by one thread at a time, under the compiler's lock."""
+    """Starts the process when it is needed.
+
+    Called by one thread at a time, under the compiler's lock.
+    """
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
 
     def compile(self, module: str, name: str, signature: object) -> bool:
-        """Return whether the kernel `name` of `module` was compiled for the types of its arguments."""
+        """Return whether the kernel `name` of `module` was compiled for the types of its
+        arguments.
+        """
         request = pickle.dumps((module, name, signature))
         for _ in range(2):  # one that was idle may have ended just now
             with contextlib.suppress(OSError, EOFError, pickle.UnpicklingError):
                 process = self._start()
-                asked, replies = cast("BinaryIO", process.stdin), cast("BinaryIO", process.stdout)
+                asked = cast("BinaryIO", process.stdin)
+                replies = cast("BinaryIO", process.stdout)
                 asked.write(request)
                 asked.flush()
                 if not _wait_for_answer(process):
@@ -98,7 +114,8 @@ class _CompilerProcess:
 
     def stop(self) -> None:
         """End the process, if there is one."""
-        process, self._process = self._process, None
+        process = self._process
+        self._process = None
         if process is not None:
             process.kill()
             with contextlib.suppress(OSError, subprocess.TimeoutExpired):
@@ -107,8 +124,14 @@ class _CompilerProcess:
     def _start(self) -> subprocess.Popen[bytes]:
         if self._process is None or self._process.poll() is not None:
             self.stop()
-            environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+            environment = {
+                **os.environ,
+                "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+            }
             self._process = subprocess.Popen(  # noqa: S603 - this very interpreter; -P: nothing from the folder it runs in
-                [sys.executable, "-P", "-c", _SERVE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
+                [sys.executable, "-P", "-c", _SERVE],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                env=environment,
             )
         return self._process

@@ -16,7 +16,16 @@ THREAD_SETTINGS: Mapping[str, str] = {
     "TBB_NUM_THREADS": str(N_THREADS),
     "OMP_WAIT_POLICY": "PASSIVE",  # idle threads of other libraries must not occupy our cores
 }
-_PACKAGES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "open3d-cpu", "small_gicp", "torch", "taxim")
+_PACKAGES = (
+    "numpy",
+    "scipy",
+    "numba",
+    "opencv-contrib-python-headless",
+    "open3d-cpu",
+    "small_gicp",
+    "torch",
+    "taxim",
+)
 
 
 def describe_processor() -> str:
@@ -31,7 +40,9 @@ def describe_processor() -> str:
 
 
 def describe_machine(environment: Mapping[str, str] = os.environ) -> dict[str, Any]:
-    """Processor, cores, load, Python, thread settings and package versions (None = not installed), ready for JSON."""
+    """Processor, cores, load, Python, thread settings and package versions (None = not
+    installed), ready for JSON.
+    """
     return {
         "cpu": describe_processor(),
         "cores": os.cpu_count() or 0,
@@ -45,7 +56,9 @@ def describe_machine(environment: Mapping[str, str] = os.environ) -> dict[str, A
 
 def format_machine(about: Mapping[str, Any]) -> str:
     """Return the description in one line."""
-    versions = ", ".join(f"{name} {version}" for name, version in about["packages"].items() if version)
+    versions = ", ".join(
+        f"{name} {version}" for name, version in about["packages"].items() if version
+    )
     threads = about["threads"]["OMP_NUM_THREADS"]
     load = f", load {about['load'][0]:g}" if about["load"] else ""
     return (

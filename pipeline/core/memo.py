@@ -1,6 +1,7 @@
 """A bounded, thread-safe cache that computes each value once.
 
-Keys are plain values, or digests of values with arrays (`pipeline.core.digests.compute_cached_digest`).
+Keys are plain values, or digests of values with arrays
+(`pipeline.core.digests.compute_cached_digest`).
 """
 
 import functools
@@ -22,13 +23,23 @@ MOST_BYTES = 64 * 1024 * 1024  # of one memo: two dozen values of the size of an
 
 
 class Memo(Generic[K, V]):
-    """Key -> value; the least recently used goes first, and a value that exceeds the limit alone is not kept."""
+    """Key -> value; the least recently used goes first, and a value that exceeds the limit alone
+    is not kept.
+    """
 
     def __init__(
-        self, most: float = math.inf, *, most_bytes: int = MOST_BYTES, weigh: Callable[[V], int] | None = None
+        self,
+        most: float = math.inf,
+        *,
+        most_bytes: int = MOST_BYTES,
+        weigh: Callable[[V], int] | None = None,
     ) -> None:
-        """Hold at most `most` values of `most_bytes` in all; `weigh` None counts the bytes of their arrays."""
-        self.most, self.most_bytes = most, most_bytes
+        """Hold at most `most` values of `most_bytes` in all.
+
+        `weigh` None counts the bytes of their arrays.
+        """
+        self.most = most
+        self.most_bytes = most_bytes
         self._weigh = measure_bytes if weigh is None else weigh
         self._values: OrderedDict[K, tuple[V, int]] = OrderedDict()
         self._making: dict[K, threading.Event] = {}
@@ -66,7 +77,9 @@ class Memo(Generic[K, V]):
                 self._n_bytes -= self._values.popitem(last=False)[1][1]
 
     def get_or_make(self, key: K, make: Callable[[], V]) -> V:
-        """Return the value of `key`, made by `make` if missing; `make` must not ask for the same key nor return None.
+        """Return the value of `key`, made by `make` if missing.
+
+        `make` must not ask for the same key nor return None.
 
         Other threads wait for the one that makes it; if that one fails, the next one makes it.
         """
@@ -103,8 +116,12 @@ class Memo(Generic[K, V]):
             self._n_bytes = 0
 
 
-def memoise(most: int, *, most_bytes: int = MOST_BYTES) -> Callable[[Callable[P, V]], Callable[P, V]]:
-    """Decorate a function of hashable arguments to keep its last results in a `Memo`, its attribute `memo`."""
+def memoise(
+    most: int, *, most_bytes: int = MOST_BYTES
+) -> Callable[[Callable[P, V]], Callable[P, V]]:
+    """Decorate a function of hashable arguments to keep its last results in a `Memo`, its
+    attribute `memo`.
+    """
 
     def wrap(function: Callable[P, V]) -> Callable[P, V]:
         memo: Memo[Any, V] = Memo(most, most_bytes=most_bytes)
@@ -120,7 +137,10 @@ def memoise(most: int, *, most_bytes: int = MOST_BYTES) -> Callable[[Callable[P,
 
 
 def measure_bytes(value: object, besides: object = None) -> int:
-    """Return the bytes of a value's arrays, each counted once; arrays that are also in `besides` are left out."""
+    """Return the bytes of a value's arrays, each counted once.
+
+    Arrays that are also in `besides` are left out.
+    """
     counted: set[int] = set()
     _weigh(besides, counted)
     return _weigh(value, counted)
@@ -137,8 +157,13 @@ def _weigh(value: object, counted: set[int]) -> int:
     names = field_names(type(value))
     if names is None:
         return 16
-    found = vars(value).values() if hasattr(value, "__dict__") else (getattr(value, name) for name in names)
-    return 64 + sum([_weigh(one, counted) for one in found])  # of a class without slots, cached properties too
+    found = (
+        vars(value).values()
+        if hasattr(value, "__dict__")
+        else (getattr(value, name) for name in names)
+    )
+    # of a class without slots, cached properties too
+    return 64 + sum([_weigh(one, counted) for one in found])
 
 
 @functools.lru_cache(maxsize=256)

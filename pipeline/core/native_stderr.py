@@ -1,4 +1,6 @@
-"""Keep C libraries quiet: libpng, OpenCV's AVI reader and ffmpeg write a damaged file's own bytes to the terminal."""
+"""Keep C libraries quiet: libpng, OpenCV's AVI reader and ffmpeg write a damaged file's own
+bytes to the terminal.
+"""
 
 import contextlib
 import os
@@ -13,11 +15,15 @@ _saved = -1  # descriptor of the real stderr meanwhile
 
 @contextlib.contextmanager
 def silence_native_libraries() -> Generator[None, None, None]:
-    """Discard what is written to the process's stderr; the caller raises an error of its own instead."""
+    """Discard what is written to the process's stderr.
+
+    The caller raises an error of its own instead.
+    """
     global _n_inside, _saved  # noqa: PLW0603 - a process has one stderr
     with _lock:
         if _n_inside == 0:
-            with contextlib.suppress(OSError, ValueError, AttributeError):  # a window without a terminal has none
+            # a window without a terminal has none
+            with contextlib.suppress(OSError, ValueError, AttributeError):
                 sys.stderr.flush()
             _saved = _redirect()
         _n_inside += 1
@@ -34,7 +40,8 @@ def silence_native_libraries() -> Generator[None, None, None]:
 def _redirect() -> int:
     """Point stderr to nowhere; returns a copy of the real one, -1 without one."""
     try:
-        saved, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+        saved = os.dup(2)
+        nowhere = os.open(os.devnull, os.O_WRONLY)
     except OSError:
         return -1
     os.dup2(nowhere, 2)

@@ -13,8 +13,14 @@ from pipeline.core.errors import SettingProblem, hint_decimal_comma
 P = TypeVar("P")
 Value = bool | int | float | str
 
-_KINDS: dict[type, str] = {bool: "on or off", int: "a whole number", float: "a number", str: "a text"}
-_YES, _NO = {"true", "on", "yes", "1"}, {"false", "off", "no", "0"}
+_KINDS: dict[type, str] = {
+    bool: "on or off",
+    int: "a whole number",
+    float: "a number",
+    str: "a text",
+}
+_YES = {"true", "on", "yes", "1"}
+_NO = {"false", "off", "no", "0"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,7 +37,8 @@ class Setting:
     source: str = ""  # of the equation that uses it
     sensor_kind: str = ""  # that the parameter applies to, "" = any
     pinned: str = ""  # short label of a parameter that stays in sight in the stage's column
-    sweep: tuple[Value, ...] = ()  # values that a sweep starts with; () = multiples of the current value
+    # values that a sweep starts with; () = multiples of the current value
+    sweep: tuple[Value, ...] = ()
 
     def applies_to(self, kind: str) -> bool:
         """Return whether the parameter applies to a sensor of that kind; "" = unknown kind."""
@@ -63,12 +70,24 @@ def setting(
     pinned: str = "",
     sweep: tuple[Value, ...] = (),
 ) -> Any:
-    """Return a dataclass field with a default and its `Setting`; `choices` is the field's `Literal` type."""
+    """Return a dataclass field with a default and its `Setting`.
+
+    `choices` is the field's `Literal` type.
+    """
     words = get_args(choices) or tuple(choices)
     rule = Setting(
-        label=label, unit=unit, low=low, high=high, step=step, choices=words, help=help, source=source,
-        sensor_kind=only, pinned=pinned, sweep=sweep,
-    )  # fmt: skip
+        label=label,
+        unit=unit,
+        low=low,
+        high=high,
+        step=step,
+        choices=words,
+        help=help,
+        source=source,
+        sensor_kind=only,
+        pinned=pinned,
+        sweep=sweep,
+    )
     return field(default=default, metadata={"setting": rule})
 
 
@@ -82,7 +101,10 @@ def list_settings(params: object) -> Mapping[str, tuple[Value, Setting]]:
 
 
 def replace_value(params: P, name: str, value: Value) -> P:
-    """Return `params` with one value replaced, after checking its type and range; raises SettingProblem."""
+    """Return `params` with one value replaced, after checking its type and range.
+
+    Raises SettingProblem.
+    """
     known = list_settings(params)
     if name not in known:
         raise SettingProblem(f"no parameter {name!r}; there are {', '.join(known)}")
@@ -103,8 +125,12 @@ def replace_value(params: P, name: str, value: Value) -> P:
 def check_range(name: str, value: float, low: float, high: float, unit: str = "") -> None:
     """Raise SettingProblem for a value outside [low, high], and for NaN."""
     if not low <= value <= high:
-        least, most, got = (str(one) if isinstance(one, int) else f"{one:g}" for one in (low, high, value))
-        raise SettingProblem(f"{name} must lie within {least} and {most}{f' {unit}' if unit else ''}, got {got}")
+        least, most, got = (
+            str(one) if isinstance(one, int) else f"{one:g}" for one in (low, high, value)
+        )
+        raise SettingProblem(
+            f"{name} must lie within {least} and {most}{f' {unit}' if unit else ''}, got {got}"
+        )
 
 
 def _convert(value: Value, kind: type) -> Value:

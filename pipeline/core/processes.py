@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 class WorkerPool(ProcessPoolExecutor):
     """`n` workers, started with the first task; `nice` lowers their priority.
 
-    As a context it waits for its tasks, or ends its workers at once where an error or a request to stop leaves it.
+    As a context it waits for its tasks, or ends its workers at once where an error or a request to
+    stop leaves it.
     """
 
     def __init__(self, n: int, nice: int = 0) -> None:
@@ -31,7 +32,9 @@ class WorkerPool(ProcessPoolExecutor):
         super().__init__(n, mp_context=context, initializer=_initialise, initargs=(nice, watched))
 
     def submit(self, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Submit a task; a worker that starts for it inherits that Ctrl-C is blocked, even while it imports."""
+        """Submit a task; a worker that starts for it inherits that Ctrl-C is blocked, even while
+        it imports.
+        """
         before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
         try:
             return super().submit(*args, **kwargs)
@@ -45,7 +48,8 @@ class WorkerPool(ProcessPoolExecutor):
         self.shutdown(wait=kind is None, cancel_futures=kind is not None)
         if kind is not None:
             self._lifeline.close()  # the workers end, whatever they are doing
-            results._writer.close()  # or who reads what one of them was writing would wait for the rest of it
+            # or who reads what one of them was writing would wait for the rest of it
+            results._writer.close()
             if manager is not None:
                 manager.join()
 
@@ -61,7 +65,9 @@ def _initialise(nice: int, lifeline: Connection) -> None:
 
 
 def limit_threads() -> None:
-    """Let the libraries of this process compute on one thread each, so that sums do not depend on the machine."""
+    """Let the libraries of this process compute on one thread each, so that sums do not depend
+    on the machine.
+    """
     os.environ["OMP_NUM_THREADS"] = "1"  # read by torch when it is imported
     import cv2
 
@@ -71,7 +77,9 @@ def limit_threads() -> None:
 
 
 def _end_with_parent(lifeline: Connection) -> None:
-    """End this worker when its parent is killed, for which it would wait forever, or closes its end of the pipe."""
+    """End this worker when its parent is killed, for which it would wait forever, or closes its
+    end of the pipe.
+    """
     import multiprocessing
     from multiprocessing.connection import wait
 
@@ -86,13 +94,19 @@ _MAX_ARENAS = 2
 
 
 def limit_arenas() -> bool:
-    """Limit threads to two shared heaps, as each keeps its peak; returns whether that was possible."""
+    """Limit threads to two shared heaps, as each keeps its peak.
+
+    Returns whether that was possible.
+    """
     library = _glibc()
     return library is not None and bool(library.mallopt(_ARENA_MAX, _MAX_ARENAS))
 
 
 def release_free_memory() -> None:
-    """Return free memory to the system, with glibc; after closing a recording a hundred megabytes may be fragmented."""
+    """Return free memory to the system, with glibc.
+
+    After closing a recording a hundred megabytes may be fragmented.
+    """
     library = _glibc()
     if library is not None:
         library.malloc_trim(0)

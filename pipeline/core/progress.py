@@ -14,7 +14,10 @@ class Progress(Protocol):
     """Receiver of a stage's progress."""
 
     def step(self, fraction: float, text: str) -> None:
-        """Report `fraction` in 0..1 and the current activity; raises `Cancelled` to stop the work."""
+        """Report `fraction` in 0..1 and the current activity.
+
+        Raises `Cancelled` to stop the work.
+        """
         ...
 
 
@@ -48,7 +51,10 @@ class SubProgress:
     """Part of a longer progress: begins at `start`, is `part` of the whole, has its own title."""
 
     def __init__(self, whole: Progress, start: float, part: float, title: str = "") -> None:
-        self._whole, self._start, self._part, self._title = whole, start, part, title
+        self._whole = whole
+        self._start = start
+        self._part = part
+        self._title = title
 
     def step(self, fraction: float, text: str) -> None:
         """Report as a fraction of the whole."""

@@ -1,8 +1,10 @@
-"""PyTorch files, loaded by torch without running code that they name, and without filling the memory.
+"""PyTorch files, loaded by torch without running code that they name, and without filling the
+memory.
 
-`torch.load(weights_only=True)` refuses names that it does not know, such as callbacks of a training checkpoint. Where
-the other contents do not matter, each becomes a class that does nothing. What torch does not check is checked before:
-the length of the description, which a few bytes can unfold to gigabytes, and the checksums of the numbers.
+`torch.load(weights_only=True)` refuses names that it does not know, such as callbacks of a training
+checkpoint. Where the other contents do not matter, each becomes a class that does nothing. What
+torch does not check is checked before: the length of the description, which a few bytes can unfold
+to gigabytes, and the checksums of the numbers.
 """
 
 import contextlib
@@ -19,18 +21,27 @@ from pipeline.core.read_budget import require_budget
 
 SIGNATURE = b"PK\x03\x04"  # first bytes of an archive; before torch 1.6 a file is several pickles
 PICKLE_SIGNATURE = b"\x80"  # a pickle's protocol mark
-_MAX_DESCRIPTION_BYTES = 4 << 20  # of data.pkl; that of a checkpoint with 2,000 tensors takes 0.3 MB
+# of data.pkl; that of a checkpoint with 2,000 tensors takes 0.3 MB
+_MAX_DESCRIPTION_BYTES = 4 << 20
 _MAX_CLASSES = 1_000  # that a description names and torch does not know
 ZIP_ERRORS = (  # of a damaged archive: those of Python's reader have no common root
-    zipfile.BadZipFile, zlib.error, struct.error, ValueError, LookupError, ArithmeticError, EOFError, RuntimeError,
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    ValueError,
+    LookupError,
+    ArithmeticError,
+    EOFError,
+    RuntimeError,
     NotImplementedError,
-)  # fmt: skip
+)
 
 
 def load_torch_file(path: Path, *, only_tensors: bool = False) -> Any:
     """What a file of `torch.save` holds, its tensors memory-mapped where the file allows it.
 
-    Objects of classes that torch does not know are `Inert`; with `only_tensors` they are refused. Raises FileProblem.
+    Objects of classes that torch does not know are `Inert`; with `only_tensors` they are refused.
+    Raises FileProblem.
     """
     require_file(path, "the tensors", most_bytes=1 << 50)
     try:
@@ -40,7 +51,8 @@ def load_torch_file(path: Path, *, only_tensors: bool = False) -> Any:
         raise FileProblem(f"cannot read the tensors ({describe_os_error(error)})", path) from error
     if head != SIGNATURE and head[:1] != PICKLE_SIGNATURE:
         raise FileProblem("this is not a PyTorch file, or it is cut short or damaged", path)
-    is_mapped = head == SIGNATURE and is_utf8_encodable(str(path)) and path.suffix != ".safetensors"  # by its name
+    # by its name
+    is_mapped = head == SIGNATURE and is_utf8_encodable(str(path)) and path.suffix != ".safetensors"
     if not is_mapped:
         require_budget(path.stat().st_size, "the tensors", path)
     _require_short_description(path)
@@ -53,7 +65,9 @@ def load_torch_file(path: Path, *, only_tensors: bool = False) -> Any:
             if len(others) > _MAX_CLASSES:
                 raise FileProblem("the file names too many classes; save the tensors alone", path)
             file.seek(0)
-            kinds: list[Any] = [(_InertDict if name.lower().endswith("dict") else Inert, name) for name in others]
+            kinds: list[Any] = [
+                (_InertDict if name.lower().endswith("dict") else Inert, name) for name in others
+            ]
             with torch.serialization.safe_globals(kinds):
                 source = path if is_mapped else file
                 return torch.load(source, map_location="cpu", weights_only=True, mmap=is_mapped)
@@ -62,10 +76,14 @@ def load_torch_file(path: Path, *, only_tensors: bool = False) -> Any:
     except Exception as error:  # torch raises many unrelated classes for damaged files
         if "weights_only" in str(error) or "Unsupported" in str(error):
             raise FileProblem(
-                "the file holds more than tensors and loading it could run code; save the tensors alone, such as a "
-                "network's state_dict", path,
-            ) from error  # fmt: skip
-        raise FileProblem("this is not a PyTorch file, or it is cut short or damaged", path) from error
+                "the file holds more than tensors and loading it could run code; save the tensors "
+                "alone, such as a "
+                "network's state_dict",
+                path,
+            ) from error
+        raise FileProblem(
+            "this is not a PyTorch file, or it is cut short or damaged", path
+        ) from error
 
 
 class Inert:
@@ -86,25 +104,37 @@ class _InertDict:
 
 
 def require_checksums(path: Path) -> None:
-    """Raise FileProblem where the checksum of a member of an archive does not fit; torch does not compare them."""
-    with contextlib.suppress(*ZIP_ERRORS), zipfile.ZipFile(path) as archive:  # torch says what is no archive
+    """Raise FileProblem where the checksum of a member of an archive does not fit.
+
+    Torch does not compare them.
+    """
+    # torch says what is no archive
+    with contextlib.suppress(*ZIP_ERRORS), zipfile.ZipFile(path) as archive:
         if archive.testzip() is not None:
             raise FileProblem("a tensor is damaged: copy or download the file again", path)
 
 
 def _require_short_description(path: Path) -> None:
-    """Raise FileProblem where torch would take more than a moment, or more than a budget, to load a file's table.
+    """Raise FileProblem where torch would take more than a moment, or more than a budget, to load a
+    file's table.
 
     Whether the rest is in order is for torch to say.
     """
     with path.open("rb") as file:
         if file.read(len(SIGNATURE)) == SIGNATURE:
             with contextlib.suppress(*ZIP_ERRORS), zipfile.ZipFile(file) as archive:
-                described = [m.file_size for m in archive.infolist() if m.filename.endswith("data.pkl")]
+                described = [
+                    m.file_size for m in archive.infolist() if m.filename.endswith("data.pkl")
+                ]
                 if max(described, default=0) > _MAX_DESCRIPTION_BYTES:
                     raise FileProblem(_TOO_LONG, path)
                 folded = [m for m in archive.infolist() if m.compress_type != zipfile.ZIP_STORED]
-                require_budget(sum(member.file_size for member in folded), "the compressed tensors", path, most=1 << 27)
+                require_budget(
+                    sum(member.file_size for member in folded),
+                    "the compressed tensors",
+                    path,
+                    most=1 << 27,
+                )
             return
         file.seek(0)
         limited = _LimitedFile(file)
@@ -115,14 +145,17 @@ def _require_short_description(path: Path) -> None:
             raise FileProblem(_TOO_LONG, path)
 
 
-_TOO_LONG = "the file's description of its tensors is too long: it is damaged; save the tensors alone"
+_TOO_LONG = (
+    "the file's description of its tensors is too long: it is damaged; save the tensors alone"
+)
 
 
 class _LimitedFile:
     """A file of which a description is read, up to the size that one may have."""
 
     def __init__(self, file: BinaryIO) -> None:
-        self._file, self._left = file, _MAX_DESCRIPTION_BYTES
+        self._file = file
+        self._left = _MAX_DESCRIPTION_BYTES
 
     def read(self, n: int) -> bytes:
         """The next `n` bytes; raises EOFError for too many."""
@@ -144,7 +177,8 @@ class _LimitedFile:
         return content
 
 
-_Unpickler: Any = vars(pickle)["_Unpickler"]  # Python's: that in C makes a table as long as any number that is stated
+# Python's: that in C makes a table as long as any number that is stated
+_Unpickler: Any = vars(pickle)["_Unpickler"]
 
 
 class _InertUnpickler(_Unpickler):

@@ -1,6 +1,8 @@
-"""Read a file's tables into declared types: what is missing, of another type or out of range is one sentence.
+"""Read a file's tables into declared types: what is missing, of another type or out of range is one
+sentence.
 
-The types are dataclasses and `msgspec.Struct`s; the annotations below limit what a stranger's file may say.
+The types are dataclasses and `msgspec.Struct`s; the annotations below limit what a stranger's file
+may say.
 """
 
 import re
@@ -21,23 +23,34 @@ Number = Annotated[float, Meta(ge=-1e12, le=1e12)]  # finite
 Plain = bool | Annotated[int, Meta(ge=-(2**53), le=2**53)] | Number | Note  # value of a parameter
 _MOST_LETTERS = 120  # of a wrong value or key in a sentence
 _WORDS = {
-    "object": "a table", "array": "a list", "str": "a text", "int": "a whole number", "float": "a number",
-    "bool": "true or false", "null": "nothing",
-}  # fmt: skip
+    "object": "a table",
+    "array": "a list",
+    "str": "a text",
+    "int": "a whole number",
+    "float": "a number",
+    "bool": "true or false",
+    "null": "nothing",
+}
 
 
 class InvalidField(ValueError):
-    """A value is missing, of another type or out of range; `field` names its place, "" = the whole."""
+    """A value is missing, of another type or out of range.
+
+    `field` names its place, "" = the whole.
+    """
 
     def __init__(self, field: str, problem: str) -> None:
         """Build the clause `field: problem`."""
         self.field = field
-        where, what = shorten_text(field, _MOST_LETTERS), shorten_text(problem, _MOST_LETTERS)
+        where = shorten_text(field, _MOST_LETTERS)
+        what = shorten_text(problem, _MOST_LETTERS)
         super().__init__(f"{where}: {what}" if field else what)
 
 
 def check(data: object, kind: type[T], within: str = "") -> T:
-    """Return `data` as `kind`; raises InvalidField for the first wrong value. `within` names the table it is in."""
+    """Return `data` as `kind`; raises InvalidField for the first wrong value. `within` names the
+    table it is in.
+    """
     try:
         return msgspec.convert(data, kind, str_keys=True)
     except UnicodeEncodeError as error:
@@ -50,20 +63,30 @@ def check(data: object, kind: type[T], within: str = "") -> T:
         raise InvalidField(field, "it is missing" if missing else _describe(text)) from error
 
 
-def convert(data: object, kind: type[T], what: str, path: Path, *, remedy: str = "", within: str = "") -> T:
-    """Return `data` of a file as `kind`; raises FileProblem that names the first wrong field, and the remedy.
+def convert(
+    data: object, kind: type[T], what: str, path: Path, *, remedy: str = "", within: str = ""
+) -> T:
+    """Return `data` of a file as `kind`.
+
+    Raises FileProblem that names the first wrong field, and the remedy.
 
     `within` names the table of the file that `data` is, "" = the whole file.
     """
     try:
         return check(data, kind, within)
     except InvalidField as error:
-        advice, top = f"; {remedy}" if remedy else "", re.split(r"[.\[]", error.field)[0]
-        raise FileProblem(f"{what} cannot be used ({error}){advice}", path, field=top or None) from error
+        advice = f"; {remedy}" if remedy else ""
+        top = re.split(r"[.\[]", error.field)[0]
+        raise FileProblem(
+            f"{what} cannot be used ({error}){advice}", path, field=top or None
+        ) from error
 
 
 def _describe(text: str) -> str:
-    """Return what msgspec says of a wrong value in words; "Expected `int`" becomes "expected a whole number"."""
+    """Return what msgspec says of a wrong value in words.
+
+    "Expected `int`" becomes "expected a whole number".
+    """
 
     def name(found: re.Match[str]) -> str:
         return " or ".join(_WORDS.get(kind, kind) for kind in found[1].split(" | "))

@@ -9,12 +9,16 @@ FolderKind = Literal["cache", "log", "state"]
 
 
 def find_user_folder(kind: FolderKind) -> Path:
-    """Return the user's folder; a temporary one of this process where the user has no home, as in some containers."""
+    """Return the user's folder; a temporary one of this process where the user has no home, as
+    in some containers.
+    """
     return _find_folder(kind) or Path(_make_temporary_folder().name) / kind
 
 
 def has_home() -> bool:
-    """Return whether the user has a home folder, or names the program's folders by XDG variables."""
+    """Return whether the user has a home folder, or names the program's folders by XDG
+    variables.
+    """
     return _find_folder("cache") is not None and _find_folder("state") is not None
 
 

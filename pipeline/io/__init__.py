@@ -9,7 +9,9 @@ __all__ = ["open_recording"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import `open_recording` on first use, so that the table of formats alone loads in a few milliseconds."""
+    """Import `open_recording` on first use, so that the table of formats alone loads in a few
+    milliseconds.
+    """
     if name == "open_recording":
         from pipeline.io.format_dispatch import open_recording
 

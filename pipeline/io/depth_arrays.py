@@ -1,6 +1,7 @@
 """Depth images of a bubble: `.npz` of Punyo and the like, `.npy`, or a folder of 16-bit images.
 
-The name of the array (or file) states the unit: depth_mm, depth_m, depth_um, depth_u16_0p1mm. No unit is guessed.
+The name of the array (or file) states the unit: depth_mm, depth_m, depth_um, depth_u16_0p1mm. No
+unit is guessed.
 """
 
 from __future__ import annotations
@@ -30,9 +31,12 @@ _MM_PER_UNIT: Mapping[str, float] = {"mm": 1.0, "m": 1000.0, "0.1mm": 0.1, "um":
 _UNIT_SUFFIX = re.compile(
     r"(?:^(?!m$)|_)(?P<unit>0[p.]1mm|mm|um|m)$", re.IGNORECASE
 )  # or the whole name, as of a folder
-_MAX_RATIO = 1.6  # to the rest depth within which a unit is suggested: steps of 0.25 mm are no tenths
-_PLAUSIBLE_MM = (5.0, 2000.0)  # range of a median depth: the camera is some centimetres from the membrane
-_N_REFERENCE_FRAMES = 5  # first frames whose median is the reference: its noise is half of that of one frame
+# to the rest depth within which a unit is suggested: steps of 0.25 mm are no tenths
+_MAX_RATIO = 1.6
+# range of a median depth: the camera is some centimetres from the membrane
+_PLAUSIBLE_MM = (5.0, 2000.0)
+# first frames whose median is the reference: its noise is half of that of one frame
+_N_REFERENCE_FRAMES = 5
 _TIME_KEYS = ("timestamps_s", "time_s", "t_s")
 
 
@@ -45,7 +49,10 @@ def are_depth_images(files: RecordingFiles) -> bool:
 
 
 def is_depth_image(file: Path) -> bool:
-    """Whether an image has one channel of 16 bits or of floats; raises FileProblem where it cannot be read."""
+    """Whether an image has one channel of 16 bits or of floats.
+
+    Raises FileProblem where it cannot be read.
+    """
     pixels = image_files.read_raw_pixels(file)
     return pixels.ndim == 2 and (pixels.dtype == np.uint16 or pixels.dtype.kind == "f")
 
@@ -53,16 +60,20 @@ def is_depth_image(file: Path) -> bool:
 def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     """One stream of float32 depth in mm; NaN where the value is 0, negative, 65535 or not finite.
 
-    The reference is `options.reference` (another depth file), else the median of the first frames, with a note.
-    Raises FileProblem for an array that cannot be read or whose unit is not stated.
+    The reference is `options.reference` (another depth file), else the median of the first frames,
+    with a note. Raises FileProblem for an array that cannot be read or whose unit is not stated.
     """
     arrays = read_arrays(files.path, "the recording")
     return _make_recording(files, _stack_arrays(files.path, arrays, options), options)
 
 
 def read_image_folder(files: RecordingFiles, options: ReadOptions) -> Recording:
-    """As `read`, from 16-bit images; an image whose name says so is the reference where none is given."""
-    path, unit = files.path, options.depth_unit
+    """As `read`, from 16-bit images.
+
+    An image whose name says so is the reference where none is given.
+    """
+    path = files.path
+    unit = options.depth_unit
     images = [p for p in files.images if p != options.reference]
     if not images:
         raise FileProblem("the only depth image is the reference", path)
@@ -72,15 +83,20 @@ def read_image_folder(files: RecordingFiles, options: ReadOptions) -> Recording:
     stack = _DepthStack(name, unit, len(images), lambda i: _read_depth_pixels(images[i]), path)
     reference = options.reference or (files.references[0] if files.references else None)
     stack.times_s = file_names.parse_times_s(images)
-    options = ReadOptions(sensor=options.sensor, reference=reference, depth_unit=cast("DepthUnit", unit))
+    options = ReadOptions(
+        sensor=options.sensor, reference=reference, depth_unit=cast("DepthUnit", unit)
+    )
     return _make_recording(files, stack, options)
 
 
 def read_array_folder(
     files: RecordingFiles, options: ReadOptions, read_array: Callable[[Path], NDArray[Any]]
 ) -> Recording:
-    """As `read`, from a folder with one array a frame, whose name or that of the folder states the unit."""
-    path, images = files.path, files.images
+    """As `read`, from a folder with one array a frame, whose name or that of the folder states
+    the unit.
+    """
+    path = files.path
+    images = files.images
     key = next((n for n in (images[0].stem, path.name) if _UNIT_SUFFIX.search(n)), images[0].stem)
 
     def read_raw(index: int) -> NDArray[Any]:
@@ -95,24 +111,34 @@ def read_array_folder(
 
 
 def _make_recording(files: RecordingFiles, stack: _DepthStack, options: ReadOptions) -> Recording:
-    path, n, first = files.path, stack.n_frames, stack.depth_mm(0)
+    path = files.path
+    n = stack.n_frames
+    first = stack.depth_mm(0)
     shape = cast("tuple[int, int]", first.shape)
     name, notes = resolve_sensor_name(options.sensor, shape, is_depth=True)
     _check_unit(stack, first, load_sensor(options.sensor or name))
     camera = stack.camera
     if camera is None:
-        camera, camera_notes = resampling.infer_depth_camera(load_sensor(options.sensor or name), shape)
+        camera, camera_notes = resampling.infer_depth_camera(
+            load_sensor(options.sensor or name), shape
+        )
         notes += camera_notes
     reference: Floats | None = None
     if options.reference is not None:
         reference = read_depth_image(options.reference, options.depth_unit)
         about = f"{options.reference.name} is the reference"
         if reference.shape != shape:
-            raise FileProblem(f"the reference has shape {reference.shape}, the frames {shape}", options.reference)
+            raise FileProblem(
+                f"the reference has shape {reference.shape}, the frames {shape}", options.reference
+            )
         if np.isfinite(reference).any():
-            problem = describe_unit_problem(float(np.nanmedian(reference)), load_sensor(options.sensor or name))
+            problem = describe_unit_problem(
+                float(np.nanmedian(reference)), load_sensor(options.sensor or name)
+            )
             if problem:
-                raise FileProblem(f"the reference {problem}; convert it to that of the frames", options.reference)
+                raise FileProblem(
+                    f"the reference {problem}; convert it to that of the frames", options.reference
+                )
     elif n > 1:
         reference, about = estimate_reference(stack.depth_mm, n)
     else:
@@ -120,37 +146,70 @@ def _make_recording(files: RecordingFiles, stack: _DepthStack, options: ReadOpti
 
     def frame(index: int) -> TactileFrame:
         time_s = math.nan if stack.times_s is None else float(stack.times_s[index])
-        return TactileFrame(sensor=name, image=stack.depth_mm(index), reference=reference, index=index, time_s=time_s,
-                            origin=f"{path} [{stack.key} {index}]", camera=camera)  # fmt: skip
+        return TactileFrame(
+            sensor=name,
+            image=stack.depth_mm(index),
+            reference=reference,
+            index=index,
+            time_s=time_s,
+            origin=f"{path} [{stack.key} {index}]",
+            camera=camera,
+        )
 
-    stream = Stream(name=name, sensor=name, n_frames=n, frame=with_index_check(frame, n, path), times_s=stack.times_s)
-    notes = (*files.notes, *notes, escape_text(f"{stack.key} is taken as {stack.unit}"), about, *stack.notes)
+    stream = Stream(
+        name=name,
+        sensor=name,
+        n_frames=n,
+        frame=with_index_check(frame, n, path),
+        times_s=stack.times_s,
+    )
+    notes = (
+        *files.notes,
+        *notes,
+        escape_text(f"{stack.key} is taken as {stack.unit}"),
+        about,
+        *stack.notes,
+    )
     return Recording(path=path, format="depth arrays", streams=(stream,), notes=notes)
 
 
 def _check_unit(stack: _DepthStack, first: Floats, spec: SensorSpec) -> None:
-    """Raise FileProblem where another unit brings the depth to the membrane's, and the stated one does not."""
+    """Raise FileProblem where another unit brings the depth to the membrane's, and the stated
+    one does not.
+    """
     depth_mm = float(np.nanmedian(first)) if np.isfinite(first).any() else np.nan
     problem = describe_unit_problem(depth_mm, spec)
     if problem:
         own = _MM_PER_UNIT[stack.unit]
-        fits = [u for u, mm in _MM_PER_UNIT.items() if find_unit_factor(depth_mm / own * mm, spec) == 1.0]
+        fits = [
+            u
+            for u, mm in _MM_PER_UNIT.items()
+            if find_unit_factor(depth_mm / own * mm, spec) == 1.0
+        ]
         remedy = f"give --depth-unit {fits[0]}" if fits else "convert it to mm"
-        raise FileProblem(f"{stack.key}, read in {stack.unit}, {problem}; {remedy}", stack.path, field=stack.key)
+        raise FileProblem(
+            f"{stack.key}, read in {stack.unit}, {problem}; {remedy}", stack.path, field=stack.key
+        )
 
 
 def estimate_reference(depth_mm: Callable[[int], Floats], n_frames: int) -> tuple[Floats, str]:
-    """(median depth (rows, cols) in mm of the first frames, note that says so), for a recording without reference."""
+    """(median depth (rows, cols) in mm of the first frames, note that says so), for a recording
+    without reference.
+    """
     n = min(_N_REFERENCE_FRAMES, max(1, n_frames // 6))
     which = "the first frame" if n == 1 else f"the median of the first {n} frames"
-    return compute_median_depth(np.stack([depth_mm(i) for i in range(n)])), f"{which} is taken as the reference"
+    return compute_median_depth(
+        np.stack([depth_mm(i) for i in range(n)])
+    ), f"{which} is taken as the reference"
 
 
 def read_depth_image(path: Path, unit: DepthUnit = "auto") -> Floats:
     """One depth image in mm: the median over all images of an array file, or one 16-bit image."""
     if image_files.is_image_file(path):
         pixels = _read_depth_pixels(path)
-        return _convert_to_mm(pixels, _resolve_unit(path.stem, unit, path, lambda: pixels), path.name, path)
+        return _convert_to_mm(
+            pixels, _resolve_unit(path.stem, unit, path, lambda: pixels), path.name, path
+        )
     stack = _stack_arrays(path, read_arrays(path, "the depth images"), ReadOptions(depth_unit=unit))
     return compute_median_depth(np.stack([stack.depth_mm(i) for i in range(stack.n_frames)]))
 
@@ -158,17 +217,32 @@ def read_depth_image(path: Path, unit: DepthUnit = "auto") -> Floats:
 class _DepthStack:
     """Depth images of one file or folder, read on demand."""
 
-    def __init__(self, key: str, unit: str, n_frames: int, read_raw: Callable[[int], NDArray[Any]], path: Path) -> None:
-        self.key, self.unit, self.n_frames, self._read_raw, self.path = key, unit, n_frames, read_raw, path
+    def __init__(
+        self,
+        key: str,
+        unit: str,
+        n_frames: int,
+        read_raw: Callable[[int], NDArray[Any]],
+        path: Path,
+    ) -> None:
+        self.key = key
+        self.unit = unit
+        self.n_frames = n_frames
+        self._read_raw = read_raw
+        self.path = path
         self.times_s: Doubles | None = None
         self.camera: Camera | None = None
         self.notes: tuple[str, ...] = ()
 
     def depth_mm(self, index: int) -> Floats:
-        return _convert_to_mm(self._read_raw(index), self.unit, f"{self.key} of frame {index}", self.path)
+        return _convert_to_mm(
+            self._read_raw(index), self.unit, f"{self.key} of frame {index}", self.path
+        )
 
 
-def _stack_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], options: ReadOptions) -> _DepthStack:
+def _stack_arrays(
+    path: Path, arrays: Mapping[str, NDArray[Any]], options: ReadOptions
+) -> _DepthStack:
     key = _find_depth_key(arrays, path)
     images = _check_images(arrays[key], key, path)
     stated_unit = _resolve_unit(key, options.depth_unit, path, lambda: images[0], options.sensor)
@@ -182,29 +256,46 @@ def _stack_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], options: ReadO
             raise CalibrationError(f"{error}: '{path}'") from error
     stack.times_s = find_times(arrays, len(images))
     unused = sorted(arrays.keys() - {key, "K", "frame", *_TIME_KEYS})
-    stack.notes = (f"other arrays of the file are left out: {escape_text(', '.join(unused))}",) if unused else ()
+    stack.notes = (
+        (f"other arrays of the file are left out: {escape_text(', '.join(unused))}",)
+        if unused
+        else ()
+    )
     return stack
 
 
 def find_times(arrays: Mapping[str, NDArray[Any]], n_frames: int) -> Doubles | None:
     """The times in seconds (n_frames,) among arrays; None where none holds them."""
     for name in _TIME_KEYS:
-        if name in arrays and arrays[name].shape == (n_frames,) and arrays[name].dtype.kind in "fiu":
+        if (
+            name in arrays
+            and arrays[name].shape == (n_frames,)
+            and arrays[name].dtype.kind in "fiu"
+        ):
             return freeze(arrays[name].astype(np.float64))
     return None
 
 
 def _check_images(array: NDArray[Any], key: str, path: Path) -> NDArray[Any]:
-    """Depth images (frames, rows, cols) of an array that may lack the first axis or have a last one of length 1."""
+    """Depth images (frames, rows, cols) of an array that may lack the first axis or have a last
+    one of length 1.
+    """
     images = array[None] if array.ndim == 2 else array
     images = images[..., 0] if images.ndim == 4 and images.shape[-1] == 1 else images
     if colour_layouts.is_grey(images):
-        raise FileProblem(f"{key} holds {images.dtype}, which is too coarse for depth: these are grey images or masks, "
-                          "and a gel's depth is read from colour images", path, field=key)  # fmt: skip
+        raise FileProblem(
+            f"{key} holds {images.dtype}, which is too coarse for depth: these are grey images or "
+            "masks, "
+            "and a gel's depth is read from colour images",
+            path,
+            field=key,
+        )
     if images.dtype.kind not in "fiu" or images.dtype.itemsize > 8:
         raise FileProblem(f"{key} must hold real numbers, got {images.dtype}", path, field=key)
     if images.ndim != 3 or not images.size:
-        raise FileProblem(f"{key} must have shape (frames, rows, cols), got {array.shape}", path, field=key)
+        raise FileProblem(
+            f"{key} must have shape (frames, rows, cols), got {array.shape}", path, field=key
+        )
     return images
 
 
@@ -222,54 +313,87 @@ def _find_depth_key(arrays: Mapping[str, NDArray[Any]], path: Path) -> str:
         raise FileProblem("the arrays of the file are empty", path)
     if len(candidates) != 1:
         shapes = ", ".join(f"{k} {a.shape}" for k, a in arrays.items()) or "none"
-        raise FileProblem(f"cannot tell which array is the depth ({shapes}); name one depth_mm or depth_m", path)
+        raise FileProblem(
+            f"cannot tell which array is the depth ({shapes}); name one depth_mm or depth_m", path
+        )
     return candidates[0]
 
 
-def _resolve_unit(key: str, stated: DepthUnit, path: Path, read: Callable[[], NDArray[Any]], sensor: str = "") -> str:
-    """The stated unit, or that of the name `key`; raises FileProblem with the one that fits where none is stated."""
+def _resolve_unit(
+    key: str, stated: DepthUnit, path: Path, read: Callable[[], NDArray[Any]], sensor: str = ""
+) -> str:
+    """The stated unit, or that of the name `key`.
+
+    Raises FileProblem with the one that fits where none is stated.
+    """
     if stated != "auto":
         return stated
     match = _UNIT_SUFFIX.search(key)
     if match is None:
         name = f"name it {key}_mm, {key}_m, {key}_um or {key}_0p1mm"
         raise FileProblem(
-            f"cannot tell the unit of {key!r}; {_suggest_unit(read(), sensor)}, or {name}", path, field=key
+            f"cannot tell the unit of {key!r}; {_suggest_unit(read(), sensor)}, or {name}",
+            path,
+            field=key,
         )
     return match["unit"].lower().replace("0p1mm", "0.1mm")
 
 
 def _suggest_unit(raw: NDArray[Any], sensor: str) -> str:
-    """What to give as --depth-unit: the unit that brings a depth image as stored to the membrane of its sensor."""
+    """What to give as --depth-unit: the unit that brings a depth image as stored to the membrane
+    of its sensor.
+    """
     sensor = sensor or resolve_sensor_name("", raw.shape[:2], is_depth=True)[0]
     known = raw[np.isfinite(raw) & (raw > 0)]
     if not sensor or not known.size:
         return "give --depth-unit"
-    spec, median = load_sensor(sensor), float(np.median(known))
+    spec = load_sensor(sensor)
+    median = float(np.median(known))
     rest_mm = float(np.median(spec.rest_depth_mm))
-    fits = [unit for unit, mm in _MM_PER_UNIT.items() if abs(math.log(median * mm / rest_mm)) < math.log(_MAX_RATIO)]
-    return "give --depth-unit" + (f" {fits[0]}, which fits the membrane of {spec.name}" if fits else "")
+    fits = [
+        unit
+        for unit, mm in _MM_PER_UNIT.items()
+        if abs(math.log(median * mm / rest_mm)) < math.log(_MAX_RATIO)
+    ]
+    return "give --depth-unit" + (
+        f" {fits[0]}, which fits the membrane of {spec.name}" if fits else ""
+    )
 
 
 def _convert_to_mm(raw: NDArray[Any], unit: str, what: str, path: Path) -> Floats:
-    """Depth in mm, NaN where `raw` has no value; raises FileProblem for a median beyond `_PLAUSIBLE_MM`."""
+    """Depth in mm, NaN where `raw` has no value.
+
+    Raises FileProblem for a median beyond `_PLAUSIBLE_MM`.
+    """
     depth_mm = raw.astype(np.float32) * np.float32(_MM_PER_UNIT[unit])
-    gaps = ~np.isfinite(depth_mm) | (raw <= 0) | ((raw == 65535) if raw.dtype == np.uint16 else False)
+    gaps = (
+        ~np.isfinite(depth_mm) | (raw <= 0) | ((raw == 65535) if raw.dtype == np.uint16 else False)
+    )
     depth_mm[gaps] = np.nan
     if not gaps.all():
         median = float(np.median(depth_mm[~gaps]))
         if not _PLAUSIBLE_MM[0] <= median <= _PLAUSIBLE_MM[1]:
             own = _MM_PER_UNIT[unit]
-            fits = [u for u, mm in _MM_PER_UNIT.items() if _PLAUSIBLE_MM[0] <= median / own * mm <= _PLAUSIBLE_MM[1]]
+            fits = [
+                u
+                for u, mm in _MM_PER_UNIT.items()
+                if _PLAUSIBLE_MM[0] <= median / own * mm <= _PLAUSIBLE_MM[1]
+            ]
             remedy = f"; give --depth-unit {' or '.join(fits)}" if fits else ""
             raise FileProblem(
-                f"{what} has a median of {median:.3g} mm when read in {unit}; check the unit{remedy}", path, field=what
+                f"{what} has a median of {median:.3g} mm when read in {unit}; check the "
+                f"unit{remedy}",
+                path,
+                field=what,
             )
     return freeze(depth_mm)
 
 
 def compute_median_depth(stack: NDArray[Any]) -> Floats:
-    """The median (rows, cols) of depth images (frames, rows, cols); NaN only where no frame has a value."""
+    """The median (rows, cols) of depth images (frames, rows, cols).
+
+    NaN only where no frame has a value.
+    """
     known = np.isfinite(stack).any(axis=0)
     median = np.full(stack.shape[1:], np.nan, np.float32)
     median[known] = np.nanmedian(stack[:, known], axis=0)

@@ -1,4 +1,6 @@
-"""What the names of image files say: their order, their times, and which of several sensors they are of."""
+"""What the names of image files say: their order, their times, and which of several sensors they
+are of.
+"""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -11,17 +13,25 @@ import numpy as np
 
 from pipeline.core.arrays import Doubles, freeze
 
-_WHOLE = re.compile(r"((?:^-|(?<=[_\s=,;(@])-)?\d+)")  # a minus follows a separator; between digits it is one itself
+# a minus follows a separator; between digits it is one itself
+_WHOLE = re.compile(r"((?:^-|(?<=[_\s=,;(@])-)?\d+)")
 _DECIMAL = re.compile(r"((?:^-|(?<=[_\s=,;(@])-)?\d+(?:\.\d+)?)")
-_UNITS_PER_S = {10: 1, 13: 10**3, 16: 10**6, 19: 10**9}  # whole digits of a Unix time -> of its unit in a second
+# whole digits of a Unix time -> of its unit in a second
+_UNITS_PER_S = {10: 1, 13: 10**3, 16: 10**6, 19: 10**9}
 _NANOSECOND_DIGITS = range(7, 10)  # of the longest number after whole seconds
 _TIME_WORD = re.compile(r"(^|[\W_\d])(t|time|times|timestamp|stamp)[\W_]*$", re.IGNORECASE)
-_DATE = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)[T_\s-]*(\d\d)[-:_.]?(\d\d)[-:_.]?(\d\d)(?:[-_.](\d+))?(?!\d)")
+_DATE = re.compile(
+    r"(\d{4})-?(\d\d)-?(\d\d)[T_\s-]*(\d\d)[-:_.]?(\d\d)[-:_.]?(\d\d)(?:[-_.](\d+))?(?!\d)"
+)
 _SENSOR_WORDS = (  # words of one line tell the sensors of one hand or rig apart
-    ("left", "right"), ("l", "r"), ("top", "bottom"), ("upper", "lower"), ("first", "second"),
+    ("left", "right"),
+    ("l", "r"),
+    ("top", "bottom"),
+    ("upper", "lower"),
+    ("first", "second"),
     ("thumb", "index", "middle", "ring", "little", "pinky"),
     ("gelslim", "gelsight", "digit", "mini", "bubble", "duragel", "tac3d"),
-)  # fmt: skip
+)
 _NUMBERED = re.compile(
     r"(?<![a-z])(?:cam|camera|finger|sensor|gripper|digit|gelsight|gelslim|mini|tactile)[\W_]?(\d+)(?!\d)",
     re.IGNORECASE,
@@ -32,8 +42,8 @@ _MAX_SENSORS = 8
 def sort_series(files: Sequence[Path]) -> list[Path]:
     """The files of one folder in the order of the numbers in their names, frame_2 before frame_10.
 
-    A point is a decimal point where no name has two and no two names are then equal. Where that changes the order and
-    the files were written in the order of whole numbers, these count.
+    A point is a decimal point where no name has two and no two names are then equal. Where that
+    changes the order and the files were written in the order of whole numbers, these count.
     """
     whole = sorted(files, key=lambda file: natural_sort_key(file.stem))
     points = {file.stem.count(".") for file in files}
@@ -47,7 +57,11 @@ def sort_series(files: Sequence[Path]) -> list[Path]:
 def natural_sort_key(name: str, number: re.Pattern[str] = _WHOLE) -> tuple[object, ...]:
     """Sort key that puts frame_2 before frame_10, and -1 before 0."""
     parts = number.split(name)  # text, number, text, ...
-    return tuple((0, Decimal(p), "") if k % 2 else (1, Decimal(0), p.lower()) for k, p in enumerate(parts) if p)
+    return tuple(
+        (0, Decimal(p), "") if k % 2 else (1, Decimal(0), p.lower())
+        for k, p in enumerate(parts)
+        if p
+    )
 
 
 def _were_written_in_order(files: Sequence[Path]) -> bool:
@@ -59,15 +73,21 @@ def _were_written_in_order(files: Sequence[Path]) -> bool:
 
 
 def parse_times_s(files: Sequence[Path]) -> Doubles | None:
-    """Times in seconds after the first file, as the names state them; None where they state none that only grow.
+    """Times in seconds after the first file, as the names state them.
 
-    Known are Unix times in s, ms, us or ns, whole seconds with nanoseconds after them, dates, and seconds after `t`.
+    None where they state none that only grow.
+
+    Known are Unix times in s, ms, us or ns, whole seconds with nanoseconds after them, dates, and
+    seconds after `t`.
     """
     return parse_series_times_s({"": files}).get("")
 
 
 def parse_series_times_s(series: Mapping[str, Sequence[Path]]) -> Mapping[str, Doubles]:
-    """As `parse_times_s` for the files of each sensor, after the first file of all; {} unless all series have times."""
+    """As `parse_times_s` for the files of each sensor, after the first file of all.
+
+    {} unless all series have times.
+    """
     for parse in (_parse_unix_times, _parse_dates, _parse_seconds):
         found = {name: parse([file.stem for file in files]) for name, files in series.items()}
         if all(
@@ -75,7 +95,10 @@ def parse_series_times_s(series: Mapping[str, Sequence[Path]]) -> Mapping[str, D
             for name, files in series.items()
         ):
             start = min(times[0] for times in found.values())
-            return {name: freeze(np.array([float(t - start) for t in times])) for name, times in found.items()}
+            return {
+                name: freeze(np.array([float(t - start) for t in times]))
+                for name, times in found.items()
+            }
     return {}
 
 
@@ -88,7 +111,11 @@ def _parse_unix_times(stems: list[str]) -> list[Decimal]:
         if not unit or len(set(column)) == 1 or any(text[0] not in "12" for text in column):
             continue
         after = [row[at + 1] if len(row) > at + 1 else "" for row in numbers]
-        if unit == 1 and max(map(len, after)) in _NANOSECOND_DIGITS and all(text.isdecimal() for text in after):
+        if (
+            unit == 1
+            and max(map(len, after)) in _NANOSECOND_DIGITS
+            and all(text.isdecimal() for text in after)
+        ):
             return [Decimal(s) + Decimal(ns) / 10**9 for s, ns in zip(column, after, strict=True)]
         if len(set(column)) == len(column):
             return [Decimal(text) / unit for text in column]
@@ -99,32 +126,50 @@ def _parse_dates(stems: list[str]) -> list[Decimal]:
     found = [match.groups() for match in map(_DATE.search, stems) if match]
     widths = {len(groups[6] or "") for groups in found}
     try:
-        whole = [datetime.strptime("".join(groups[:6]), "%Y%m%d%H%M%S").replace(tzinfo=UTC) for groups in found]
+        whole = [
+            datetime.strptime("".join(groups[:6]), "%Y%m%d%H%M%S").replace(tzinfo=UTC)
+            for groups in found
+        ]
     except ValueError:
         return []
-    if len(set(whole)) < 2 or len(widths) > 1:  # the date of the recording and a counter; digits that are not padded
+    # the date of the recording and a counter; digits that are not padded
+    if len(set(whole)) < 2 or len(widths) > 1:
         return []
     return [
-        Decimal(int(t.timestamp())) + Decimal(f"0.{groups[6] or 0}") for t, groups in zip(whole, found, strict=True)
+        Decimal(int(t.timestamp())) + Decimal(f"0.{groups[6] or 0}")
+        for t, groups in zip(whole, found, strict=True)
     ]
 
 
 def _parse_seconds(stems: list[str]) -> list[Decimal]:
     parts = [_DECIMAL.split(stem) for stem in stems]
-    found = [row[k + 1] for row in parts for k in range(0, len(row) - 1, 2) if _TIME_WORD.search(row[k])]
+    found = [
+        row[k + 1] for row in parts for k in range(0, len(row) - 1, 2) if _TIME_WORD.search(row[k])
+    ]
     return [Decimal(text) for text in found] if any("." in text for text in found) else []
 
 
 def split_sensors(files: Sequence[Path]) -> Mapping[str, list[Path]]:
-    """The files by the word or number in their names that tells sensors of one rig apart; {} where none does."""
+    """The files by the word or number in their names that tells sensors of one rig apart.
+
+    {} where none does.
+    """
     words = [set(re.findall(r"[a-z]+", file.stem.lower())) for file in files]
     for choices in _SENSOR_WORDS:
         named = [own.intersection(choices) for own in words]
         if all(len(name) == 1 for name in named) and len(set().union(*named)) > 1:
             return _group(files, [name.copy().pop() for name in named])
-    matches = [_NUMBERED.findall(file.stem) if len(_WHOLE.findall(file.stem)) > 1 else [] for file in files]
-    if all(len(found) == 1 for found in matches) and 1 < len({found[0] for found in matches}) <= _MAX_SENSORS:
-        return _group(files, [match[0].strip("_- ") for file in files if (match := _NUMBERED.search(file.stem))])
+    matches = [
+        _NUMBERED.findall(file.stem) if len(_WHOLE.findall(file.stem)) > 1 else [] for file in files
+    ]
+    if (
+        all(len(found) == 1 for found in matches)
+        and 1 < len({found[0] for found in matches}) <= _MAX_SENSORS
+    ):
+        return _group(
+            files,
+            [match[0].strip("_- ") for file in files if (match := _NUMBERED.search(file.stem))],
+        )
     return {}
 
 
@@ -136,15 +181,22 @@ def _group(files: Sequence[Path], names: Sequence[str]) -> dict[str, list[Path]]
 
 
 def select_common_numbers(groups: Mapping[str, Sequence[Path]]) -> dict[str, list[Path]]:
-    """The files of each sensor whose other words and numbers all sensors have, so that frames of one number pair up.
+    """The files of each sensor whose other words and numbers all sensors have, so that frames of
+    one number pair up.
 
     All files where less than half of them have: their numbers do not tell the moment.
     """
-    keyed = {name: {_drop_word(file.stem, name): file for file in files} for name, files in groups.items()}
+    keyed = {
+        name: {_drop_word(file.stem, name): file for file in files}
+        for name, files in groups.items()
+    }
     common = set[str].intersection(*(set(files) for files in keyed.values()))
     if 2 * len(common) < max(len(files) for files in groups.values()):
         return {name: list(files) for name, files in groups.items()}
-    return {name: [file for key, file in files.items() if key in common] for name, files in keyed.items()}
+    return {
+        name: [file for key, file in files.items() if key in common]
+        for name, files in keyed.items()
+    }
 
 
 def _drop_word(stem: str, word: str) -> str:
@@ -152,7 +204,10 @@ def _drop_word(stem: str, word: str) -> str:
 
 
 def find_subseries(files: Sequence[Path]) -> Mapping[str, list[Path]]:
-    """The files by all of their names but the number that counts frames; {} unless these are a few long series."""
+    """The files by all of their names but the number that counts frames.
+
+    {} unless these are a few long series.
+    """
     parts = [_DECIMAL.split(file.stem) for file in files]
     if len({len(row) for row in parts}) != 1 or len(parts[0]) < 2:
         return {}

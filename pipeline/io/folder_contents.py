@@ -1,8 +1,8 @@
 """Find the recording in a folder, or deeper in the tree of a data set.
 
-Known trees: frames in a folder of their own (YCB-Slide, next to films and drawings), each press in a folder of its own
-(calibrations of gs_sdk and gelslam), reference images in `bgs` (Sparsh), point clouds in `expand` (Punyo). Nothing is
-unpickled.
+Known trees: frames in a folder of their own (YCB-Slide, next to films and drawings), each press in
+a folder of its own (calibrations of gs_sdk and gelslam), reference images in `bgs` (Sparsh), point
+clouds in `expand` (Punyo). Nothing is unpickled.
 """
 
 import math
@@ -14,18 +14,30 @@ from pipeline.core.errors import FileProblem, escape_text
 from pipeline.core.files import read_arrays
 from pipeline.io.colour_layouts import find_colour_axis
 from pipeline.io.file_names import natural_sort_key, sort_series
-from pipeline.io.formats import RecordingFiles, explain_not_read, get_format, list_formats, list_suffixes
+from pipeline.io.formats import (
+    RecordingFiles,
+    explain_not_read,
+    get_format,
+    list_formats,
+    list_suffixes,
+)
 from pipeline.io.image_files import is_image_file, is_reference_file
 
 PICKLE_SUFFIXES = frozenset({".pkl", ".pickle"})
 PICKLE_REFUSAL = (
-    "a pickle can run code when it is loaded and is refused: in the program that made it, save the images as PNG "
+    "a pickle can run code when it is loaded and is refused: in the program that made it, save "
+    "the images as PNG "
     "files, or the arrays with numpy.savez"
 )
-_FRAME_FOLDERS = ("frames", "tactile_images", "expand")  # hold a sensor's images or clouds, whatever lies next to them
+# hold a sensor's images or clouds, whatever lies next to them
+_FRAME_FOLDERS = ("frames", "tactile_images", "expand")
 _TACTILE_FOLDER = re.compile(r"tactile|touch|digit|gel|finger", re.IGNORECASE)
-_OTHER_FOLDERS = frozenset({"webcam_frames", "gt_contactmasks", "gt_heightmaps", "obj_models", "bgs"})  # no sensor's
-_COMPANIONS = re.compile(r"^(tactile_data.*\.png|alignment\.npy|digit_data\.npy|synced_data\.npy)$")  # of YCB-Slide
+# no sensor's
+_OTHER_FOLDERS = frozenset(
+    {"webcam_frames", "gt_contactmasks", "gt_heightmaps", "obj_models", "bgs"}
+)
+# of YCB-Slide
+_COMPANIONS = re.compile(r"^(tactile_data.*\.png|alignment\.npy|digit_data\.npy|synced_data\.npy)$")
 _REFERENCE_FOLDER = "bgs"
 _MESH_SUFFIXES = frozenset({".stl", ".obj"})
 _MAX_LEVELS = 6  # folders below the one that was given
@@ -34,24 +46,40 @@ _MIN_SERIES = 2  # arrays of one image each, which are frames of one recording
 
 
 def find_recording(folder: Path) -> RecordingFiles:
-    """The files of the recording in `folder`; raises FileProblem where there is none, and OSError."""
-    at, notes, references, choices = folder, list[str](), list[Path](), tuple[Path, ...]()
+    """The files of the recording in `folder`.
+
+    Raises FileProblem where there is none, and OSError.
+    """
+    at = folder
+    notes = list[str]()
+    references = list[Path]()
+    choices = tuple[Path, ...]()
     for _ in range(_MAX_LEVELS):
         here = _Contents(at)
         references += here.references
         if here.frame_folder is not None:
             at = here.frame_folder
-            notes.append(f"the frames are those of {_relative_name(at, folder)}; other files there are left out")
+            notes.append(
+                f"the frames are those of {_relative_name(at, folder)}; other files there are "
+                "left out"
+            )
             continue
         if here.images:
             images = sort_series(here.images)
             return _image_files(folder, images, references + _nearby_references(at), notes, choices)
         folder_format = next((f.key for f in list_formats() if f.matches_folder(at)), "")
         if folder_format:
-            return RecordingFiles(path=at, format=folder_format, notes=tuple(notes), alternatives=choices)
+            return RecordingFiles(
+                path=at, format=folder_format, notes=tuple(notes), alternatives=choices
+            )
         if _are_arrays_of_one_image(here.files):
-            return RecordingFiles(path=at, format="array_series", images=tuple(sort_series(here.files)),
-                                  notes=tuple(notes), alternatives=choices)  # fmt: skip
+            return RecordingFiles(
+                path=at,
+                format="array_series",
+                images=tuple(sort_series(here.files)),
+                notes=tuple(notes),
+                alternatives=choices,
+            )
         if here.files:
             notes += _note_choice(here.files, folder)
             choices = choices or _list_choices(here.files)
@@ -59,11 +87,14 @@ def find_recording(folder: Path) -> RecordingFiles:
         presses = _single_images(here.folders)
         if presses:
             notes.append(f"{len(presses)} folders of one image each are taken as one recording")
-            return _image_files(folder, presses, references + _nearby_references(at), notes, choices)
+            return _image_files(
+                folder, presses, references + _nearby_references(at), notes, choices
+            )
         inner = [f for f in here.folders if _holds_recording(f)]
         if not inner:
             break
-        inner.sort(key=lambda f: not _TACTILE_FOLDER.search(f.name))  # before what was derived from it
+        # before what was derived from it
+        inner.sort(key=lambda f: not _TACTILE_FOLDER.search(f.name))
         if len(inner) > 1:
             notes += _note_choice(inner, folder)
         choices = choices or _list_choices(inner)
@@ -89,15 +120,25 @@ class _Contents:
 
 def _list_entries(folder: Path) -> list[Path]:
     """The entries in natural order, without hidden ones and companions of a data set."""
-    entries = [p for p in folder.iterdir() if not p.name.startswith(".") and not _COMPANIONS.match(p.name)]
+    entries = [
+        p for p in folder.iterdir() if not p.name.startswith(".") and not _COMPANIONS.match(p.name)
+    ]
     return sorted(entries, key=lambda p: natural_sort_key(p.stem))
 
 
 def _image_files(
-    folder: Path, images: list[Path], references: list[Path], notes: list[str], choices: tuple[Path, ...]
+    folder: Path,
+    images: list[Path],
+    references: list[Path],
+    notes: list[str],
+    choices: tuple[Path, ...],
 ) -> RecordingFiles:
     return RecordingFiles(
-        path=folder, images=tuple(images), references=tuple(references), notes=tuple(notes), alternatives=choices
+        path=folder,
+        images=tuple(images),
+        references=tuple(references),
+        notes=tuple(notes),
+        alternatives=choices,
     )
 
 
@@ -106,25 +147,34 @@ def _list_choices(paths: list[Path]) -> tuple[Path, ...]:
 
 
 def _nearby_references(folder: Path) -> list[Path]:
-    """Reference images in the `bgs` of this folder or its parent, else in the parent of a folder of presses."""
+    """Reference images in the `bgs` of this folder or its parent, else in the parent of a folder
+    of presses.
+    """
     found: list[Path] = []
     for place in (folder / _REFERENCE_FOLDER, folder.parent / _REFERENCE_FOLDER):
         if place.is_dir():
-            found += sorted(filter(is_image_file, place.iterdir()), key=lambda p: natural_sort_key(p.stem))
+            found += sorted(
+                filter(is_image_file, place.iterdir()), key=lambda p: natural_sort_key(p.stem)
+            )
     if not found and any(p.is_dir() for p in folder.iterdir()):
         found = [p for p in folder.parent.iterdir() if is_image_file(p) and is_reference_file(p)]
     return found
 
 
 def _single_images(folders: Iterable[Path]) -> list[Path]:
-    """The only image of each folder, or of folders in it; [] unless every folder holds exactly one."""
+    """The only image of each folder, or of folders in it.
+
+    [] unless every folder holds exactly one.
+    """
     out: list[Path] = []
     for folder in folders:
         entries = _list_entries(folder)
         images = [p for p in entries if is_image_file(p) and not is_reference_file(p)]
         if len(images) > 1 or folder.name in _FRAME_FOLDERS:
             return []
-        images = images or _single_images([p for p in entries if p.is_dir() and p.name not in _OTHER_FOLDERS])
+        images = images or _single_images(
+            [p for p in entries if p.is_dir() and p.name not in _OTHER_FOLDERS]
+        )
         if not images:
             return []
         out += images
@@ -133,26 +183,35 @@ def _single_images(folders: Iterable[Path]) -> list[Path]:
 
 def _holds_recording(folder: Path) -> bool:
     """Whether a file that can be read lies in the folder or at most `_MAX_LEVELS` below."""
-    level, suffixes = [folder], list_suffixes()
+    level = [folder]
+    suffixes = list_suffixes()
     for _ in range(_MAX_LEVELS):
         if any(get_format("zarr").matches_folder(f) for f in level):
             return True
         entries = [p for f in level for p in f.iterdir() if not p.name.startswith(".")]
         if any(p.suffix.lower() in suffixes or is_image_file(p) for p in entries):
             return True
-        level = [p for p in entries if p.is_dir() and p.name not in _OTHER_FOLDERS and not p.is_symlink()]
+        level = [
+            p for p in entries if p.is_dir() and p.name not in _OTHER_FOLDERS and not p.is_symlink()
+        ]
     return False
 
 
 def _are_arrays_of_one_image(files: list[Path]) -> bool:
-    """Whether all files are `.npy` arrays of one shape and type with one image each, and named as a series."""
+    """Whether all files are `.npy` arrays of one shape and type with one image each, and named
+    as a series.
+    """
     if len(files) < _MIN_SERIES or any(file.suffix.lower() != ".npy" for file in files):
         return False
     frames = [file for file in files if not is_reference_file(file)]
     if len({re.sub(r"\d+", "#", file.stem) for file in frames}) != 1:
         return False
     try:
-        kinds = {(array.shape, array.dtype) for file in frames for array in read_arrays(file, "the frame").values()}
+        kinds = {
+            (array.shape, array.dtype)
+            for file in frames
+            for array in read_arrays(file, "the frame").values()
+        }
     except FileProblem:
         return False
     shape, _ = kinds.pop()
@@ -164,9 +223,14 @@ def _note_choice(paths: list[Path], folder: Path) -> tuple[str, ...]:
     name = _relative_name(paths[0], folder)
     if len(paths) == 1:
         return (f"the folder's one recording is {name}",)
-    others = ", ".join(p.name for p in paths[1 : 1 + _MAX_NAMES]) + (" ..." if len(paths) > 1 + _MAX_NAMES else "")
+    others = ", ".join(p.name for p in paths[1 : 1 + _MAX_NAMES]) + (
+        " ..." if len(paths) > 1 + _MAX_NAMES else ""
+    )
     return (
-        escape_text(f"the folder holds {len(paths)} recordings; {name} is opened; open the others ({others}) by name"),
+        escape_text(
+            f"the folder holds {len(paths)} recordings; {name} is opened; open the others "
+            f"({others}) by name"
+        ),
     )
 
 
@@ -185,7 +249,8 @@ def _make_problem(folder: Path) -> FileProblem:
         return FileProblem(explain_not_read(not_read.name, b""), not_read)
     meshes = [p for p in entries if p.suffix.lower() in _MESH_SUFFIXES]
     problem = FileProblem(
-        f"the folder holds {len(meshes)} meshes and no recording; open one as the object of an open recording"
+        f"the folder holds {len(meshes)} meshes and no recording; open one as the object of an "
+        "open recording"
         if meshes
         else "the folder has no images and no recording of another kind",
         folder,

@@ -38,19 +38,25 @@ def open_recording(
 ) -> Recording:
     """The recording at `path`, a file or a folder; frames are read on demand.
 
-    `sensor` names the sensor where the file does not; it overrides the file's own name for the only stream, or for the
-    one that `stream` names. `reference` is an image or depth file without contact; `reference_frames` names frames of
-    the stream to make it of: "median", "untouched" or a number. `depth_unit` is the unit of depth arrays whose names
-    state none. Raises FileProblem, SettingProblem or CalibrationError.
+    `sensor` names the sensor where the file does not; it overrides the file's own name for the only
+    stream, or for the one that `stream` names. `reference` is an image or depth file without
+    contact; `reference_frames` names frames of the stream to make it of: "median", "untouched" or a
+    number. `depth_unit` is the unit of depth arrays whose names state none. Raises FileProblem,
+    SettingProblem or CalibrationError.
     """
-    path, options = (
-        Path(path),
-        ReadOptions(
-            sensor=sensor, stream=stream, reference=reference, reference_frames=reference_frames, depth_unit=depth_unit
-        ),
+    path = Path(path)
+    options = ReadOptions(
+        sensor=sensor,
+        stream=stream,
+        reference=reference,
+        reference_frames=reference_frames,
+        depth_unit=depth_unit,
     )
     if reference is not None and reference_frames:
-        raise SettingProblem("a reference is either a file or made of the recording's frames; leave out one of the two")
+        raise SettingProblem(
+            "a reference is either a file or made of the recording's frames; leave out one of the "
+            "two"
+        )
     mounted = open_mounted(path)
     if mounted is not None:
         return _override(mounted, options)
@@ -65,13 +71,17 @@ def open_recording(
         recording_format = detect_format(files)
         recording = _read_alternative(recording_format, files, options)
     except OSError as error:
-        raise FileProblem(f"cannot read the recording ({describe_os_error(error)})", path) from error
+        raise FileProblem(
+            f"cannot read the recording ({describe_os_error(error)})", path
+        ) from error
     if not recording_format.applies_options:
         return _override(replace(recording, notes=(*files.notes, *recording.notes)), options)
     return _use_own_frames(recording, options)
 
 
-def _read_alternative(recording_format: RecordingFormat, files: RecordingFiles, options: ReadOptions) -> Recording:
+def _read_alternative(
+    recording_format: RecordingFormat, files: RecordingFiles, options: ReadOptions
+) -> Recording:
     """The recording, or the error of its reader, with the other recordings of the folder."""
     try:
         return replace(recording_format.read(files, options), alternatives=files.alternatives)
@@ -128,7 +138,11 @@ def _override(recording: Recording, options: ReadOptions) -> Recording:
         if file is None:
             return _use_own_frames(recording, options)
         is_depth = not image_files.is_image_file(file) or depth_arrays.is_depth_image(file)
-        image = depth_arrays.read_depth_image(file, options.depth_unit) if is_depth else image_files.read_rgb(file)
+        image = (
+            depth_arrays.read_depth_image(file, options.depth_unit)
+            if is_depth
+            else image_files.read_rgb(file)
+        )
         return with_reference(recording, image, file, options.stream)
     except Exception:
         recording.close()
@@ -136,28 +150,41 @@ def _override(recording: Recording, options: ReadOptions) -> Recording:
 
 
 def _use_own_frames(recording: Recording, options: ReadOptions) -> Recording:
-    """The recording with the reference of its own frames that the user chose, for the stream of the user's choice."""
+    """The recording with the reference of its own frames that the user chose, for the stream of
+    the user's choice.
+    """
     if not options.reference_frames:
         return recording
     try:
-        stream = recording.stream(options.stream or (load_sensor(options.sensor).name if options.sensor else ""))
-        reference, note = reference_estimate.make_reference(stream, options.reference_frames, recording.path)
+        stream = recording.stream(
+            options.stream or (load_sensor(options.sensor).name if options.sensor else "")
+        )
+        reference, note = reference_estimate.make_reference(
+            stream, options.reference_frames, recording.path
+        )
     except Exception:
         recording.close()
         raise
-    kept = tuple(note for note in recording.notes if not note.endswith(image_files.NO_REFERENCE_NOTE))
-    return _replace_reference(replace(recording, notes=kept), stream, reference, f"{note}, as chosen")
+    kept = tuple(
+        note for note in recording.notes if not note.endswith(image_files.NO_REFERENCE_NOTE)
+    )
+    return _replace_reference(
+        replace(recording, notes=kept), stream, reference, f"{note}, as chosen"
+    )
 
 
 def with_sensor(recording: Recording, sensor: str, stream: str = "") -> Recording:
-    """The recording with `sensor` as the sensor of its only stream, or of the one that `stream` names.
+    """The recording with `sensor` as the sensor of its only stream, or of the one that `stream`
+    names.
 
-    Else of the only stream that does not name its sensor, or of those of them that have its image size.
+    Else of the only stream that does not name its sensor, or of those of them that have its image
+    size.
     """
     if not sensor:
         return recording
     spec = load_sensor(sensor)
-    name, asked = spec.name, [s for s in recording.streams if s.name == stream]
+    name = spec.name
+    asked = [s for s in recording.streams if s.name == stream]
     meant = asked or (list(recording.streams) if len(recording.streams) == 1 else [])
     if not meant:
         meant = [s for s in recording.streams if not s.sensor]
@@ -172,31 +199,43 @@ def _has_size(stream: Stream, spec: SensorSpec) -> bool:
     return stream.n_frames > 0 and stream.frame(0).image.shape[:2] == spec.camera.shape
 
 
-def with_reference(recording: Recording, reference: Image | Floats, origin: Path, stream: str = "") -> Recording:
+def with_reference(
+    recording: Recording, reference: Image | Floats, origin: Path, stream: str = ""
+) -> Recording:
     """The recording with another reference for its only stream, or for the one that `stream` names.
 
     Raises SettingProblem for several streams of which none is named.
     """
     if len(recording.streams) != 1 and not stream:
         raise SettingProblem(
-            f"a reference can be given for one stream, this recording has {len(recording.streams)}; choose it with "
+            "a reference can be given for one stream, this recording has "
+            f"{len(recording.streams)}; choose it with "
             f"--stream: '{origin}'"
         )
-    return _replace_reference(recording, recording.stream(stream), reference, f"{origin.name} is the reference", origin)
+    return _replace_reference(
+        recording, recording.stream(stream), reference, f"{origin.name} is the reference", origin
+    )
 
 
 def _replace_reference(
-    recording: Recording, changed: Stream, reference: Image | Floats, note: str, origin: Path | None = None
+    recording: Recording,
+    changed: Stream,
+    reference: Image | Floats,
+    note: str,
+    origin: Path | None = None,
 ) -> Recording:
     def replace_reference(frame: TactileFrame) -> TactileFrame:
         if frame.image.shape != reference.shape:
             raise ShapeError(
-                f"the reference has shape {reference.shape} and frame {frame.index} {frame.image.shape}: "
+                f"the reference has shape {reference.shape} and frame {frame.index} "
+                f"{frame.image.shape}: "
                 f"'{origin or recording.path}'"
             )
         return replace(frame, reference=reference)
 
-    streams = tuple(_map_frames(s, replace_reference) if s is changed else s for s in recording.streams)
+    streams = tuple(
+        _map_frames(s, replace_reference) if s is changed else s for s in recording.streams
+    )
     refresh = recording.refresh
 
     def refresh_with_reference() -> Recording:
@@ -204,8 +243,12 @@ def _replace_reference(
         grown = refresh()
         return _replace_reference(grown, grown.stream(changed.name), reference, note, origin)
 
-    return replace(recording, streams=streams, notes=(*recording.notes, note),
-                   refresh=None if refresh is None else refresh_with_reference)  # fmt: skip
+    return replace(
+        recording,
+        streams=streams,
+        notes=(*recording.notes, note),
+        refresh=None if refresh is None else refresh_with_reference,
+    )
 
 
 def _replace_sensor(stream: Stream, sensor: str) -> Stream:

@@ -1,7 +1,8 @@
 """The table of file formats that recordings are read from.
 
-Readers, file dialogs and help texts are derived from `FORMATS`. Another package adds a format by the entry point group
-`tactoscope.formats`, whose value is a `RecordingFormat`, or by `register_format`.
+Readers, file dialogs and help texts are derived from `FORMATS`. Another package adds a format by
+the entry point group `tactoscope.formats`, whose value is a `RecordingFormat`, or by
+`register_format`.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ class RecordingFiles:
     images: tuple[Path, ...] = ()  # image files in order
     references: tuple[Path, ...] = ()  # image files of the sensor without contact
     notes: tuple[str, ...] = ()  # what was chosen or left out
-    alternatives: tuple[Path, ...] = ()  # the recordings of the folder, where it holds several; the first is chosen
+    # the recordings of the folder, where it holds several; the first is chosen
+    alternatives: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,9 +42,11 @@ class ReadOptions:
     """What the user states about a recording."""
 
     sensor: str = ""  # name or TOML file; "" = not stated
-    stream: str = ""  # name of the stream that sensor and reference are about; "" = the format's choice
+    # name of the stream that sensor and reference are about; "" = the format's choice
+    stream: str = ""
     reference: Path | None = None  # image or depth file of the sensor without contact
-    reference_frames: str = ""  # frames of the recording to make the reference of (`reference_estimate`); "" = none
+    # frames of the recording to make the reference of (`reference_estimate`); "" = none
+    reference_frames: str = ""
     depth_unit: DepthUnit = "auto"  # of depth arrays whose names state none
 
 
@@ -53,12 +57,14 @@ class RecordingFormat:
     key: str
     title: str  # noun phrase for dialogs and messages
     content: str  # what the format brings
-    reader: str | Callable[..., Any]  # (Path) -> Recording; with `applies_options` (RecordingFiles, ReadOptions)
+    # (Path) -> Recording; with `applies_options` (RecordingFiles, ReadOptions)
+    reader: str | Callable[..., Any]
     suffixes: tuple[str, ...] = ()  # of its files, lower case; () = a folder only
     signatures: tuple[bytes, ...] = ()  # first bytes of a file, which count more than the suffix
     matches: str = ""  # (RecordingFiles) -> bool, among formats of one suffix; "" = always
     folder: str = ""  # (Path) -> bool: a folder is one recording of this format; "" = never
-    applies_options: bool = False  # whether the reader applies sensor and reference itself; else it is done for it
+    # whether the reader applies sensor and reference itself; else it is done for it
+    applies_options: bool = False
 
     def matches_files(self, files: RecordingFiles) -> bool:
         """Whether the content of `files` is of this format."""
@@ -69,10 +75,14 @@ class RecordingFormat:
         return bool(self.folder) and self._ask(self.folder, folder)
 
     def _ask(self, reference: str, of: RecordingFiles | Path) -> bool:
-        """What a function says; no, where one of another package fails: it would refuse the files of other formats."""
+        """What a function says; no, where one of another package fails: it would refuse the
+        files of other formats.
+        """
         if self in FORMATS:
             return bool(load_reference(reference)(of))
-        return call_package(lambda: bool(load_reference(reference)(of)), False, f"the format {self.key!r}")
+        return call_package(
+            lambda: bool(load_reference(reference)(of)), False, f"the format {self.key!r}"
+        )
 
     def read(self, files: RecordingFiles, options: ReadOptions) -> Recording:
         """Open the recording; raises FileProblem, SettingProblem or CalibrationError."""
@@ -83,105 +93,189 @@ class RecordingFormat:
 _ZIP = b"PK\x03\x04"
 _READERS = "pipeline.io"
 _NOT_READ = (  # (first bytes, suffixes) of kinds of recordings that are not read -> what to do
-    ((b"#ROSBAG",), (".bag",), "a ROS 1 bag is not read; run 'mcap convert FILE.bag FILE.mcap' and open the new file"),
-    ((b"SQLite format 3",), (".db3",), "a ROS 2 bag of SQLite is not read; run 'mcap convert FILE.db3 FILE.mcap' and "
-     "open the new file"),
-    ((b"MATLAB",), (".mat",), "a MATLAB file is not read; save its images in Python: numpy.save('frames.npy', "
-     "scipy.io.loadmat(FILE)[NAME])"),
+    (
+        (b"#ROSBAG",),
+        (".bag",),
+        "a ROS 1 bag is not read; run 'mcap convert FILE.bag FILE.mcap' and open the new file",
+    ),
+    (
+        (b"SQLite format 3",),
+        (".db3",),
+        "a ROS 2 bag of SQLite is not read; run 'mcap convert FILE.db3 FILE.mcap' and "
+        "open the new file",
+    ),
+    (
+        (b"MATLAB",),
+        (".mat",),
+        "a MATLAB file is not read; save its images in Python: numpy.save('frames.npy', "
+        "scipy.io.loadmat(FILE)[NAME])",
+    ),
     ((), (".tfrecord",), "TFRecords (RLDS) are not read; save the tactile images with numpy.save"),
-    ((), (".zip", ".tar", ".gz", ".tgz", ".7z", ".rar"), "an archive is not read; unpack it and open the folder"),
+    (
+        (),
+        (".zip", ".tar", ".gz", ".tgz", ".7z", ".rar"),
+        "an archive is not read; unpack it and open the folder",
+    ),
     ((), (".rrd",), "a Rerun file is not read; open the recording that it was exported from"),
-)  # fmt: skip
+)
 FORMATS = (  # of formats that share a suffix the first that matches is used
     RecordingFormat(
-        key="robot_hdf5", title="robomimic or ACT data set", suffixes=(".h5", ".hdf5"),
-        signatures=(b"\x89HDF\r\n\x1a\n",), content="images of tactile cameras", applies_options=True,
-        reader=f"{_READERS}.robot_data:read_hdf5", matches=f"{_READERS}.robot_data:is_robot_file",
+        key="robot_hdf5",
+        title="robomimic or ACT data set",
+        suffixes=(".h5", ".hdf5"),
+        signatures=(b"\x89HDF\r\n\x1a\n",),
+        content="images of tactile cameras",
+        applies_options=True,
+        reader=f"{_READERS}.robot_data:read_hdf5",
+        matches=f"{_READERS}.robot_data:is_robot_file",
     ),
     RecordingFormat(
-        key="zarr", title="Zarr replay buffer", content="images of tactile cameras", applies_options=True,
-        reader=f"{_READERS}.robot_data:read_zarr", folder=f"{_READERS}.robot_data:is_zarr",
+        key="zarr",
+        title="Zarr replay buffer",
+        content="images of tactile cameras",
+        applies_options=True,
+        reader=f"{_READERS}.robot_data:read_zarr",
+        folder=f"{_READERS}.robot_data:is_zarr",
     ),
     RecordingFormat(
-        key="hdf5", title="Tactoscope recording", suffixes=(".h5", ".hdf5"), signatures=(b"\x89HDF\r\n\x1a\n",),
-        content="frames, references, times, ground truth, object mesh and alignment of several sensors",
+        key="hdf5",
+        title="Tactoscope recording",
+        suffixes=(".h5", ".hdf5"),
+        signatures=(b"\x89HDF\r\n\x1a\n",),
+        content="frames, references, times, ground truth, object mesh and alignment of several "
+        "sensors",
         reader=f"{_READERS}.hdf5:read",
     ),
     RecordingFormat(
-        key="touch2touch", title="touch2touch grasps", suffixes=(".pt", ".pth"), signatures=(_ZIP,),
+        key="touch2touch",
+        title="touch2touch grasps",
+        suffixes=(".pt", ".pth"),
+        signatures=(_ZIP,),
         content="frames and references of two fingers, bubble poses, tool mesh",
-        reader=f"{_READERS}.touch2touch:read", matches=f"{_READERS}.touch2touch:is_grasp_file",
+        reader=f"{_READERS}.touch2touch:read",
+        matches=f"{_READERS}.touch2touch:is_grasp_file",
         folder=f"{_READERS}.grasp_files:is_grasp_folder",
     ),
     RecordingFormat(
-        key="gelslim_depth", title="gelslim_depth dictionary", suffixes=(".pt", ".pth"), signatures=(_ZIP,),
+        key="gelslim_depth",
+        title="gelslim_depth dictionary",
+        suffixes=(".pt", ".pth"),
+        signatures=(_ZIP,),
         content="frames, references and depth of two fingers",
-        reader=f"{_READERS}.gelslim_depth:read", matches=f"{_READERS}.torch_files:is_torch_file",
+        reader=f"{_READERS}.gelslim_depth:read",
+        matches=f"{_READERS}.torch_files:is_torch_file",
     ),
     RecordingFormat(
-        key="colour_arrays", title="Colour arrays", suffixes=(".npz", ".npy"), signatures=(b"\x93NUMPY", _ZIP),
-        content="images of a gel, or their differences from the reference", applies_options=True,
-        reader=f"{_READERS}.colour_arrays:read", matches=f"{_READERS}.colour_arrays:is_colour_file",
+        key="colour_arrays",
+        title="Colour arrays",
+        suffixes=(".npz", ".npy"),
+        signatures=(b"\x93NUMPY", _ZIP),
+        content="images of a gel, or their differences from the reference",
+        applies_options=True,
+        reader=f"{_READERS}.colour_arrays:read",
+        matches=f"{_READERS}.colour_arrays:is_colour_file",
     ),
     RecordingFormat(
-        key="depth_arrays", title="Depth arrays", suffixes=(".npz", ".npy"), signatures=(b"\x93NUMPY", _ZIP),
-        content="depth images with times and camera matrix", applies_options=True,
+        key="depth_arrays",
+        title="Depth arrays",
+        suffixes=(".npz", ".npy"),
+        signatures=(b"\x93NUMPY", _ZIP),
+        content="depth images with times and camera matrix",
+        applies_options=True,
         reader=f"{_READERS}.depth_arrays:read",
     ),
     RecordingFormat(
-        key="array_series", title="One array a frame", content="images of a gel or depth images",
-        applies_options=True, reader=f"{_READERS}.colour_arrays:read_series",
+        key="array_series",
+        title="One array a frame",
+        content="images of a gel or depth images",
+        applies_options=True,
+        reader=f"{_READERS}.colour_arrays:read_series",
     ),
     RecordingFormat(
-        key="video", title="Video", suffixes=(".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"),
-        content="images of a gel with times", applies_options=True, reader=f"{_READERS}.video:read",
+        key="video",
+        title="Video",
+        suffixes=(".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"),
+        content="images of a gel with times",
+        applies_options=True,
+        reader=f"{_READERS}.video:read",
     ),
     RecordingFormat(
-        key="mcap", title="MCAP", suffixes=(".mcap",), signatures=(b"\x89MCAP0\r\n",),
-        content="image topics of Foxglove and ROS 2 with times", applies_options=True,
+        key="mcap",
+        title="MCAP",
+        suffixes=(".mcap",),
+        signatures=(b"\x89MCAP0\r\n",),
+        content="image topics of Foxglove and ROS 2 with times",
+        applies_options=True,
         reader=f"{_READERS}.mcap_images:read",
     ),
     RecordingFormat(
-        key="lerobot", title="LeRobot data set", content="tactile cameras with times", applies_options=True,
-        reader=f"{_READERS}.lerobot:read", folder=f"{_READERS}.lerobot:is_data_set",
+        key="lerobot",
+        title="LeRobot data set",
+        content="tactile cameras with times",
+        applies_options=True,
+        reader=f"{_READERS}.lerobot:read",
+        folder=f"{_READERS}.lerobot:is_data_set",
     ),
     RecordingFormat(
-        key="tacquad", title="TacQuad touch", content="images of a GelSight Mini and a DIGIT",
-        reader=f"{_READERS}.tacquad:read", folder=f"{_READERS}.tacquad:is_touch_folder",
+        key="tacquad",
+        title="TacQuad touch",
+        content="images of a GelSight Mini and a DIGIT",
+        reader=f"{_READERS}.tacquad:read",
+        folder=f"{_READERS}.tacquad:is_touch_folder",
     ),
     RecordingFormat(
-        key="depth_images", title="16-bit depth images", suffixes=IMAGE_SUFFIXES,
-        content="depth images", applies_options=True,
-        reader=f"{_READERS}.depth_arrays:read_image_folder", matches=f"{_READERS}.depth_arrays:are_depth_images",
+        key="depth_images",
+        title="16-bit depth images",
+        suffixes=IMAGE_SUFFIXES,
+        content="depth images",
+        applies_options=True,
+        reader=f"{_READERS}.depth_arrays:read_image_folder",
+        matches=f"{_READERS}.depth_arrays:are_depth_images",
     ),
     RecordingFormat(
-        key="images", title="Images", suffixes=IMAGE_SUFFIXES,
-        content="images of a gel and its reference", applies_options=True,
+        key="images",
+        title="Images",
+        suffixes=IMAGE_SUFFIXES,
+        content="images of a gel and its reference",
+        applies_options=True,
         reader=f"{_READERS}.image_folder:read",
     ),
     RecordingFormat(
-        key="point_clouds", title="Punyo point clouds", content="depth images and camera",
-        reader=f"{_READERS}.point_clouds:read", folder=f"{_READERS}.point_clouds:is_cloud_folder",
+        key="point_clouds",
+        title="Punyo point clouds",
+        content="depth images and camera",
+        reader=f"{_READERS}.point_clouds:read",
+        folder=f"{_READERS}.point_clouds:is_cloud_folder",
     ),
-)  # fmt: skip
+)
 _registered: list[RecordingFormat] = []
 
 
 def register_format(recording_format: RecordingFormat) -> None:
-    """Add a format for this process; it is tried before those of the project. A later one of the same key wins."""
+    """Add a format for this process.
+
+    It is tried before those of the project. A later one of the same key wins.
+    """
     _registered[:] = [f for f in _registered if f.key != recording_format.key]
     _registered.insert(0, recording_format)
 
 
 def list_formats() -> tuple[RecordingFormat, ...]:
-    """Every format in the order in which it is tried: registered, of other packages, of the project."""
+    """Every format in the order in which it is tried: registered, of other packages, of the
+    project.
+    """
     return (*_registered, *load_entry_points("tactoscope.formats", RecordingFormat), *FORMATS)
 
 
 def explain_not_read(name: str, head: bytes) -> str:
-    """What to do with a file of a known kind that is not read, by its name and first bytes; "" for another."""
+    """What to do with a file of a known kind that is not read, by its name and first bytes.
+
+    "" for another.
+    """
     for marks, suffixes, text in _NOT_READ:
-        if head.startswith(marks or (b"\0no signature",)) or any(f"{s}-" in f"{name.lower()}-" for s in suffixes):
+        if head.startswith(marks or (b"\0no signature",)) or any(
+            f"{s}-" in f"{name.lower()}-" for s in suffixes
+        ):
             return text
     return ""
 
@@ -200,7 +294,9 @@ def list_suffixes() -> tuple[str, ...]:
 def make_dialog_filter() -> str:
     """The filter of a file dialog: all recordings, each format, all files."""
     kinds = {f"{f.title} ({_patterns(f.suffixes)})": None for f in list_formats() if f.suffixes}
-    return ";;".join([f"Recordings ({_patterns((*list_suffixes(), *IMAGE_SUFFIXES))})", *kinds, "All files (*)"])
+    return ";;".join(
+        [f"Recordings ({_patterns((*list_suffixes(), *IMAGE_SUFFIXES))})", *kinds, "All files (*)"]
+    )
 
 
 def describe_formats() -> str:

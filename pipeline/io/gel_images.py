@@ -1,7 +1,8 @@
 """What all readers of gel images share: sensor, size and reference.
 
-Some training sets keep differences only, frames minus their reference, with mid-grey (or zero, in floats) for no
-change. Slopes follow from the change relative to the reference brightness, so a described reference is good enough.
+Some training sets keep differences only, frames minus their reference, with mid-grey (or zero, in
+floats) for no change. Slopes follow from the change relative to the reference brightness, so a
+described reference is good enough.
 """
 
 import math
@@ -23,10 +24,14 @@ from pipeline.sensors.spec import SensorSpec, load_sensor
 
 MID_GREY = 128.0  # grey level
 _MAX_FROM_MID_GREY = 16.0  # grey levels of a pixel without change
-_MIN_QUIET_SHARE = 0.5  # of the pixels of a difference; at most a third of a gel's reference image is mid-grey
-_UNIFORM_GREY, _MIN_COLOUR_GREY = 8, 0.5  # grey levels: range of an image that says nothing; mean between channels
+# of the pixels of a difference; at most a third of a gel's reference image is mid-grey
+_MIN_QUIET_SHARE = 0.5
+# grey levels: range of an image that says nothing; mean between channels
+_UNIFORM_GREY = 8
+_MIN_COLOUR_GREY = 0.5
 DIFFERENCE_NOTE = (
-    "the images are differences from a reference (mid-grey or zero is no change); the reference follows from the "
+    "the images are differences from a reference (mid-grey or zero is no change); the reference "
+    "follows from the "
     "sensor description, and a difference that was halved gives half the depth"
 )
 
@@ -40,12 +45,19 @@ class ImpliedReference:
 
     def restore_image(self, difference: NDArray[np.generic]) -> Image:
         """The frame (rows, cols, 3) uint8 whose difference this is."""
-        image = self.reference.astype(np.float32) + difference.astype(np.float32) - np.float32(self.no_change_grey)
+        image = (
+            self.reference.astype(np.float32)
+            + difference.astype(np.float32)
+            - np.float32(self.no_change_grey)
+        )
         return freeze(np.clip(np.rint(image), 0, 255).astype(np.uint8))
 
 
 def estimate_no_change_grey(image: Image) -> float | None:
-    """The grey level of no change in a difference image (rows, cols, 3); None for an image of a camera."""
+    """The grey level of no change in a difference image (rows, cols, 3).
+
+    None for an image of a camera.
+    """
     near = (np.abs(image.astype(np.float32) - MID_GREY) <= _MAX_FROM_MID_GREY).all(axis=2)
     return float(np.median(image[near])) if near.mean() > _MIN_QUIET_SHARE else None
 
@@ -53,7 +65,10 @@ def estimate_no_change_grey(image: Image) -> float | None:
 def derive_implied_reference(
     spec: SensorSpec | None, shape: tuple[int, int], no_change_grey: float
 ) -> ImpliedReference:
-    """The described reference image without markers; plain mid-grey where the sensor or its optics are not known."""
+    """The described reference image without markers.
+
+    Plain mid-grey where the sensor or its optics are not known.
+    """
     if spec is None or spec.optics is None or spec.camera.shape != shape:
         light = np.full((*shape, 3), MID_GREY)
     else:
@@ -65,10 +80,12 @@ def require_colour(images: Iterable[Image], path: Path) -> None:
     """Raise FileProblem where all images are grey; one that is uniform (black) says nothing."""
     textured = [image for image in images if int(image.max()) - int(image.min()) > _UNIFORM_GREY]
     if textured and all(
-        float((image.max(axis=2) - image.min(axis=2)).mean(dtype=np.float64)) < _MIN_COLOUR_GREY for image in textured
+        float((image.max(axis=2) - image.min(axis=2)).mean(dtype=np.float64)) < _MIN_COLOUR_GREY
+        for image in textured
     ):
         raise FileProblem(
-            "the images are grey, and a gel's slopes are read from its colours: record or convert it in colour; depth "
+            "the images are grey, and a gel's slopes are read from its colours: record or convert "
+            "it in colour; depth "
             "is read from images of 16 bits",
             path,
         )
@@ -85,21 +102,40 @@ class GelImageConverter:
     implied_reference: ImpliedReference | None  # None = the images are no differences
 
     def convert_image(self, raw: NDArray[np.generic]) -> Image:
-        """The camera image (rows, cols, 3) uint8 of the sensor's size for a stored image; of a difference, restored."""
+        """The camera image (rows, cols, 3) uint8 of the sensor's size for a stored image.
+
+        Of a difference, restored.
+        """
         stored = self._convert_stored(raw)
-        return stored if self.implied_reference is None else self.implied_reference.restore_image(stored)
+        return (
+            stored
+            if self.implied_reference is None
+            else self.implied_reference.restore_image(stored)
+        )
 
     def _convert_stored(self, raw: NDArray[np.generic]) -> Image:
-        if self.implied_reference is not None and raw.dtype != np.uint8:  # signed difference in grey levels
-            raw = np.clip(np.rint(raw.astype(np.float32) + self.implied_reference.no_change_grey), 0, 255)
+        # signed difference in grey levels
+        if self.implied_reference is not None and raw.dtype != np.uint8:
+            raw = np.clip(
+                np.rint(raw.astype(np.float32) + self.implied_reference.no_change_grey), 0, 255
+            )
         image = np.asarray(raw, np.uint8)
         return image if self.resampling_fit is None else self.resampling_fit.resample_image(image)
 
-    def make_frame(self, raw: NDArray[np.generic], index: int, origin: str, time_s: float = math.nan) -> TactileFrame:
+    def make_frame(
+        self, raw: NDArray[np.generic], index: int, origin: str, time_s: float = math.nan
+    ) -> TactileFrame:
         """The frame of a stored image, which holds a difference as it is stored too."""
         stored = None if self.implied_reference is None else self._convert_stored(raw)
-        return TactileFrame(sensor=self.sensor, image=self.convert_image(raw), reference=self.reference, index=index,
-                            time_s=time_s, origin=origin, stored_image=stored)  # fmt: skip
+        return TactileFrame(
+            sensor=self.sensor,
+            image=self.convert_image(raw),
+            reference=self.reference,
+            index=index,
+            time_s=time_s,
+            origin=origin,
+            stored_image=stored,
+        )
 
 
 def make_gel_converter(
@@ -112,9 +148,9 @@ def make_gel_converter(
 ) -> GelImageConverter:
     """The converter for stored images of `shape` (rows, cols).
 
-    `sensor` is the stated sensor or "", `reference` the stored reference image, `read_first` reads one stored image,
-    uint8 or a signed difference; `file_names` of the images may name the sensor. Raises SettingProblem for an unknown
-    sensor, and what `read_first` raises.
+    `sensor` is the stated sensor or "", `reference` the stored reference image, `read_first` reads
+    one stored image, uint8 or a signed difference; `file_names` of the images may name the sensor.
+    Raises SettingProblem for an unknown sensor, and what `read_first` raises.
     """
     name, notes = resolve_sensor_name(sensor, shape, is_depth=False, file_names=file_names)
     spec = load_sensor(sensor or name) if sensor or name else None
@@ -124,7 +160,9 @@ def make_gel_converter(
     no_change_grey = None if reference is not None else _find_no_change_grey(first)
     implied = None
     if no_change_grey is not None:
-        implied = derive_implied_reference(spec, shape if fit is None else fit.shape, no_change_grey)
+        implied = derive_implied_reference(
+            spec, shape if fit is None else fit.shape, no_change_grey
+        )
         reference = implied.reference
     elif reference is not None and fit is not None:
         reference = fit.resample_image(reference)

@@ -1,8 +1,9 @@
 """The gelslim_depth data set: one `.pt` file of many grasps, both fingers in the channels.
 
-Keys and shapes are those of the published data: `tactile_image`, `base_tactile_image` (n, 6, 320, 427) with the left
-finger's RGB before the right one's, `depth_image` (n, 2, 320, 427) in mm: 0 without contact, negative where pressed.
-Images of another size, as the package's own networks take them, are resampled to the sensor's.
+Keys and shapes are those of the published data: `tactile_image`, `base_tactile_image` (n, 6, 320,
+427) with the left finger's RGB before the right one's, `depth_image` (n, 2, 320, 427) in mm: 0
+without contact, negative where pressed. Images of another size, as the package's own networks take
+them, are resampled to the sensor's.
 """
 
 from collections.abc import Mapping
@@ -25,9 +26,12 @@ _SIGN_TOLERANCE_MM = 0.05  # interpolation leaves a little above zero
 
 
 def read(path: Path) -> Recording:
-    """Two streams, `left` and `right`; the truth is indentation_mm = -depth_image where the file has one.
+    """Two streams, `left` and `right`.
 
-    Raises FileProblem for a missing key, or images whose sides have another ratio than the sensor's.
+    The truth is indentation_mm = -depth_image where the file has one.
+
+    Raises FileProblem for a missing key, or images whose sides have another ratio than the
+    sensor's.
     """
     tensors = torch_files.load_tensors(path)
     images = torch_files.require_tensor(tensors, "tactile_image", path, (None, 6, None, None))
@@ -36,10 +40,17 @@ def read(path: Path) -> Recording:
     base = torch_files.require_tensor_rows(tensors, "base_tactile_image", path, (6, *shape))
     # The data set's readme has the plural, its files the singular.
     depth_key = next((k for k in ("depth_image", "depth_images") if k in tensors), "")
-    depth = torch_files.require_tensor(tensors, depth_key, path, (None, 2, *shape)) if depth_key else None
+    depth = (
+        torch_files.require_tensor(tensors, depth_key, path, (None, 2, *shape))
+        if depth_key
+        else None
+    )
     n = int(images.shape[0])
     if len(base) not in (1, n) or (depth is not None and len(depth) != n):
-        raise FileProblem(f"tactile_image has {n} grasps, but base_tactile_image or {depth_key} another number", path)
+        raise FileProblem(
+            f"tactile_image has {n} grasps, but base_tactile_image or {depth_key} another number",
+            path,
+        )
 
     def stream(finger: int) -> Stream:
         channels = slice(3 * finger, 3 * finger + 3)
@@ -53,53 +64,86 @@ def read(path: Path) -> Recording:
                 )
             )
             if fit is not None:
-                image, reference = fit.resample_image(image), fit.resample_image(reference)
+                image = fit.resample_image(image)
+                reference = fit.resample_image(reference)
             return TactileFrame(
-                sensor="gelslim", image=image, reference=reference, index=index, origin=f"{path} [{_FINGERS[finger]}]",
+                sensor="gelslim",
+                image=image,
+                reference=reference,
+                index=index,
+                origin=f"{path} [{_FINGERS[finger]}]",
                 grasp_range=(float(images[index].min()), float(images[index].max())),
-            )  # fmt: skip
+            )
 
         def truth(index: int) -> Truth | None:
-            return None if depth is None else _truth(depth[index, finger], index, depth_key, path, fit)
+            return (
+                None if depth is None else _truth(depth[index, finger], index, depth_key, path, fit)
+            )
 
-        return Stream(name=_FINGERS[finger], sensor="gelslim", n_frames=n, has_truth=depth is not None,
-                      frame=with_index_check(frame, n, path), truth=with_index_check(truth, n, path))  # fmt: skip
+        return Stream(
+            name=_FINGERS[finger],
+            sensor="gelslim",
+            n_frames=n,
+            has_truth=depth is not None,
+            frame=with_index_check(frame, n, path),
+            truth=with_index_check(truth, n, path),
+        )
 
     return Recording(
-        path=path, format="gelslim_depth dictionary", streams=(stream(0), stream(1)), notes=_notes(tensors, fit)
+        path=path,
+        format="gelslim_depth dictionary",
+        streams=(stream(0), stream(1)),
+        notes=_notes(tensors, fit),
     )
 
 
 def _fit_size(shape: tuple[int, int], path: Path) -> ResamplingFit | None:
-    """The resampling of images of this size; None for the sensor's own. Raises FileProblem for other proportions."""
+    """The resampling of images of this size.
+
+    None for the sensor's own. Raises FileProblem for other proportions.
+    """
     sensor = load_sensor("gelslim")
     fit = resampling.fit_resampling(sensor, shape)
     rows, cols = sensor.camera.shape
     if shape == (rows, cols) or (fit is not None and not fit.is_rotated):
         return fit
     raise FileProblem(
-        f"tactile_image has {shape[1]} x {shape[0]} px; images of {sensor.title} have {cols} x {rows} px, or another "
+        f"tactile_image has {shape[1]} x {shape[0]} px; images of {sensor.title} have {cols} x "
+        f"{rows} px, or another "
         "size of the same proportions: crop them",
-        path, field="tactile_image",
-    )  # fmt: skip
+        path,
+        field="tactile_image",
+    )
 
 
 def _truth(depth: Any, index: int, key: str, path: Path, fit: ResamplingFit | None) -> Truth:
     values = depth.float().numpy()
     field = f"frame {index} {key}"
     if not np.isfinite(values).all():
-        raise FileProblem(f"{key} of frame {index} has values that are not finite", path, field=field)
-    low, high = float(values.min()), float(values.max())
+        raise FileProblem(
+            f"{key} of frame {index} has values that are not finite", path, field=field
+        )
+    low = float(values.min())
+    high = float(values.max())
     if high > _SIGN_TOLERANCE_MM:
-        raise FileProblem(f"{key} of frame {index} must not be positive, got {high:g} mm", path, field=field)
+        raise FileProblem(
+            f"{key} of frame {index} must not be positive, got {high:g} mm", path, field=field
+        )
     if low < -_MAX_DEPTH_MM:
         raise FileProblem(f"{key} of frame {index} must be in mm, got {low:g}", path, field=field)
     indentation = np.maximum(-values, 0.0, dtype=np.float32)
-    return Truth(indentation_mm=freeze(indentation if fit is None else fit.resample_field(indentation)))
+    return Truth(
+        indentation_mm=freeze(indentation if fit is None else fit.resample_field(indentation))
+    )
 
 
 def _notes(tensors: Mapping[str, Any], fit: ResamplingFit | None) -> tuple[str, ...]:
-    notes = ["depth images are taken as millimetres, negative where pressed", *(() if fit is None else (fit.note,))]
+    notes = [
+        "depth images are taken as millimetres, negative where pressed",
+        *(() if fit is None else (fit.note,)),
+    ]
     if "in_hand_pose" in tensors:
-        notes.append("in_hand_pose is left out: its documentation says millimetres, its programs read metres")
+        notes.append(
+            "in_hand_pose is left out: its documentation says millimetres, its programs read metres"
+        )
     return tuple(notes)

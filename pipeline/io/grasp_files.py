@@ -1,8 +1,9 @@
 """Files of a touch2touch data set: which belong to one grasp, and to which split.
 
-Layouts of the published sets: `<split>/{bubbles,gelslims}/data/..._<tool>/data_<i>.pt`, `<split>/{bubbles,gelslims}/
-<tool>_data_<i>.pt`, undistorted images in `gelslims_no_distortion` or `gelslims_undistorted`, depth in
-`<folder>_depth`, and `split.json`, which lists (tool, number) by split. A split is the folder of both sensors' folders.
+Layouts of the published sets: `<split>/{bubbles,gelslims}/data/..._<tool>/data_<i>.pt`,
+`<split>/{bubbles,gelslims}/ <tool>_data_<i>.pt`, undistorted images in `gelslims_no_distortion` or
+`gelslims_undistorted`, depth in `<folder>_depth`, and `split.json`, which lists (tool, number) by
+split. A split is the folder of both sensors' folders.
 """
 
 import os
@@ -18,14 +19,18 @@ from pipeline.core.typed_data import Name, convert
 from pipeline.core.values.frames import Grasp
 from pipeline.io import torch_files
 
-BUBBLE, GEL = "soft_bubble", "gelslim"
+BUBBLE = "soft_bubble"
+GEL = "gelslim"
 SENSORS = (GEL, BUBBLE)
 _KEYS = {"bubble_imprint": BUBBLE, "gelslim": GEL}  # a tensor of the file -> its sensor
 _NAME = re.compile(r"^(?:(?P<tool>.+)_)?data_(?P<number>\d+)$")
-_TOOL_FOLDER = re.compile(r"^(?:bubble|gelslim)_style_transfer_dataset_(?:bubbles|gelslim)_(?P<tool>.+)$")
+_TOOL_FOLDER = re.compile(
+    r"^(?:bubble|gelslim)_style_transfer_dataset_(?:bubbles|gelslim)_(?P<tool>.+)$"
+)
 _SENSOR_FOLDER = re.compile(r"^(?P<sensor>bubble|gelslim)s?(?:_.*)?$")
 _DEPTH = "_depth"
-_SPLIT_FILE, _TRAIN = "split.json", "train"
+_SPLIT_FILE = "split.json"
+_TRAIN = "train"
 _MAX_NAMES = 5  # in a note
 
 
@@ -51,7 +56,9 @@ class GraspFolder:
 class _Found:
     """Files of one grasp by the name of their folder; "" = not in a folder of one sensor."""
 
-    files: dict[str, dict[str, Path]] = field(default_factory=lambda: {sensor: {} for sensor in SENSORS})
+    files: dict[str, dict[str, Path]] = field(
+        default_factory=lambda: {sensor: {} for sensor in SENSORS}
+    )
 
 
 def is_grasp_folder(folder: Path) -> bool:
@@ -61,12 +68,16 @@ def is_grasp_folder(folder: Path) -> bool:
 
 def parse_tool(file: Path) -> str:
     """Tool of a grasp's file, from its own name or its folder's; "" = not named."""
-    match, folder = _NAME.match(file.stem), _TOOL_FOLDER.match(file.parent.name)
+    match = _NAME.match(file.stem)
+    folder = _TOOL_FOLDER.match(file.parent.name)
     return (match["tool"] if match else None) or (folder["tool"] if folder else "")
 
 
 def list_grasps(root: Path) -> GraspFolder:
-    """The grasps below a folder; of both sensors where it holds both. Raises FileProblem where there are none."""
+    """The grasps below a folder.
+
+    Of both sensors where it holds both. Raises FileProblem where there are none.
+    """
     found: dict[Grasp, _Found] = {}
     others: list[Path] = []
     for file in sorted(root.rglob("*.pt")):
@@ -81,35 +92,58 @@ def list_grasps(root: Path) -> GraspFolder:
         found.setdefault(grasp, _Found()).files[sensor].setdefault(folder, file)
     chosen, notes = _choose_folders(found)
     grasps = [
-        GraspFiles(grasp=g, files=_pick(f, chosen), bubble_depth=_pick_depth(f, chosen)) for g, f in found.items()
+        GraspFiles(grasp=g, files=_pick(f, chosen), bubble_depth=_pick_depth(f, chosen))
+        for g, f in found.items()
     ]
     grasps = [g for g in grasps if g.files]
     sensors = tuple(s for s in SENSORS if any(s in g.files for g in grasps))
     if not grasps:
-        raise FileProblem("the folder has no touch2touch samples (names end in data_<number>.pt)", root)
+        raise FileProblem(
+            "the folder has no touch2touch samples (names end in data_<number>.pt)", root
+        )
     paired = [g for g in grasps if len(g.files) == len(sensors)]
     if not paired:
-        raise FileProblem("no grasp of this folder was recorded by both sensors: names do not match", root)
-    unpaired = [f"{g.grasp.name} (only {next(iter(g.files))})" for g in grasps if len(g.files) < len(sensors)]
+        raise FileProblem(
+            "no grasp of this folder was recorded by both sensors: names do not match", root
+        )
+    unpaired = [
+        f"{g.grasp.name} (only {next(iter(g.files))})"
+        for g in grasps
+        if len(g.files) < len(sensors)
+    ]
     listed, split_notes = _apply_split_file(paired, root)
     notes += [
         *split_notes,
         *_count("grasps of only one sensor are left out", unpaired),
-        *_count("files are left out, which hold neither a bubble's imprint nor a GelSlim's image",
-                [str(p.relative_to(root)) for p in others]),
-    ]  # fmt: skip
+        *_count(
+            "files are left out, which hold neither a bubble's imprint nor a GelSlim's image",
+            [str(p.relative_to(root)) for p in others],
+        ),
+    ]
     meshes = {g.grasp.tool: find_tool_mesh(g) for g in listed}
     listed = [replace(g, grasp=replace(g.grasp, mesh_file=meshes[g.grasp.tool])) for g in listed]
     ordered = sorted(
-        listed, key=lambda g: (not is_training_split(g.grasp.split), g.grasp.split, g.grasp.tool, g.grasp.number)
+        listed,
+        key=lambda g: (
+            not is_training_split(g.grasp.split),
+            g.grasp.split,
+            g.grasp.tool,
+            g.grasp.number,
+        ),
     )
     return GraspFolder(tuple(ordered), sensors, tuple(notes))
 
 
 def find_tool_mesh(grasp: GraspFiles) -> Path | None:
-    """The mesh of a grasp's tool in a folder `tools_stls` above its files; None where there is none."""
+    """The mesh of a grasp's tool in a folder `tools_stls` above its files.
+
+    None where there is none.
+    """
     first = next(iter(grasp.files.values()))
-    candidates = (folder / "tools_stls" / f"{grasp.grasp.tool}.stl" for folder in Path(os.path.realpath(first)).parents)
+    candidates = (
+        folder / "tools_stls" / f"{grasp.grasp.tool}.stl"
+        for folder in Path(os.path.realpath(first)).parents
+    )
     return next((p for p in candidates if p.is_file()), None)
 
 
@@ -134,18 +168,27 @@ def _locate(file: Path, root: Path) -> tuple[str, str, str]:
 
 
 def _choose_folders(found: Mapping[Grasp, _Found]) -> tuple[dict[str, str], list[str]]:
-    """Sensor -> the folder that is read where a set has several, such as undistorted images; and notes."""
+    """Sensor -> the folder that is read where a set has several, such as undistorted images.
+
+    And notes.
+    """
     chosen: dict[str, str] = {}
     notes: list[str] = []
     for sensor in SENSORS:
-        names = dict.fromkeys(name for f in found.values() for name in f.files[sensor] if not name.endswith(_DEPTH))
+        names = dict.fromkeys(
+            name for f in found.values() for name in f.files[sensor] if not name.endswith(_DEPTH)
+        )
         if names:
             chosen[sensor] = min(names, key=lambda name: (len(name), name))
         if len(names) > 1:
-            notes.append(f"{chosen[sensor]} is read; {', '.join(n for n in names if n != chosen[sensor])} is left out")
+            notes.append(
+                f"{chosen[sensor]} is read; {', '.join(n for n in names if n != chosen[sensor])} "
+                "is left out"
+            )
     if any(name.endswith(_DEPTH) for f in found.values() for name in f.files[GEL]):
         notes.append(
-            "depth of the GelSlim is left out: it is a distance from a camera whose distance to the gel is unknown"
+            "depth of the GelSlim is left out: it is a distance from a camera whose distance to "
+            "the gel is unknown"
         )
     return chosen, notes
 
@@ -159,7 +202,10 @@ def _pick_depth(found: _Found, chosen: Mapping[str, str]) -> Path | None:
 
 
 def _apply_split_file(grasps: list[GraspFiles], root: Path) -> tuple[list[GraspFiles], list[str]]:
-    """The grasps with the splits of `split.json`, if there is one; it counts for the folders that are trained on."""
+    """The grasps with the splits of `split.json`, if there is one.
+
+    It counts for the folders that are trained on.
+    """
     file = next(iter(sorted(root.rglob(_SPLIT_FILE))), None)
     if file is None:
         return grasps, []
@@ -174,22 +220,40 @@ def _apply_split_file(grasps: list[GraspFiles], root: Path) -> tuple[list[GraspF
             g = replace(g, grasp=replace(g.grasp, split=split_of[key]))  # noqa: PLW2901 - the same grasp
         out.append(g)
     missing = [f"{tool} {number}" for tool, number in split_of if (tool, number) not in used]
-    return out, [f"splits are those of {file.name}", *_count(f"grasps of {file.name} are not in the folder", missing)]
+    return out, [
+        f"splits are those of {file.name}",
+        *_count(f"grasps of {file.name} are not in the folder", missing),
+    ]
 
 
 def read_split_file(file: Path) -> dict[tuple[str, int], str]:
-    """(tool, number) -> split, from a JSON object of lists of [tool, number]; raises FileProblem."""
-    data = convert(read_json(file, "the split file"), dict[str, list[tuple[Name, int | str]]], "the split file", file,
-                   remedy="it is a table of lists of [tool, number], by split")  # fmt: skip
+    """(tool, number) -> split, from a JSON object of lists of [tool, number].
+
+    Raises FileProblem.
+    """
+    data = convert(
+        read_json(file, "the split file"),
+        dict[str, list[tuple[Name, int | str]]],
+        "the split file",
+        file,
+        remedy="it is a table of lists of [tool, number], by split",
+    )
     try:
-        entries = [(tool, int(str(number).removeprefix("data_")), split)
-                   for split, pairs in data.items() for tool, number in pairs]  # fmt: skip
+        entries = [
+            (tool, int(str(number).removeprefix("data_")), split)
+            for split, pairs in data.items()
+            for tool, number in pairs
+        ]
     except ValueError as error:
-        raise FileProblem(f"the split file cannot be used ({error}); numbers look like 12 or data_12", file) from error
+        raise FileProblem(
+            f"the split file cannot be used ({error}); numbers look like 12 or data_12", file
+        ) from error
     out: dict[tuple[str, int], str] = {}
     for tool, number, split in entries:
         if out.setdefault((tool, number), split) != split:
-            raise FileProblem(f"{tool} {number} is in two splits, {out[tool, number]} and {split}", file)
+            raise FileProblem(
+                f"{tool} {number} is in two splits, {out[tool, number]} and {split}", file
+            )
     return out
 
 
@@ -199,8 +263,10 @@ def describe_splits(grasps: Iterable[GraspFiles], n_fingers: int) -> str:
     n_tools = len({g.grasp.tool for g in grasps})
     splits = " + ".join(f"{n} {escape_text(split)}".strip() for split, n in counts.items())
     tools = f"of {n_tools} tool{'s' if n_tools > 1 else ''}"
-    return f"{sum(counts.values())} grasps {tools}, {'two fingers' if n_fingers > 1 else 'one finger'} each" + (
-        f": {splits}" if len(counts) > 1 or "" not in counts else ""
+    return (
+        f"{sum(counts.values())} grasps {tools}, "
+        f"{'two fingers' if n_fingers > 1 else 'one finger'} each"
+        + (f": {splits}" if len(counts) > 1 or "" not in counts else "")
     )
 
 

@@ -1,7 +1,9 @@
-"""What the numbers of stored images mean: 0 to 255, 0 to 1, -1 to 1, or differences from the reference.
+"""What the numbers of stored images mean: 0 to 255, 0 to 1, -1 to 1, or differences from the
+reference.
 
-A few values beyond a range (noise, interpolation) do not change it: ranges are compared with quantiles. A difference
-has its mode at "no change", and both signs. What fits several meanings, or none, is refused.
+A few values beyond a range (noise, interpolation) do not change it: ranges are compared with
+quantiles. A difference has its mode at "no change", and both signs. What fits several meanings, or
+none, is refused.
 """
 
 import re
@@ -16,12 +18,21 @@ from pipeline.core.arrays import Floats, Image, freeze
 from pipeline.core.errors import FileProblem, escape_text
 
 WHITE = 255.0  # grey level
-_MAX_SAMPLED, _MAX_VALUES = 16, 2_000_000  # frames, and values of all of them, that the range is inferred from
-_QUANTILE, _PEAK_QUANTILE = 1e-3, 5e-5  # beyond the first: overshoot of noise and resizing; beyond the second: defects
-_MAX_UNIT = 1.25  # largest value of a range up to 1: interpolation overshoots a sharp edge by a fifth
+# frames, and values of all of them, that the range is inferred from
+_MAX_SAMPLED = 16
+_MAX_VALUES = 2_000_000
+# beyond the first: overshoot of noise and resizing; beyond the second: defects
+_QUANTILE = 1e-3
+_PEAK_QUANTILE = 5e-5
+# largest value of a range up to 1: interpolation overshoots a sharp edge by a fifth
+_MAX_UNIT = 1.25
 _MIN_GREY = 8.0  # grey levels: an image or difference in these reaches more
-_MAX_NEGATIVE_SHARE, _MIN_NEGATIVE_SHARE = 0.15, 0.02  # of the largest value: overshoot is less; noise of black is more
-_QUIET_GREY, _MIN_QUIET_SHARE = 16.0, 0.5  # share of a difference that has changed by less than this
+# of the largest value: overshoot is less; noise of black is more
+_MAX_NEGATIVE_SHARE = 0.15
+_MIN_NEGATIVE_SHARE = 0.02
+# share of a difference that has changed by less than this
+_QUIET_GREY = 16.0
+_MIN_QUIET_SHARE = 0.5
 _HALF_RANGE = 0.52  # signed values up to here may be of -0.5 to 0.5 as well as of -1 to 1
 _DIFFERENCE_KEY = re.compile(r"(^|_)(diff|difference|differences|delta)(_|$)", re.IGNORECASE)
 
@@ -39,14 +50,20 @@ class GreyScale:
         """The stored image as bytes; raises FileProblem for values that are not finite."""
         if raw.dtype == np.uint8:
             return freeze(np.ascontiguousarray(raw, np.uint8))
-        return freeze(np.clip(np.rint(self.convert_difference(raw, where, path)), 0, 255).astype(np.uint8))
+        return freeze(
+            np.clip(np.rint(self.convert_difference(raw, where, path)), 0, 255).astype(np.uint8)
+        )
 
     def convert_difference(self, raw: NDArray[np.generic], where: str, path: Path) -> Floats:
-        """The stored image in grey levels, which may be signed; raises FileProblem for values that are not finite."""
+        """The stored image in grey levels, which may be signed.
+
+        Raises FileProblem for values that are not finite.
+        """
         grey = np.asarray(raw, np.float32) * np.float32(self.factor) + np.float32(self.offset)
         if not np.isfinite(grey).all():
             raise FileProblem(
-                f"{where} has values that are not finite (NaN or infinite); repair it, or leave it out",
+                f"{where} has values that are not finite (NaN or infinite); repair it, or leave "
+                "it out",
                 path,
                 field=where,
             )
@@ -63,9 +80,15 @@ def sample_values(read: Callable[[int], NDArray[np.generic]], n: int) -> NDArray
 
 
 def infer_grey_scale(
-    values: NDArray[np.generic], key: str, path: Path, *, of_reference: NDArray[np.generic] | None = None
+    values: NDArray[np.generic],
+    key: str,
+    path: Path,
+    *,
+    of_reference: NDArray[np.generic] | None = None,
 ) -> GreyScale:
-    """The meaning of the sampled `values` of the array `key`; those of a reference of the same type help to tell.
+    """The meaning of the sampled `values` of the array `key`.
+
+    Those of a reference of the same type help to tell.
 
     Raises FileProblem for values that are not finite, and where the meaning cannot be told.
     """
@@ -74,23 +97,33 @@ def infer_grey_scale(
     numbers = np.asarray(values, np.float32)
     if not np.isfinite(numbers).all():
         raise FileProblem(
-            f"the array {key!r} has values that are not finite (NaN or infinite); leave those frames out",
+            f"the array {key!r} has values that are not finite (NaN or infinite); leave those "
+            "frames out",
             path,
             field=key,
         )
-    is_whole, shown = values.dtype.kind in "iu", escape_text(key)
+    is_whole = values.dtype.kind in "iu"
+    shown = escape_text(key)
     low_peak, low, high, high_peak = (
-        float(q) for q in np.quantile(numbers, (_PEAK_QUANTILE, _QUANTILE, 1 - _QUANTILE, 1 - _PEAK_QUANTILE))
+        float(q)
+        for q in np.quantile(
+            numbers, (_PEAK_QUANTILE, _QUANTILE, 1 - _QUANTILE, 1 - _PEAK_QUANTILE)
+        )
     )
     unit = _find_unit(max(-low_peak, high_peak), is_whole)
-    if unit and low < 0 and (_is_difference(numbers, low, high, unit) or _DIFFERENCE_KEY.search(key)):
+    if (
+        unit
+        and low < 0
+        and (_is_difference(numbers, low, high, unit) or _DIFFERENCE_KEY.search(key))
+    ):
         white = "1 is white" if unit == 1.0 else "255 is white"
         note = f"{shown} has negative values, most of them near 0: {white}, and 0 is no change"
         return GreyScale(factor=WHITE / unit, is_difference=True, note=note)
     if of_reference is not None and of_reference.dtype == values.dtype:
         both = np.append(numbers, np.asarray(of_reference, np.float32))
         low, high = (float(q) for q in np.quantile(both, (_QUANTILE, 1 - _QUANTILE)))
-    unit, beyond = _find_unit(high, is_whole), -low / high if high > 0 else np.inf
+    unit = _find_unit(high, is_whole)
+    beyond = -low / high if high > 0 else np.inf
     is_black = unit and low < 0 and beyond > _MIN_NEGATIVE_SHARE and _is_quiet(numbers, unit)
     if unit and beyond <= _MAX_NEGATIVE_SHARE and not is_black:
         note = f"{shown} holds {values.dtype}: {unit:g} is white"
@@ -99,8 +132,10 @@ def infer_grey_scale(
         note = f"{shown} has negative values, and not most of them near 0: -1 is black, 1 is white"
         return GreyScale(factor=0.5 * WHITE, offset=0.5 * WHITE, note=note)
     raise FileProblem(
-        f"{key} must hold grey levels of 0 to 255, 0 to 1 or -1 to 1, or differences that are mostly 0; it holds "
-        f"{values.dtype} of {low:.3g} to {high:.3g}: save images as uint8, differences from the reference as int16",
+        f"{key} must hold grey levels of 0 to 255, 0 to 1 or -1 to 1, or differences that are "
+        "mostly 0; it holds "
+        f"{values.dtype} of {low:.3g} to {high:.3g}: save images as uint8, differences from the "
+        "reference as int16",
         path,
         field=key,
     )

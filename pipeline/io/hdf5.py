@@ -26,15 +26,17 @@ from pipeline.io.formats import with_index_check
 T = TypeVar("T")
 
 NOT_CLOSED_NOTE = "the recording was not closed: it is being written, or its program was killed"
-TRUNCATED_NOTE, DAMAGED_NOTE = "the file is cut short", "cannot be read: that part of the file is damaged"
+TRUNCATED_NOTE = "the file is cut short"
+DAMAGED_NOTE = "cannot be read: that part of the file is damaged"
 TRUTH_TABLE_TITLE = "the table of known truth"
 
 
 def read(path: Path) -> Recording:
     """A tactoscope recording with its tables of contents read; `close` it when done.
 
-    A truncated file opens with a note, and frames beyond its end raise FileProblem when read. Raises FileProblem for
-    another kind of file, a newer version, a missing or wrong unit, and content that `hdf5_validation` refuses.
+    A truncated file opens with a note, and frames beyond its end raise FileProblem when read.
+    Raises FileProblem for another kind of file, a newer version, a missing or wrong unit, and
+    content that `hdf5_validation` refuses.
     """
     require_file(path, "the recording", most_bytes=1 << 50)
     notes: list[str] = []
@@ -44,19 +46,32 @@ def read(path: Path) -> Recording:
     except TouchError:
         file.close()
         raise
-    except (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError) as error:
+    except (
+        OSError,
+        RuntimeError,
+        LookupError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        ArithmeticError,
+    ) as error:
         file.close()
-        raise FileProblem(f"the recording's table of contents is damaged ({_shorten(error)})", path) from error
+        raise FileProblem(
+            f"the recording's table of contents is damaged ({_shorten(error)})", path
+        ) from error
 
 
 def _read_recording(file: Any, path: Path, notes: list[str]) -> Recording:
     if file.attrs.get("format") != layout.FORMAT:
-        raise FileProblem("this HDF5 file is not a tactoscope recording: its attribute 'format' is missing", path)
+        raise FileProblem(
+            "this HDF5 file is not a tactoscope recording: its attribute 'format' is missing", path
+        )
     validation.require_self_contained(file, path)
     version = int(file.attrs.get("format_version", 0))
     if not 1 <= version <= layout.VERSION:
         raise FileProblem(
-            f"the recording has format version {version} and this program reads up to {layout.VERSION}; update it",
+            f"the recording has format version {version} and this program reads up to "
+            f"{layout.VERSION}; update it",
             path,
             field="format_version",
         )
@@ -80,29 +95,52 @@ def _read_recording(file: Any, path: Path, notes: list[str]) -> Recording:
     pairings = tuple(_read_pairing(pairs, key, path) for key in pairs)
     if lost:
         notes.append(f"{', '.join(lost)} {DAMAGED_NOTE}")
-    return Recording(path=path, format=layout.FORMAT, streams=streams, object_mesh=mesh, pairings=pairings,
-                     notes=tuple(notes), close=file.close, symmetry=symmetry)  # fmt: skip
+    return Recording(
+        path=path,
+        format=layout.FORMAT,
+        streams=streams,
+        object_mesh=mesh,
+        pairings=pairings,
+        notes=tuple(notes),
+        close=file.close,
+        symmetry=symmetry,
+    )
 
 
 def _read_stream(group: Any, name: str, path: Path, lost: list[str]) -> Stream:
     n, dtype = _validate_stream(group, path)
     grows = bool(group.file.swmr_mode)
     if grows:  # a frame that is partly written does not count
-        n = min([n, *(len(group[key]) for key in ("timestamps", "reference_index", "truth/known") if key in group)])
-    sensor, shown = validation.read_sensor_name(group, path), escape_text(name)
+        n = min(
+            [
+                n,
+                *(
+                    len(group[key])
+                    for key in ("timestamps", "reference_index", "truth/known")
+                    if key in group
+                ),
+            ]
+        )
+    sensor = validation.read_sensor_name(group, path)
+    shown = escape_text(name)
 
     def table(key: str, kinds: str, default: float, what: str) -> NDArray[Any]:
-        stored = validation.require_dataset(group, key, layout.UNITS[key], kinds, (None if grows else n,), path)
+        stored = validation.require_dataset(
+            group, key, layout.UNITS[key], kinds, (None if grows else n,), path
+        )
         stored_type = np.float64 if kinds == validation.FLOAT_KINDS else np.int64
         what = f"{what} of {shown!r}"
-        return _read_or_default(lambda: stored[:n].astype(stored_type), np.full(n, default, stored_type), what, lost)
+        return _read_or_default(
+            lambda: stored[:n].astype(stored_type), np.full(n, default, stored_type), what, lost
+        )
 
     times = table("timestamps", validation.FLOAT_KINDS, np.nan, "the timestamps")
     rows = table("reference_index", validation.INTEGER_KINDS, -1, "the table of references")
     known_truth = table("truth/known", validation.INTEGER_KINDS, 0, TRUTH_TABLE_TITLE)
     camera = _read_camera(group, path) if "camera_matrix" in group else None
 
-    last: tuple[int, NDArray[Any]] = -1, np.empty(0)  # consecutive frames mostly share their reference
+    # consecutive frames mostly share their reference
+    last: tuple[int, NDArray[Any]] = -1, np.empty(0)
 
     def reference(row: int, index: int) -> NDArray[Any]:
         nonlocal last
@@ -115,10 +153,14 @@ def _read_stream(group: Any, name: str, path: Path, lost: list[str]) -> Stream:
         _require_open(group, path)
         row = int(rows[index])
         return TactileFrame(
-            sensor=sensor, image=_read_row(group["frames"], index, index, name, path, dtype),
+            sensor=sensor,
+            image=_read_row(group["frames"], index, index, name, path, dtype),
             reference=None if row < 0 else reference(row, index),
-            index=index, time_s=float(times[index]), origin=f"{path} [{shown}]", camera=camera,
-        )  # fmt: skip
+            index=index,
+            time_s=float(times[index]),
+            origin=f"{path} [{shown}]",
+            camera=camera,
+        )
 
     def truth(index: int) -> Truth | None:
         bits = int(known_truth[index])
@@ -134,36 +176,62 @@ def _read_stream(group: Any, name: str, path: Path, lost: list[str]) -> Stream:
 
     for field in layout.TRUTH_FIELDS:
         if field.key not in group and (known_truth & field.bit).any():
-            raise FileProblem(f"{shown} states that {field.key} is known but does not hold it", path, field=field.key)
-    return Stream(name=shown, sensor=sensor, n_frames=n, frame=with_index_check(frame, n, path),
-                  truth=with_index_check(truth, n, path), has_truth=bool(known_truth.any()),
-                  times_s=freeze(times))  # fmt: skip
+            raise FileProblem(
+                f"{shown} states that {field.key} is known but does not hold it",
+                path,
+                field=field.key,
+            )
+    return Stream(
+        name=shown,
+        sensor=sensor,
+        n_frames=n,
+        frame=with_index_check(frame, n, path),
+        truth=with_index_check(truth, n, path),
+        has_truth=bool(known_truth.any()),
+        times_s=freeze(times),
+    )
 
 
 def _validate_stream(group: Any, path: Path) -> tuple[int, type]:
-    """(number of frames, type of an image) of a stream; raises FileProblem where a dataset differs from the layout."""
+    """(number of frames, type of an image) of a stream.
+
+    Raises FileProblem where a dataset differs from the layout.
+    """
     frames = group["frames"]
     unit, kinds, dtype = (
-        ("rgb", validation.UINT8_KINDS, np.uint8) if frames.ndim == 4 else ("mm", validation.REAL_KINDS, np.float32)
+        ("rgb", validation.UINT8_KINDS, np.uint8)
+        if frames.ndim == 4
+        else ("mm", validation.REAL_KINDS, np.float32)
     )
     image_shape = (None, None, 3) if frames.ndim == 4 else (None, None)
-    n, *shape = validation.require_dataset(group, "frames", unit, kinds, (None, *image_shape), path).shape
+    n, *shape = validation.require_dataset(
+        group, "frames", unit, kinds, (None, *image_shape), path
+    ).shape
     validation.require_dataset(group, "references", unit, kinds, (None, *shape), path)
     for field in layout.TRUTH_FIELDS:
         if field.key in group:
             kinds = validation.REAL_KINDS if field.shape is None else validation.FLOAT_KINDS
             validation.require_dataset(
-                group, field.key, layout.UNITS[field.key], kinds, (None, *(field.shape or shape[:2])), path
+                group,
+                field.key,
+                layout.UNITS[field.key],
+                kinds,
+                (None, *(field.shape or shape[:2])),
+                path,
             )
     return int(n), dtype
 
 
 def _require_open(group: Any, path: Path) -> None:
     if not group:
-        raise FileProblem("the recording is closed; read its frames before, as inside its 'with' block", path)
+        raise FileProblem(
+            "the recording is closed; read its frames before, as inside its 'with' block", path
+        )
 
 
-def _read_row(dataset: Any, row: int, index: int, stream: str, path: Path, dtype: type) -> NDArray[Any]:
+def _read_row(
+    dataset: Any, row: int, index: int, stream: str, path: Path, dtype: type
+) -> NDArray[Any]:
     """One decoded row; raises FileProblem naming file, frame and field for a damaged chunk."""
     key = str(dataset.name).removeprefix(f"/streams/{stream}/")
     if row < dataset.shape[0]:
@@ -171,14 +239,19 @@ def _read_row(dataset: Any, row: int, index: int, stream: str, path: Path, dtype
             return freeze(layout.decode_frame(dataset[row], dataset).astype(dtype, copy=False))
         except (OSError, RuntimeError):
             pass
-    raise FileProblem(f"frame {index} of {stream!r}: its {key} are damaged or cut off; try another frame", path,
-                      field=f"frame {index} {stream}/{key}")  # fmt: skip
+    raise FileProblem(
+        f"frame {index} of {stream!r}: its {key} are damaged or cut off; try another frame",
+        path,
+        field=f"frame {index} {stream}/{key}",
+    )
 
 
 def _read_camera(group: Any, path: Path) -> Camera:
     rows, cols = group["frames"].shape[1:3]
     key = f"{group.name}/camera_matrix".lstrip("/")
-    matrix = validation.require_dataset(group, "camera_matrix", "px", validation.REAL_KINDS, (3, 3), path)
+    matrix = validation.require_dataset(
+        group, "camera_matrix", "px", validation.REAL_KINDS, (3, 3), path
+    )
     try:
         return make_camera(matrix[()], rows, cols, what=key)
     except CalibrationError as error:
@@ -186,25 +259,28 @@ def _read_camera(group: Any, path: Path) -> Camera:
 
 
 def _read_mesh(group: Any, path: Path) -> Mesh:
-    vertices = validation.require_dataset(group, "vertices", "mm", validation.FLOAT_KINDS, (None, 3), path)[()].astype(
-        np.float64
-    )
-    triangles = validation.require_dataset(group, "triangles", "1", validation.INTEGER_KINDS, (None, 3), path)[
-        ()
-    ].astype(np.int64)
+    vertices = validation.require_dataset(
+        group, "vertices", "mm", validation.FLOAT_KINDS, (None, 3), path
+    )[()].astype(np.float64)
+    triangles = validation.require_dataset(
+        group, "triangles", "1", validation.INTEGER_KINDS, (None, 3), path
+    )[()].astype(np.int64)
     validate_mesh(vertices, triangles, path)
-    return Mesh(vertices_mm=freeze(vertices), triangles=freeze(triangles.astype(np.int32)),
-                name=validation.read_text_line(group, "name", path))  # fmt: skip
+    return Mesh(
+        vertices_mm=freeze(vertices),
+        triangles=freeze(triangles.astype(np.int32)),
+        name=validation.read_text_line(group, "name", path),
+    )
 
 
 def _read_pairing(pairs: Any, key: str, path: Path) -> Pairing:
     dataset = validation.require_dataset(pairs, key, "mm", validation.FLOAT_KINDS, (4, 4), path)
-    source, target = (
-        validation.read_text_line(dataset, "source", path),
-        validation.read_text_line(dataset, "target", path),
-    )
+    source = validation.read_text_line(dataset, "source", path)
+    target = validation.read_text_line(dataset, "target", path)
     try:
-        matrix = rigid.validate_within_reach(dataset[()], f"target_from_source of {source!r} and {target!r}")
+        matrix = rigid.validate_within_reach(
+            dataset[()], f"target_from_source of {source!r} and {target!r}"
+        )
     except CalibrationError as error:
         raise CalibrationError(f"{error}: '{path}'") from error
     return Pairing(source=source, target=target, target_from_source=freeze(matrix))
@@ -228,20 +304,28 @@ def _open_file(path: Path, notes: list[str]) -> Any:
         if "already open for write" in str(error):
             return _open_unclosed(path, notes)
         if "truncated file" not in str(error):
-            raise FileProblem(f"the HDF5 file cannot be opened ({_shorten(error)})", path) from error
+            raise FileProblem(
+                f"the HDF5 file cannot be opened ({_shorten(error)})", path
+            ) from error
     try:
         padded = _PaddedFile(path)
         if padded.full_size > 20 * padded.size + (64 << 20):
             raise ValueError(f"{padded.full_size} bytes cannot be right")
         file = h5py.File(padded, "r")
     except (OSError, ValueError, struct.error) as error:
-        raise FileProblem("the HDF5 file is cut short before its table of contents", path) from error
-    notes.append(f"{TRUNCATED_NOTE}: {padded.size} of {padded.full_size} bytes are there; frames beyond cannot be read")
+        raise FileProblem(
+            "the HDF5 file is cut short before its table of contents", path
+        ) from error
+    notes.append(
+        f"{TRUNCATED_NOTE}: {padded.size} of {padded.full_size} bytes are there; frames beyond "
+        "cannot be read"
+    )
     return file
 
 
 class _PaddedFile(io.RawIOBase):
-    """A truncated file that reads as if it had its full size: HDF5 refuses it otherwise, and holds it in no memory.
+    """A truncated file that reads as if it had its full size: HDF5 refuses it otherwise, and holds
+    it in no memory.
 
     The rest is not zeros: their checksum is zero, so that a lost chunk would pass as valid.
     """
@@ -260,7 +344,9 @@ class _PaddedFile(io.RawIOBase):
         return True
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self.full_size}[whence]
+        self._at = (
+            offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self.full_size}[whence]
+        )
         return self._at
 
     def readinto(self, buffer: Any) -> int:
@@ -271,13 +357,18 @@ class _PaddedFile(io.RawIOBase):
 
 
 def _open_unclosed(path: Path, notes: list[str]) -> Any:
-    """A recording that grows, or did until its program was killed; the writer keeps the file consistent."""
+    """A recording that grows, or did until its program was killed.
+
+    The writer keeps the file consistent.
+    """
     import h5py
 
     try:
         file = h5py.File(path, "r", swmr=True)
     except OSError as error:
-        raise FileProblem(f"the recording is being written by another program ({_shorten(error)})", path) from error
+        raise FileProblem(
+            f"the recording is being written by another program ({_shorten(error)})", path
+        ) from error
     notes.append(NOT_CLOSED_NOTE)
     return file
 

@@ -2,26 +2,26 @@
 
     /                        format, format_version, notes
     /streams/<name>          sensor, order
-        frames               (n, rows, cols, 3) uint8 "rgb", or (n, rows, cols) depth "mm"; one chunk per frame
-        references           (m, ...) the distinct reference images
-        reference_index      (n,) row of `references`, -1 = none
-        timestamps           (n,) "s", NaN = not known
+        frames               (n, rows, cols, 3) uint8 "rgb", or (n, rows, cols) depth "mm"; one
+        chunk per frame references           (m, ...) the distinct reference images reference_index
+        (n,) row of `references`, -1 = none timestamps           (n,) "s", NaN = not known
         camera_matrix        (3, 3) "px", only where the recording has its own intrinsics
-        truth/known          (n,) bits: 1 indentation, 2 contact, 4 pose, 8 force
-        truth/indentation    (n, rows, cols) "mm"
-        truth/contact        (n, rows, cols) 0 or 1
-        truth/sensor_from_object  (n, 4, 4) "mm"
-        truth/force          (n, 3) "N" on the sensor: right, down, away from the camera
+        truth/known          (n,) bits: 1 indentation, 2 contact, 4 pose, 8 force truth/indentation
+        (n, rows, cols) "mm" truth/contact        (n, rows, cols) 0 or 1 truth/sensor_from_object
+        (n, 4, 4) "mm" truth/force          (n, 3) "N" on the sensor: right, down, away from the
+        camera
     /object                  name; vertices (v, 3) "mm", triangles (t, 3)
-        symmetry/rotations   (n, 3, 3) rotations about the object's origin that map it onto itself, the identity first
-        symmetry/axis        (3,) only where every rotation about it does so; no group `symmetry` = not known
+        symmetry/rotations   (n, 3, 3) rotations about the object's origin that map it onto itself,
+        the identity first symmetry/axis        (3,) only where every rotation about it does so; no
+        group `symmetry` = not known
     /pairings/<k>            (4, 4) target_from_source "mm"; source, target
     /rollout                 only in rollouts of tasks: `pipeline/lab/tasks/rollout_file.py`
 
-Every dataset has the attribute `unit` and a Fletcher-32 checksum per chunk; images are compressed. Lengths may be
-stored as integers: value = integer * `step_mm`, and `nan_code` is "no value". `coding` = "row differences" means that
-each row but the first is its difference from the row above, modulo the integer's range; `numpy.cumsum` along rows in
-the same type restores it. This lossless coding makes noisy images a third smaller.
+Every dataset has the attribute `unit` and a Fletcher-32 checksum per chunk; images are compressed.
+Lengths may be stored as integers: value = integer * `step_mm`, and `nan_code` is "no value".
+`coding` = "row differences" means that each row but the first is its difference from the row above,
+modulo the integer's range; `numpy.cumsum` along rows in the same type restores it. This lossless
+coding makes noisy images a third smaller.
 """
 
 import struct
@@ -37,15 +37,26 @@ from pipeline.core.errors import FileProblem, ShapeError
 
 FORMAT = "tactoscope recording"
 VERSION = 1
-METADATA_BYTES = 1 << 16  # reserved at the front, so that a truncated file keeps its table of contents
+# reserved at the front, so that a truncated file keeps its table of contents
+METADATA_BYTES = 1 << 16
 
 Coding = Literal["plain", "row differences"]
 
 UNITS: Mapping[str, str] = {
-    "reference_index": "1", "timestamps": "s", "camera_matrix": "px", "truth/known": "1", "truth/indentation": "mm",
-    "truth/contact": "1", "truth/sensor_from_object": "mm", "truth/force": "N", "vertices": "mm", "triangles": "1",
-    "pairing": "mm", "symmetry/rotations": "1", "symmetry/axis": "1",
-}  # fmt: skip
+    "reference_index": "1",
+    "timestamps": "s",
+    "camera_matrix": "px",
+    "truth/known": "1",
+    "truth/indentation": "mm",
+    "truth/contact": "1",
+    "truth/sensor_from_object": "mm",
+    "truth/force": "N",
+    "vertices": "mm",
+    "triangles": "1",
+    "pairing": "mm",
+    "symmetry/rotations": "1",
+    "symmetry/axis": "1",
+}
 
 
 class TruthField(NamedTuple):
@@ -66,8 +77,10 @@ TRUTH_FIELDS = (
 )
 
 MAX_STEP_MM = 10.0  # largest step of stored lengths, a thousand times that of a depth camera
-# Steps of int16 lengths: 0.1 um covers +-3.2 mm of a gel; 1 um covers +-32 mm of a bubble, whose noise is 0.4 mm.
-GEL_STEP_MM, BUBBLE_STEP_MM = 1e-4, 1e-3
+# Steps of int16 lengths: 0.1 um covers +-3.2 mm of a gel; 1 um covers +-32 mm of a bubble, whose
+# noise is 0.4 mm.
+GEL_STEP_MM = 1e-4
+BUBBLE_STEP_MM = 1e-3
 
 
 def require_unit(dataset: Any, want: str, path: Path) -> Any:
@@ -82,7 +95,8 @@ def require_unit(dataset: Any, want: str, path: Path) -> Any:
 
 
 def parse_file_size(head: bytes) -> int:
-    """The size in bytes of a file with this head: bytes 28 to 35 of superblocks 2 and 3, which this format has.
+    """The size in bytes of a file with this head: bytes 28 to 35 of superblocks 2 and 3, which this
+    format has.
 
     Raises ValueError for another superblock, struct.error for a shorter head.
     """
@@ -99,12 +113,17 @@ def truncate_to_size(file: BinaryIO) -> None:
 
 
 def encode_frame(values: NDArray[Any], dataset: Any, what: str) -> NDArray[Any]:
-    """One frame of `values` as `dataset` stores it; raises ShapeError for a length beyond its integers."""
+    """One frame of `values` as `dataset` stores it.
+
+    Raises ShapeError for a length beyond its integers.
+    """
     if "step_mm" in dataset.attrs:
-        limits, nan_code = np.iinfo(dataset.dtype), int(dataset.attrs["nan_code"])
+        limits = np.iinfo(dataset.dtype)
+        nan_code = int(dataset.attrs["nan_code"])
         counts = np.rint(np.asarray(values, np.float64) / float(dataset.attrs["step_mm"]))
         gaps = np.isnan(counts)
-        low, high = limits.min + (nan_code == limits.min), limits.max - (nan_code == limits.max)
+        low = limits.min + (nan_code == limits.min)
+        high = limits.max - (nan_code == limits.max)
         if ((counts < low) | (counts > high)).any():
             raise ShapeError(
                 f"{what} holds {float(np.nanmax(np.abs(values))):g} mm, but steps of "

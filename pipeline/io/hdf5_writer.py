@@ -1,4 +1,6 @@
-"""Write tactoscope recordings frame by frame into a temporary file that replaces the old one at the end."""
+"""Write tactoscope recordings frame by frame into a temporary file that replaces the old one at
+the end.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,10 @@ _TABLES_BYTES = 2 << 20  # upper limit of tables that one append may add
 
 
 class RecordingWriter:
-    """A recording being written; the file at `path` is replaced when the `with` block ends without an error."""
+    """A recording being written.
+
+    The file at `path` is replaced when the `with` block ends without an error.
+    """
 
     def __init__(
         self,
@@ -43,14 +48,20 @@ class RecordingWriter:
     ) -> None:
         """Start a new recording.
 
-        `coding` "row differences" makes images a third smaller; `depth_step_mm` > 0 stores depth images as 16-bit
-        multiples of that step instead of float32. Raises FileProblem where nothing can be written.
+        `coding` "row differences" makes images a third smaller; `depth_step_mm` > 0 stores depth
+        images as 16-bit multiples of that step instead of float32. Raises FileProblem where nothing
+        can be written.
         """
         self._begin(path, coding, depth_step_mm)
         with self._remove_on_error():
             self._open("w")
-            self._reserve(0 if object_mesh is None else object_mesh.vertices_mm.nbytes + object_mesh.triangles.nbytes)
-            self._file.attrs["format"], self._file.attrs["format_version"] = layout.FORMAT, layout.VERSION
+            self._reserve(
+                0
+                if object_mesh is None
+                else object_mesh.vertices_mm.nbytes + object_mesh.triangles.nbytes
+            )
+            self._file.attrs["format"] = layout.FORMAT
+            self._file.attrs["format_version"] = layout.VERSION
             self._file.attrs["notes"] = "\n".join(notes)
             self._file.create_group("streams")
             if object_mesh is not None:
@@ -61,12 +72,17 @@ class RecordingWriter:
                 if symmetry is not None:
                     hdf5_symmetry.write(group, symmetry)
             for k, pair in enumerate(pairings):
-                dataset = _write_dataset(self._file.require_group("pairings"), str(k), pair.target_from_source, "mm")
-                dataset.attrs["source"], dataset.attrs["target"] = pair.source, pair.target
+                dataset = _write_dataset(
+                    self._file.require_group("pairings"), str(k), pair.target_from_source, "mm"
+                )
+                dataset.attrs["source"] = pair.source
+                dataset.attrs["target"] = pair.target
 
     @classmethod
     def open_for_append(cls, path: Path) -> RecordingWriter:
-        """Append to an existing recording, on a copy, so that an interrupted append changes nothing."""
+        """Append to an existing recording, on a copy, so that an interrupted append changes
+        nothing.
+        """
         recording = hdf5.read(path)  # refuses another kind of file before the copy
         recording.close()
         writer = cls.__new__(cls)
@@ -96,9 +112,15 @@ class RecordingWriter:
     def _open(self, mode: str) -> None:
         import h5py
 
-        # Chunks are written at once: chunks that HDF5 holds back would end the process when a disk is full.
-        options: dict[str, Any] = {"libver": ("v110", "latest"), "meta_block_size": layout.METADATA_BYTES}
-        self._file = self._place.enter_context(h5py.File(self._temporary.name, mode, rdcc_nbytes=0, **options))
+        # Chunks are written at once: chunks that HDF5 holds back would end the process when a disk
+        # is full.
+        options: dict[str, Any] = {
+            "libver": ("v110", "latest"),
+            "meta_block_size": layout.METADATA_BYTES,
+        }
+        self._file = self._place.enter_context(
+            h5py.File(self._temporary.name, mode, rdcc_nbytes=0, **options)
+        )
 
     @contextmanager
     def _remove_on_error(self) -> Generator[None, None, None]:
@@ -108,15 +130,23 @@ class RecordingWriter:
             cleanup.pop_all()
 
     def _reserve(self, n_bytes: int) -> None:
-        """Reserve space for `n_bytes` more and their tables; raises OSError before anything is written."""
+        """Reserve space for `n_bytes` more and their tables.
+
+        Raises OSError before anything is written.
+        """
         if hasattr(os, "posix_fallocate"):
-            os.posix_fallocate(self._temporary.fileno(), 0, self._file.id.get_filesize() + n_bytes + _TABLES_BYTES)
+            os.posix_fallocate(
+                self._temporary.fileno(), 0, self._file.id.get_filesize() + n_bytes + _TABLES_BYTES
+            )
 
     def __enter__(self) -> RecordingWriter:
         return self
 
     def __exit__(
-        self, _kind: type[BaseException] | None, error: BaseException | None, _at: TracebackType | None
+        self,
+        _kind: type[BaseException] | None,
+        error: BaseException | None,
+        _at: TracebackType | None,
     ) -> None:
         with self._place:
             if error is not None:
@@ -133,14 +163,20 @@ class RecordingWriter:
                     stream.truth(index)
 
     def append(self, stream: str, frame: TactileFrame, truth: Truth | None = None) -> None:
-        """Add one frame to `stream`, which its first frame creates; raises ShapeError for another shape."""
+        """Add one frame to `stream`, which its first frame creates.
+
+        Raises ShapeError for another shape.
+        """
         streams = self._file["streams"]
         group = streams[stream] if stream in streams else self._new_stream(stream, frame)
         frames = group["frames"]
         index = frames.shape[0]
         self._reserve(4 * frame.image.nbytes)  # image, reference, and two images of truth
         if frame.image.shape != frames.shape[1:]:
-            raise ShapeError(f"frame {index} of {stream!r} must have shape {frames.shape[1:]}, got {frame.image.shape}")
+            raise ShapeError(
+                f"frame {index} of {stream!r} must have shape {frames.shape[1:]}, got "
+                f"{frame.image.shape}"
+            )
         pixels = layout.encode_frame(frame.image, frames, f"frame {index} of {stream!r}")
         reference = self._reference_row(stream, group, frame)
         _append_row(frames, index, pixels)
@@ -151,7 +187,10 @@ class RecordingWriter:
             self._file.flush()  # tables come before the frames, so that a truncated file keeps them
 
     def write_group(
-        self, name: str, tables: Mapping[str, tuple[NDArray[Any], str]], attributes: Mapping[str, str]
+        self,
+        name: str,
+        tables: Mapping[str, tuple[NDArray[Any], str]],
+        attributes: Mapping[str, str],
     ) -> None:
         """Add a group next to the streams: datasets with their units, and texts as attributes."""
         self._reserve(sum(values.nbytes for values, _ in tables.values()))
@@ -164,12 +203,24 @@ class RecordingWriter:
         if "/" in name or name in ("", "."):
             raise ShapeError(f"a stream needs a name without '/', got {name!r}")
         group = self._file["streams"].create_group(name)
-        group.attrs["sensor"], group.attrs["order"] = frame.sensor, len(self._file["streams"]) - 1
+        group.attrs["sensor"] = frame.sensor
+        group.attrs["order"] = len(self._file["streams"]) - 1
         for key in ("frames", "references"):
             if frame.is_depth:
-                dtype, step = (np.uint16, self._depth_step_mm) if self._depth_step_mm > 0 else (np.float32, 0.0)
+                dtype, step = (
+                    (np.uint16, self._depth_step_mm)
+                    if self._depth_step_mm > 0
+                    else (np.float32, 0.0)
+                )
                 _create_stack(
-                    group, key, frame.image.shape, dtype, "mm", coding=self._coding, step_mm=step, nan_code=65535
+                    group,
+                    key,
+                    frame.image.shape,
+                    dtype,
+                    "mm",
+                    coding=self._coding,
+                    step_mm=step,
+                    nan_code=65535,
                 )
             else:
                 _create_stack(group, key, frame.image.shape, np.uint8, "rgb", coding=self._coding)
@@ -182,16 +233,23 @@ class RecordingWriter:
 
     def _reference_row(self, stream: str, group: Any, frame: TactileFrame) -> int:
         """The row of this frame's reference, which is added if it differs from the last one."""
-        reference, stored = frame.reference, group["references"]
+        reference = frame.reference
+        stored = group["references"]
         if reference is None:
             return -1
         last = self._last_reference.get(stream)
-        if last is not None and (last is reference or np.array_equal(last, reference, equal_nan=frame.is_depth)):
+        if last is not None and (
+            last is reference or np.array_equal(last, reference, equal_nan=frame.is_depth)
+        ):
             return stored.shape[0] - 1
         if reference.shape != frame.image.shape:
-            raise ShapeError(f"the reference of {stream!r} must have shape {frame.image.shape}, got {reference.shape}")
+            raise ShapeError(
+                f"the reference of {stream!r} must have shape {frame.image.shape}, got "
+                f"{reference.shape}"
+            )
         coded = layout.encode_frame(reference, stored, f"the reference of {stream!r}")
-        before = stored[-1] if last is None and stored.shape[0] else None  # of the recording that is appended to
+        # of the recording that is appended to
+        before = stored[-1] if last is None and stored.shape[0] else None
         if before is None or not np.array_equal(before, coded, equal_nan=before.dtype.kind == "f"):
             _append_row(stored, stored.shape[0], coded)
         self._last_reference[stream] = reference
@@ -202,48 +260,86 @@ class RecordingWriter:
         known = 0
         step = layout.BUBBLE_STEP_MM if group["frames"].ndim == 3 else layout.GEL_STEP_MM
         for field in layout.TRUTH_FIELDS:
-            key, want, values = field.key, field.shape or shape, getattr(truth or Truth(), field.field)
+            key = field.key
+            want = field.shape or shape
+            values = getattr(truth or Truth(), field.field)
             if values is None:
                 continue
             if values.shape != want:
-                raise ShapeError(f"{key} of frame {index} must have shape {want}, got {values.shape}")
+                raise ShapeError(
+                    f"{key} of frame {index} must have shape {want}, got {values.shape}"
+                )
             if key not in group and field.dtype is np.float32:
                 coding: Coding = self._coding
                 _create_stack(
-                    group, key, shape, np.int16, "mm", coding=coding, step_mm=step, nan_code=-32768, fill=-32768
+                    group,
+                    key,
+                    shape,
+                    np.int16,
+                    "mm",
+                    coding=coding,
+                    step_mm=step,
+                    nan_code=-32768,
+                    fill=-32768,
                 )
             elif key not in group and field.dtype is np.bool_:
                 _create_stack(group, key, shape, np.uint8, layout.UNITS[key])
             elif key not in group:
                 _create_stack(group, key, want, field.dtype, layout.UNITS[key], fill=np.nan)
-            _append_row(group[key], index, layout.encode_frame(values, group[key], f"{key} of frame {index}"))
+            _append_row(
+                group[key],
+                index,
+                layout.encode_frame(values, group[key], f"{key} of frame {index}"),
+            )
             known |= field.bit
         _append_row(group["truth/known"], index, known)
 
 
 def _create_stack(
-    group: Any, key: str, shape: tuple[int, ...], dtype: Any, unit: str, *,
-    coding: Coding = "plain", step_mm: float = 0.0, nan_code: int = 0, fill: Any = 0,
-) -> Any:  # fmt: skip
-    """An empty dataset that grows by one compressed chunk of `shape`; tables of numbers grow by 1024.
+    group: Any,
+    key: str,
+    shape: tuple[int, ...],
+    dtype: Any,
+    unit: str,
+    *,
+    coding: Coding = "plain",
+    step_mm: float = 0.0,
+    nan_code: int = 0,
+    fill: Any = 0,
+) -> Any:
+    """An empty dataset that grows by one compressed chunk of `shape`.
 
-    Tables are not compressed, so that a chunk keeps its place near the front of the file when written again.
+    Tables of numbers grow by 1024.
+
+    Tables are not compressed, so that a chunk keeps its place near the front of the file when
+    written again.
     """
-    compression: dict[str, Any] = {"compression": "gzip", "compression_opts": 4, "shuffle": True} if shape else {}
+    compression: dict[str, Any] = (
+        {"compression": "gzip", "compression_opts": 4, "shuffle": True} if shape else {}
+    )
     dataset = group.create_dataset(
-        key, shape=(0, *shape), maxshape=(None, *shape), chunks=(1, *shape) if shape else (1024,), dtype=dtype,
-        fletcher32=True, fillvalue=fill, **compression,
-    )  # fmt: skip
+        key,
+        shape=(0, *shape),
+        maxshape=(None, *shape),
+        chunks=(1, *shape) if shape else (1024,),
+        dtype=dtype,
+        fletcher32=True,
+        fillvalue=fill,
+        **compression,
+    )
     dataset.attrs["unit"] = unit
     if step_mm > 0:
-        dataset.attrs["step_mm"], dataset.attrs["nan_code"] = step_mm, nan_code
+        dataset.attrs["step_mm"] = step_mm
+        dataset.attrs["nan_code"] = nan_code
     if coding != "plain" and np.issubdtype(np.dtype(dtype), np.integer):
         dataset.attrs["coding"] = coding
     return dataset
 
 
 def _write_dataset(group: Any, key: str, values: NDArray[Any], unit: str) -> Any:
-    dataset = group.create_dataset(key, data=values, chunks=True, compression="gzip", shuffle=True, fletcher32=True)
+    dataset = group.create_dataset(
+        key, data=values, chunks=True, compression="gzip", shuffle=True, fletcher32=True
+    )
     dataset.attrs["unit"] = unit
     return dataset
 

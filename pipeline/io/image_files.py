@@ -13,14 +13,19 @@ from pipeline.core.files import read_bytes
 from pipeline.core.native_stderr import silence_native_libraries
 from pipeline.io.formats import IMAGE_SUFFIXES
 
-NO_REFERENCE_NOTE = "no reference image was found; name one with --reference, or make one with --reference-frames"
+NO_REFERENCE_NOTE = (
+    "no reference image was found; name one with --reference, or make one with --reference-frames"
+)
 _REFERENCE_STEM = re.compile(
     r"^(background|bg|ref|reference|untouched|undeformed)([\W_\d].*)?$"
     r"|^[a-z]+[\W_](background|bg|ref|reference|untouched|undeformed)$",  # left_background
     re.IGNORECASE,
 )
-_REFERENCE_KEY = re.compile(r"(^|_)(background|bg|ref|reference|untouched|undeformed|base)(_|$)", re.IGNORECASE)
-_TAIL_BYTES = 4096  # at the end of a file in which the end mark is searched: editors append a little
+_REFERENCE_KEY = re.compile(
+    r"(^|_)(background|bg|ref|reference|untouched|undeformed|base)(_|$)", re.IGNORECASE
+)
+# at the end of a file in which the end mark is searched: editors append a little
+_TAIL_BYTES = 4096
 
 
 def is_image_file(path: Path) -> bool:
@@ -39,7 +44,10 @@ def is_reference_key(key: str) -> bool:
 
 
 def read_raw_pixels(path: Path) -> NDArray[np.generic]:
-    """The pixels as stored, colours as BGR(A); raises FileProblem for a damaged or truncated file."""
+    """The pixels as stored, colours as BGR(A).
+
+    Raises FileProblem for a damaged or truncated file.
+    """
     import cv2
 
     data = read_bytes(path, "the image")
@@ -47,16 +55,23 @@ def read_raw_pixels(path: Path) -> NDArray[np.generic]:
         raise FileProblem("the image ends too early; it is cut short or still being written", path)
     try:
         with silence_native_libraries():
-            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
+            pixels = cv2.imdecode(
+                np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
+            )
     except cv2.error:
         pixels = None
     if pixels is None:
-        raise FileProblem("the image cannot be decoded; it is damaged, too large or not an image", path)
+        raise FileProblem(
+            "the image cannot be decoded; it is damaged, too large or not an image", path
+        )
     return cast("NDArray[np.generic]", pixels)
 
 
 def read_rgb(path: Path) -> Image:
-    """(rows, cols, 3) uint8 RGB of an image file; raises FileProblem for a damaged file or other than 8 bits."""
+    """(rows, cols, 3) uint8 RGB of an image file.
+
+    Raises FileProblem for a damaged file or other than 8 bits.
+    """
     pixels = read_raw_pixels(path)
     if pixels.dtype != np.uint8:
         how = "divide by 257" if pixels.dtype == np.uint16 else "multiply by 255 where 1 is white"

@@ -1,4 +1,6 @@
-"""Read gel images with a reference image among them: a folder, one image, or the tree of a data set."""
+"""Read gel images with a reference image among them: a folder, one image, or the tree of a data
+set.
+"""
 
 import math
 import os
@@ -24,28 +26,39 @@ from pipeline.io.reference_images import (
     sample_frames,
 )
 
-_N_COMPARED = 3  # images whose size is compared with the reference's, and that show whether they are in colour
+# images whose size is compared with the reference's, and that show whether they are in colour
+_N_COMPARED = 3
 _N_LIGHT = 9  # images of a series whose median is its light
-_LIGHT_GREY, _LIGHT_RATIO = 6.0, 3.0  # median change between the light of two sensors; times that within a series
+# median change between the light of two sensors; times that within a series
+_LIGHT_GREY = 6.0
+_LIGHT_RATIO = 3.0
 
 
 def read(files: RecordingFiles, options: ReadOptions) -> Recording:
-    """The images as one stream of RGB frames, in order; one stream a sensor where the names tell several apart.
+    """The images as one stream of RGB frames, in order.
 
-    The reference is the stated file, else the first image named background*, bg*, ref*, reference*, untouched* or
-    undeformed*, as the median with the first frames where they are alike. Differences imply it; without any it is the
-    median of the first frames, if at least three are alike and untouched, else there is none; a note says which. Images
-    of the sensor at another size are resampled, grey ones among colour ones left out. Raises FileProblem or
-    SettingProblem.
+    One stream a sensor where the names tell several apart.
+
+    The reference is the stated file, else the first image named background*, bg*, ref*, reference*,
+    untouched* or undeformed*, as the median with the first frames where they are alike. Differences
+    imply it; without any it is the median of the first frames, if at least three are alike and
+    untouched, else there is none; a note says which. Images of the sensor at another size are
+    resampled, grey ones among colour ones left out. Raises FileProblem or SettingProblem.
     """
     path = files.path
-    excluded = {os.path.realpath(p) for p in (*files.references, *((options.reference,) if options.reference else ()))}
+    excluded = {
+        os.path.realpath(p)
+        for p in (*files.references, *((options.reference,) if options.reference else ()))
+    }
     images = [p for p in files.images if os.path.realpath(p) not in excluded]
     found = images
     images, notes = select_colour_series(found)
     if not images:
         raise FileProblem(
-            "the folder has no images to show" if path.is_dir() else "the only image is the reference", path
+            "the folder has no images to show"
+            if path.is_dir()
+            else "the only image is the reference",
+            path,
         )
     groups = file_names.split_sensors(images) if path.is_dir() else {}
     if not groups:
@@ -60,7 +73,8 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
         asked = options.stream if options.stream in groups else ""
         if options.reference is not None and not asked:
             raise SettingProblem(
-                f"a reference can be given for one sensor, and the names of the images tell {len(groups)} apart "
+                "a reference can be given for one sensor, and the names of the images tell "
+                f"{len(groups)} apart "
                 f"({', '.join(groups)}): choose one with --stream, or name the references "
                 f"{', '.join(f'background_{name}' for name in groups)}"
             )
@@ -69,30 +83,49 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
         n_alone = len(images) - sum(map(len, paired.values()))
         made = [
             _read_series(
-                name, paired[name], _select_references(name, groups, files.references), path,
-                options if name == asked else replace(options, reference=None), times.get(name),
+                name,
+                paired[name],
+                _select_references(name, groups, files.references),
+                path,
+                options if name == asked else replace(options, reference=None),
+                times.get(name),
             )
             for name in groups
-        ]  # fmt: skip
+        ]
         streams = tuple(stream for stream, _ in made)
         about = tuple(f"{stream.name}: {note}" for stream, own in made for note in own)
         notes += (f"the names of the images tell {len(groups)} sensors apart: {', '.join(groups)}",)
-        notes += (f"{n_alone} images without one of the same number of the other sensor are left out",) * (n_alone > 0)
-    return Recording(path=path, format="folder of images" if path.is_dir() else "image",
-                     streams=streams, notes=(*files.notes, *notes, *about))  # fmt: skip
+        notes += (
+            f"{n_alone} images without one of the same number of the other sensor are left out",
+        ) * (n_alone > 0)
+    return Recording(
+        path=path,
+        format="folder of images" if path.is_dir() else "image",
+        streams=streams,
+        notes=(*files.notes, *notes, *about),
+    )
 
 
 def _read_series(
-    name: str, images: list[Path], references: Sequence[Path], path: Path, options: ReadOptions, times_s: Doubles | None
+    name: str,
+    images: list[Path],
+    references: Sequence[Path],
+    path: Path,
+    options: ReadOptions,
+    times_s: Doubles | None,
 ) -> tuple[Stream, tuple[str, ...]]:
-    """The images of one sensor as a stream, and notes; `name` tells it from others, "" where it is alone."""
+    """The images of one sensor as a stream, and notes.
+
+    `name` tells it from others, "" where it is alone.
+    """
     reference_file = options.reference or next(iter(references), None)
     reference = None if reference_file is None else image_files.read_rgb(reference_file)
     shape = (_read_first(images) if reference is None else reference).shape
     if reference_file is not None and not _has_shape(images[:_N_COMPARED], shape):
         other = _read_first(images).shape
         raise FileProblem(
-            f"the reference image is {shape[1]} x {shape[0]} px, the others are {other[1]} x {other[0]} px; give one "
+            f"the reference image is {shape[1]} x {shape[0]} px, the others are {other[1]} x "
+            f"{other[0]} px; give one "
             "of that size as --reference",
             reference_file,
         )
@@ -101,9 +134,12 @@ def _read_series(
         return _read_of_shape(images[index], shape, index)
 
     require_colour((image for _, image in sample_frames(read_raw, len(images), _N_COMPARED)), path)
-    start, n_averaged = 0, 0
+    start = 0
+    n_averaged = 0
     if reference is not None and options.reference is None:
-        reference, n_averaged = denoise_reference(reference, read_until_damaged(image_files.read_rgb, images))
+        reference, n_averaged = denoise_reference(
+            reference, read_until_damaged(image_files.read_rgb, images)
+        )
     elif reference is None and estimate_no_change_grey(_read_first(images)) is None:
         reference, start, n_averaged = find_first_reference(read_raw, len(images))
     converter = make_gel_converter(
@@ -118,26 +154,39 @@ def _read_series(
         time_s = math.nan if times_s is None else float(times_s[index])
         return converter.make_frame(read_raw(index), index, str(images[index]), time_s)
 
-    stream = Stream(name=name or converter.sensor or "images", sensor=converter.sensor, n_frames=len(images),
-                    frame=with_index_check(frame, len(images), path), times_s=times_s)  # fmt: skip
+    stream = Stream(
+        name=name or converter.sensor or "images",
+        sensor=converter.sensor,
+        n_frames=len(images),
+        frame=with_index_check(frame, len(images), path),
+        times_s=times_s,
+    )
     about = () if times_s is None else ("the times are those in the names of the files",)
     if converter.implied_reference is not None:
         return stream, (*converter.notes, *about)
     if reference_file is None and reference is not None:
-        about += (describe_first_reference(lambda index: escape_text(images[index].name), start, n_averaged),)
+        about += (
+            describe_first_reference(
+                lambda index: escape_text(images[index].name), start, n_averaged
+            ),
+        )
     else:
         about += _describe_reference(reference_file, references, n_averaged)
     return stream, (*converter.notes, *about)
 
 
-def _select_references(name: str, sensors: Mapping[str, object], references: Sequence[Path]) -> list[Path]:
+def _select_references(
+    name: str, sensors: Mapping[str, object], references: Sequence[Path]
+) -> list[Path]:
     """The reference images of one sensor: those with its name."""
     words = {file: set(re.findall(r"[a-z]+|\d+", file.stem.lower())) for file in references}
     return [file for file, own in words.items() if own.intersection(sensors) == {name}]
 
 
 def _require_one_light(series: Mapping[str, list[Path]], path: Path) -> None:
-    """Raise FileProblem where series of names differ in size or light, as those of two sensors do."""
+    """Raise FileProblem where series of names differ in size or light, as those of two sensors
+    do.
+    """
     lights = dict[str, tuple[Floats, float]]()
     for name, files in series.items():
         found = [image for _, image in sample_frames(_make_reader(files), len(files), _N_LIGHT)]
@@ -153,8 +202,10 @@ def _require_one_light(series: Mapping[str, list[Path]], path: Path) -> None:
         change = np.inf if differs else float(np.median(np.abs(light - first[1][0])))
         if change > max(_LIGHT_GREY, _LIGHT_RATIO * max(within, first[1][1])):
             raise FileProblem(
-                f"the images named {first[0]} and {name} differ in {'size' if differs else 'light'} as those of two "
-                "sensors do; put those of each into a folder of its own, or name them left and right",
+                f"the images named {first[0]} and {name} differ in "
+                f"{'size' if differs else 'light'} as those of two "
+                "sensors do; put those of each into a folder of its own, or name them left and "
+                "right",
                 path,
             )
 
@@ -189,14 +240,17 @@ def _read_of_shape(file: Path, shape: tuple[int, ...], index: int) -> Image:
         raise
     if image.shape != shape:
         raise FileProblem(
-            f"frame {index} is {image.shape[1]} x {image.shape[0]} px, the others are {shape[1]} x {shape[0]} px",
+            f"frame {index} is {image.shape[1]} x {image.shape[0]} px, the others are {shape[1]} "
+            f"x {shape[0]} px",
             file,
             field=f"frame {index}",
         )
     return image
 
 
-def _describe_reference(reference: Path | None, references: Sequence[Path], n_averaged: int) -> tuple[str, ...]:
+def _describe_reference(
+    reference: Path | None, references: Sequence[Path], n_averaged: int
+) -> tuple[str, ...]:
     if reference is None:
         return (image_files.NO_REFERENCE_NOTE,)
     unused = [p.name for p in references if p != reference]
@@ -205,17 +259,19 @@ def _describe_reference(reference: Path | None, references: Sequence[Path], n_av
     return (f"{reference.name} is the reference{alike}", *more)
 
 
-_PATTERN = re.compile(r"^(\D*)(?:\d.*\d|\d)?(\D*)$", re.DOTALL)  # words before the first digit and after the last one
+# words before the first digit and after the last one
+_PATTERN = re.compile(r"^(\D*)(?:\d.*\d|\d)?(\D*)$", re.DOTALL)
 _PARTNER = re.compile(r"_(bubble|gelslim|digit|mini)(_|$)")  # in what follows the name of a touch
 _MAX_SERIES = 32  # more patterns than these are names of their own
 
 
 def select_colour_series(images: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
-    """(images, notes): the images without the grey series, where some series are grey and others in colour.
+    """(images, notes): the images without the grey series, where some series are grey and others in
+    colour.
 
-    Data sets keep what was derived from an image next to it: depth maps, masks, the other sensor's imprint. These are
-    grey, and a gel's camera records colour. Images of one name pattern (`touch_007`, `07_gelslim`) are of one kind, so
-    that one image of each is read.
+    Data sets keep what was derived from an image next to it: depth maps, masks, the other sensor's
+    imprint. These are grey, and a gel's camera records colour. Images of one name pattern
+    (`touch_007`, `07_gelslim`) are of one kind, so that one image of each is read.
     """
     series: dict[tuple[str, ...], list[Path]] = {}
     for image in images:
@@ -233,11 +289,16 @@ def select_colour_series(images: Sequence[Path]) -> tuple[list[Path], tuple[str,
 
 
 def _find_partners(images: Sequence[Path], grey: set[Path]) -> list[Stream]:
-    """Grey images whose names end in another sensor's, one for every image: its partners, without millimetres."""
+    """Grey images whose names end in another sensor's, one for every image: its partners,
+    without millimetres.
+    """
     touches = [image.stem.removesuffix(_find_ending(images[0])) for image in images]
     partners: list[Stream] = []
     for name in {_find_ending(file) for file in grey}:
-        files = [image.with_name(f"{touch}{name}{image.suffix}") for image, touch in zip(images, touches, strict=True)]
+        files = [
+            image.with_name(f"{touch}{name}{image.suffix}")
+            for image, touch in zip(images, touches, strict=True)
+        ]
         sensor = _PARTNER.search(name)
         if sensor and grey.issuperset(files):
             partners.append(_make_partner(name[sensor.start() :].strip("_"), files))
@@ -252,9 +313,16 @@ def _find_ending(file: Path) -> str:
 def _make_partner(name: str, files: Sequence[Path]) -> Stream:
     def frame(index: int) -> TactileFrame:
         image = image_files.read_rgb(files[index])
-        return TactileFrame(sensor="", image=image, reference=None, index=index, origin=str(files[index]))
+        return TactileFrame(
+            sensor="", image=image, reference=None, index=index, origin=str(files[index])
+        )
 
-    return Stream(name=name, sensor="", n_frames=len(files), frame=with_index_check(frame, len(files), files[0].parent))
+    return Stream(
+        name=name,
+        sensor="",
+        n_frames=len(files),
+        frame=with_index_check(frame, len(files), files[0].parent),
+    )
 
 
 def _is_grey(file: Path) -> bool:

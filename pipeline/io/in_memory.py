@@ -29,11 +29,10 @@ def make_recording(
     """Return a recording of one sensor from its images.
 
     Args:
-        images: (n, rows, cols, 3) uint8 RGB of a gel, or (n, rows, cols) depth in mm of a bubble, NaN = no value.
-        reference: One image of the sensor without contact, of the same shape and type; None = not recorded.
-        sensor: The sensor that made them.
-        times_s: (n,) seconds, increasing; None = not known.
-        path: Where they are from, for messages.
+        images: (n, rows, cols, 3) uint8 RGB of a gel, or (n, rows, cols) depth in mm of a bubble,
+        NaN = no value. reference: One image of the sensor without contact, of the same shape and
+        type; None = not recorded. sensor: The sensor that made them. times_s: (n,) seconds,
+        increasing; None = not known. path: Where they are from, for messages.
 
     Raises:
         ShapeError: Shapes or types are others, or no image is there.
@@ -44,29 +43,50 @@ def make_recording(
         raise ShapeError(
             f"the images of {sensor.title} have several shapes; give those of one shape at a time"
         ) from None
-    ndim, content = (4, "uint8 RGB (n, rows, cols, 3)") if sensor.bubble is None else (3, "depth in mm (n, rows, cols)")
+    ndim, content = (
+        (4, "uint8 RGB (n, rows, cols, 3)")
+        if sensor.bubble is None
+        else (3, "depth in mm (n, rows, cols)")
+    )
     if stack.ndim == ndim - 1:
-        raise ShapeError(f"images of {sensor.title} must be {content}, got one of {stack.shape}; put it in a list")
+        raise ShapeError(
+            f"images of {sensor.title} must be {content}, got one of {stack.shape}; put it in a "
+            "list"
+        )
     if stack.ndim != ndim or not stack.size or (ndim == 4 and stack.shape[3] != 3):
-        raise ShapeError(f"images of {sensor.title} must be {content}, got {stack.dtype} of {stack.shape}")
+        raise ShapeError(
+            f"images of {sensor.title} must be {content}, got {stack.dtype} of {stack.shape}"
+        )
     frames = [_convert(image, sensor, f"image {index}") for index, image in enumerate(stack)]
     rest = None if reference is None else _convert(np.asarray(reference), sensor, "the reference")
     if rest is not None and rest.shape != frames[0].shape:
-        raise ShapeError(f"the reference has shape {rest.shape}, the images {frames[0].shape}; give one of their shape")
+        raise ShapeError(
+            f"the reference has shape {rest.shape}, the images {frames[0].shape}; give one of "
+            "their shape"
+        )
     times = None if times_s is None else np.asarray(times_s, np.float64)
     if times is not None and times.shape != (len(frames),):
-        raise ShapeError(f"times_s must have shape ({len(frames)},), one time an image, got {times.shape}")
+        raise ShapeError(
+            f"times_s must have shape ({len(frames)},), one time an image, got {times.shape}"
+        )
 
     def read(index: int) -> TactileFrame:
         return TactileFrame(
-            sensor=sensor.name, image=frames[index], reference=rest, index=index, origin=f"{path} [{index}]",
+            sensor=sensor.name,
+            image=frames[index],
+            reference=rest,
+            index=index,
+            origin=f"{path} [{index}]",
             time_s=math.nan if times is None else float(times[index]),
-        )  # fmt: skip
+        )
 
     stream = Stream(
-        name=sensor.name, sensor=sensor.name, n_frames=len(frames), times_s=times,
+        name=sensor.name,
+        sensor=sensor.name,
+        n_frames=len(frames),
+        times_s=times,
         frame=with_index_check(read, len(frames), path),
-    )  # fmt: skip
+    )
     return Recording(path=path, format="arrays", streams=(stream,))
 
 
@@ -74,10 +94,13 @@ def _convert(image: NDArray[Any], sensor: SensorSpec, what: str) -> Image | Floa
     """Return an immutable copy; raises ShapeError for another type than the sensor's."""
     if sensor.bubble is not None:
         if image.dtype.kind not in "fiu":
-            raise ShapeError(f"{what} must hold depth in mm, got {image.dtype}; convert it with astype(float)")
+            raise ShapeError(
+                f"{what} must hold depth in mm, got {image.dtype}; convert it with astype(float)"
+            )
         return freeze(image.astype(np.float32))
     if image.dtype != np.uint8:
         raise ShapeError(
-            f"{what} must be uint8, got {image.dtype}; convert values from 0 to 1 with (255 * images).astype(np.uint8)"
+            f"{what} must be uint8, got {image.dtype}; convert values from 0 to 1 with (255 * "
+            "images).astype(np.uint8)"
         )
     return cast("Image", freeze(image.copy()))

@@ -1,4 +1,6 @@
-"""Cameras of a LeRobot data set (v3, and v2 of the same file kinds) as streams: videos, or images in parquet tables."""
+"""Cameras of a LeRobot data set (v3, and v2 of the same file kinds) as streams: videos, or
+images in parquet tables.
+"""
 
 from bisect import bisect_right
 from collections.abc import Iterator
@@ -19,7 +21,13 @@ from pipeline.core.values.frames import Recording
 from pipeline.io.encoded_images import decode_rgb
 from pipeline.io.formats import ReadOptions, RecordingFiles
 from pipeline.io.image_sequence import ImageSequence
-from pipeline.io.lerobot_episodes import NO_FRAME, import_parquet, list_episodes, list_videos, require_group_budget
+from pipeline.io.lerobot_episodes import (
+    NO_FRAME,
+    import_parquet,
+    list_episodes,
+    list_videos,
+    require_group_budget,
+)
 from pipeline.io.stream_choice import make_streams
 from pipeline.io.video import VideoDecoder
 
@@ -49,8 +57,14 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     Raises FileProblem, and SettingProblem where a package for parquet is missing.
     """
     path = files.path
-    info = convert(read_json(path / _INFO, "the data set's description"), _Info, "the data set", path / _INFO)
-    kinds = {name: feature.dtype for name, feature in info.features.items() if feature.dtype in ("video", "image")}
+    info = convert(
+        read_json(path / _INFO, "the data set's description"), _Info, "the data set", path / _INFO
+    )
+    kinds = {
+        name: feature.dtype
+        for name, feature in info.features.items()
+        if feature.dtype in ("video", "image")
+    }
     if not kinds:
         raise FileProblem("the data set has no camera", path / _INFO, field="features")
     videos = list[_Videos]()
@@ -66,23 +80,38 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
             images.close()
 
     try:
-        streams, notes = make_streams({name: partial(open_camera, name) for name in kinds}, path, options)
+        streams, notes = make_streams(
+            {name: partial(open_camera, name) for name in kinds}, path, options
+        )
     except Exception:
         close()
         raise
     if len({stream.n_frames for stream in streams}) > 1:
         counts = ", ".join(f"{stream.name} {stream.n_frames}" for stream in streams)
-        notes += (StageWarning(f"the cameras have different numbers of frames ({counts}), so that pairs may be wrong"),)
-    notes += (f"{info.total_episodes} episodes follow each other",) if info.total_episodes > 1 else ()
-    return Recording(path=path, format="LeRobot data set", streams=streams, close=close,
-                     notes=(*files.notes, *notes))  # fmt: skip
+        notes += (
+            StageWarning(
+                f"the cameras have different numbers of frames ({counts}), so that pairs may be "
+                "wrong"
+            ),
+        )
+    notes += (
+        (f"{info.total_episodes} episodes follow each other",) if info.total_episodes > 1 else ()
+    )
+    return Recording(
+        path=path,
+        format="LeRobot data set",
+        streams=streams,
+        close=close,
+        notes=(*files.notes, *notes),
+    )
 
 
 class _Videos:
     """The frames of a camera's videos, one episode after the other."""
 
     def __init__(self, root: Path, name: str, rate_hz: float) -> None:
-        self._root, self._rate_hz = root, rate_hz
+        self._root = root
+        self._rate_hz = rate_hz
         episodes = list_episodes(root, name)
         files = list(dict.fromkeys(e.file for e in episodes)) or list_videos(root, name)
         self._videos = {file: VideoDecoder(file) for file in files}
@@ -92,7 +121,9 @@ class _Videos:
             times_s = np.array([video.time_s(k) for k in range(video.n_frames)])
             self._frames += [(video, k) for k in episode.select_frames(times_s, rate_hz).tolist()]
         if not episodes:
-            self._frames = [(video, k) for video in self._videos.values() for k in range(video.n_frames)]
+            self._frames = [
+                (video, k) for video in self._videos.values() for k in range(video.n_frames)
+            ]
 
     @property
     def n_frames(self) -> int:
@@ -103,7 +134,9 @@ class _Videos:
         """(rows, cols, 3) RGB."""
         video, number = self._frames[index]
         if number == NO_FRAME:
-            raise FileProblem(f"the video ends before frame {index}", self._root, field=f"frame {index}")
+            raise FileProblem(
+                f"the video ends before frame {index}", self._root, field=f"frame {index}"
+            )
         return video.frame(number)
 
     def time_s(self, index: int) -> float:
@@ -126,14 +159,20 @@ class _Rows:
 
 
 class _TableImages:
-    """Images in a column of parquet tables, read one by one: a group of rows unfolds to any size."""
+    """Images in a column of parquet tables, read one by one: a group of rows unfolds to any
+    size.
+    """
 
     def __init__(self, root: Path, name: str, rate_hz: float) -> None:
         parquet, error_class = import_parquet()
         self._parquet: Any = parquet
-        self._error, self._name, self._rate_hz, self._rows = error_class, name, rate_hz, list[_Rows]()
+        self._error = error_class
+        self._name = name
+        self._rate_hz = rate_hz
+        self._rows = list[_Rows]()
         end = 0
-        self._open: tuple[int, int, Iterator[Any]] = -1, 0, iter(())  # group, next row, batches from there
+        # group, next row, batches from there
+        self._open: tuple[int, int, Iterator[Any]] = -1, 0, iter(())
         for file in sorted((root / "data").rglob("*.parquet")):
             require_file(file, "the table", most_bytes=1 << 50)
             try:
@@ -158,20 +197,28 @@ class _TableImages:
         try:
             cell = self._read_cell(at, index - (self._rows[at - 1].end if at else 0))
         except (self._error, OSError, LookupError, StopIteration) as error:
-            raise FileProblem(f"the table's column {self._name} cannot be read", part.file) from error
+            raise FileProblem(
+                f"the table's column {self._name} cannot be read", part.file
+            ) from error
         content = cell.get("bytes") if isinstance(cell, dict) else cell
         if not isinstance(content, bytes):
-            raise FileProblem(f"frame {index} of {self._name} holds no image", part.file, field=f"frame {index}")
+            raise FileProblem(
+                f"frame {index} of {self._name} holds no image", part.file, field=f"frame {index}"
+            )
         return decode_rgb(content, f"frame {index}", part.file)
 
     def _read_cell(self, at: int, row: int) -> Any:
-        """The cell in a row of a group; the rows before it are passed, from the last one that was read."""
+        """The cell in a row of a group.
+
+        The rows before it are passed, from the last one that was read.
+        """
         group, next_row, cells = self._open
         if group != at or next_row > row:
             part = self._rows[at]
             file = self._parquet.ParquetFile(part.file)
             require_group_budget(file.metadata.row_group(part.group), part.file)
-            next_row, cells = 0, file.iter_batches(1, row_groups=[part.group], columns=[self._name])
+            next_row = 0
+            cells = file.iter_batches(1, row_groups=[part.group], columns=[self._name])
         self._open = at, row + 1, cells
         return next(islice(cells, row - next_row, None)).column(0)[0].as_py()
 

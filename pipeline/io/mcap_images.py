@@ -1,7 +1,8 @@
 """Image topics of an MCAP file as streams: Foxglove's schemas (protobuf, JSON) and those of ROS 2.
 
-Images of a topic are in the order of their header stamps, then of their sequence numbers, then of the file. The time at
-which a message was written is used where there are no stamps: a bag's clock may stand still.
+Images of a topic are in the order of their header stamps, then of their sequence numbers, then of
+the file. The time at which a message was written is used where there are no stamps: a bag's clock
+may stand still.
 """
 
 import base64
@@ -26,13 +27,20 @@ from pipeline.io.mcap_records import McapChannel, McapFile, McapMessage
 from pipeline.io.stream_choice import make_streams
 
 PREVIEW_PROFILE = "tactoscope previews"  # profile of the files that are exported for viewers
-IMAGE_SCHEMAS = frozenset({
-    "foxglove.CompressedImage", "foxglove.RawImage", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image",
-})  # fmt: skip
+IMAGE_SCHEMAS = frozenset(
+    {
+        "foxglove.CompressedImage",
+        "foxglove.RawImage",
+        "sensor_msgs/msg/CompressedImage",
+        "sensor_msgs/msg/Image",
+    }
+)
 _VIDEO = "CompressedVideo"  # end of the names of video schemas
 _NS_PER_S = 10**9
-_MAX_STEPS_BACK = 10  # frames by which an image may be written too late; more is a clock that was set back
-_MAX_CLOCK_GAP_NS = 10 * _NS_PER_S  # by which header and log times of two topics may differ; more is two clocks
+# frames by which an image may be written too late; more is a clock that was set back
+_MAX_STEPS_BACK = 10
+# by which header and log times of two topics may differ; more is two clocks
+_MAX_CLOCK_GAP_NS = 10 * _NS_PER_S
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,31 +52,40 @@ class _StampedImage:
 
 
 def read(files: RecordingFiles, options: ReadOptions) -> Recording:
-    """Every topic of colour images that records touch as one stream, by its name; see `stream_choice.make_streams`.
+    """Every topic of colour images that records touch as one stream, by its name.
+
+    See `stream_choice.make_streams`.
 
     Raises FileProblem, and SettingProblem where the package `mcap` is missing.
     """
     path = files.path
     require_file(path, "the MCAP file", most_bytes=1 << 50)
-    decoders, file = make_decoders(), McapFile(path)
+    decoders = make_decoders()
+    file = McapFile(path)
     try:
         topics, others = _list_images(file, decoders)
         if file.profile == PREVIEW_PROFILE:
             raise FileProblem(
-                "the file holds coloured previews that were exported for viewers, not images of a sensor; open the "
-                "recording that they were made from", path,
-            )  # fmt: skip
+                "the file holds coloured previews that were exported for viewers, not images of a "
+                "sensor; open the "
+                "recording that they were made from",
+                path,
+            )
         if not topics:
             raise FileProblem(_describe_lack(others, file.notes), path)
         times_ns, notes = _choose_times(topics)
         start_ns = min((t for of_topic in times_ns.values() for t in of_topic.values()), default=0)
         cameras: dict[str, Callable[[], _Topic]] = {
             topic.strip("/"): partial(
-                _Topic, file, _sort_images(images),
-                {k: (t - start_ns) / _NS_PER_S for k, t in times_ns[topic].items()}, decoders, path,
+                _Topic,
+                file,
+                _sort_images(images),
+                {k: (t - start_ns) / _NS_PER_S for k, t in times_ns[topic].items()},
+                decoders,
+                path,
             )
             for topic, images in sorted(topics.items())
-        }  # fmt: skip
+        }
         streams, about = make_streams(cameras, path, options)
     except TouchError:
         file.close()
@@ -76,21 +93,34 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     except Exception as error:
         file.close()
         raise FileProblem(f"the MCAP file is damaged ({error!r:.80})", path) from error
-    return Recording(path=path, format="MCAP file", streams=streams, close=file.close,
-                     notes=(*files.notes, *file.notes, *notes, *about))  # fmt: skip
+    return Recording(
+        path=path,
+        format="MCAP file",
+        streams=streams,
+        close=file.close,
+        notes=(*files.notes, *file.notes, *notes, *about),
+    )
 
 
 class Decoders:
     """Decoders of messages, by the packages that are installed."""
 
     def __init__(self, factories: Sequence[Any]) -> None:
-        self._factories, self._of_channel = factories, dict[int, Any]()
+        self._factories = factories
+        self._of_channel = dict[int, Any]()
 
     def decode(self, channel: McapChannel, content: bytes) -> Any:
-        """The message with its fields as attributes; raises ValueError where no package decodes it."""
+        """The message with its fields as attributes.
+
+        Raises ValueError where no package decodes it.
+        """
         if id(channel) not in self._of_channel:
-            found = (f.decoder_for(channel.message_encoding, channel.schema) for f in self._factories)
-            self._of_channel[id(channel)] = next((decoder for decoder in found if decoder is not None), None)
+            found = (
+                f.decoder_for(channel.message_encoding, channel.schema) for f in self._factories
+            )
+            self._of_channel[id(channel)] = next(
+                (decoder for decoder in found if decoder is not None), None
+            )
         decoder = self._of_channel[id(channel)]
         if decoder is None:
             raise ValueError(f"no decoder for {channel.message_encoding!r}")
@@ -98,7 +128,10 @@ class Decoders:
 
 
 def make_decoders() -> Decoders:
-    """Decoders of JSON, protobuf and ROS 2 messages; raises SettingProblem without the package `mcap`."""
+    """Decoders of JSON, protobuf and ROS 2 messages.
+
+    Raises SettingProblem without the package `mcap`.
+    """
     try:
         import mcap.reader as _  # noqa: F401 # the packages below need it, and it brings what unfolds chunks
     except ImportError as error:
@@ -134,14 +167,19 @@ def _decode_json(content: bytes) -> Any:
     return SimpleNamespace(**{**fields, "data": base64.b64decode(fields["data"])})
 
 
-def _list_images(file: McapFile, decoders: Decoders) -> tuple[dict[str, list[_StampedImage]], dict[str, str]]:
+def _list_images(
+    file: McapFile, decoders: Decoders
+) -> tuple[dict[str, list[_StampedImage]], dict[str, str]]:
     """(topic -> its images in the order of the file, topic -> schema of everything else)."""
-    topics, others = dict[str, list[_StampedImage]](), dict[str, str]()
+    topics = dict[str, list[_StampedImage]]()
+    others = dict[str, str]()
     for message, content in file.iterate():
         schema = "" if message.channel.schema is None else message.channel.schema.name
         if schema in IMAGE_SCHEMAS:
             stamp_ns = read_stamp_ns(message.channel, content, decoders)
-            topics.setdefault(message.channel.topic, []).append(_StampedImage(message=message, stamp_ns=stamp_ns))
+            topics.setdefault(message.channel.topic, []).append(
+                _StampedImage(message=message, stamp_ns=stamp_ns)
+            )
         else:
             others[message.channel.topic] = schema
     return topics, others
@@ -150,13 +188,16 @@ def _list_images(file: McapFile, decoders: Decoders) -> tuple[dict[str, list[_St
 def read_stamp_ns(channel: McapChannel, content: bytes, decoders: Decoders) -> int:
     """The time in the header of an image; 0 where it has none or cannot be decoded."""
     try:
-        if channel.message_encoding == "cdr":  # the header comes first; to decode all would take a copy of the pixels
+        # the header comes first; to decode all would take a copy of the pixels
+        if channel.message_encoding == "cdr":
             seconds, rest = struct.unpack_from("<iI" if content[1] & 1 else ">iI", content, 4)
             return seconds * _NS_PER_S + rest
         if channel.message_encoding == "json":
             fields = json.loads(content)
             stamp = fields.get("timestamp") or fields.get("header", {}).get("stamp") or {}
-            return int(stamp.get("sec", 0)) * _NS_PER_S + int(stamp.get("nsec", stamp.get("nanosec", 0)))
+            return int(stamp.get("sec", 0)) * _NS_PER_S + int(
+                stamp.get("nsec", stamp.get("nanosec", 0))
+            )
         return int(decoders.decode(channel, content).timestamp.ToNanoseconds())
     except (ValueError, TypeError, AttributeError, LookupError, struct.error):
         return 0
@@ -168,7 +209,8 @@ def _sort_images(images: Sequence[_StampedImage]) -> list[McapMessage]:
     return [
         image.message
         for image in sorted(
-            images, key=lambda i: (i.stamp_ns if by_stamp else i.message.log_time_ns, i.message.sequence)
+            images,
+            key=lambda i: (i.stamp_ns if by_stamp else i.message.log_time_ns, i.message.sequence),
         )
     ]
 
@@ -193,25 +235,41 @@ def _is_set_back(images: Sequence[_StampedImage]) -> bool:
     return bool(steps_ns.min() < -_MAX_STEPS_BACK * np.median(np.abs(steps_ns)))
 
 
-def _choose_times(topics: Mapping[str, Sequence[_StampedImage]]) -> tuple[dict[str, dict[int, int]], tuple[str, ...]]:
-    """(topic -> id of a message -> its time in ns, notes): one clock for all topics; {} where none tells the time."""
+def _choose_times(
+    topics: Mapping[str, Sequence[_StampedImage]],
+) -> tuple[dict[str, dict[int, int]], tuple[str, ...]]:
+    """(topic -> id of a message -> its time in ns, notes): one clock for all topics.
+
+    {} where none tells the time.
+    """
     stamps = {topic: [i.stamp_ns for i in images] for topic, images in topics.items()}
     logs = {topic: [i.message.log_time_ns for i in images] for topic, images in topics.items()}
-    has_stamps, has_logs = all(map(_has_stamps, topics.values())), all(map(_tells_times, logs.values()))
+    has_stamps = all(map(_has_stamps, topics.values()))
+    has_logs = all(map(_tells_times, logs.values()))
     gaps_ns = [float(np.median(np.subtract(stamps[topic], logs[topic]))) for topic in topics]
     is_one_clock = not has_logs or max(gaps_ns) - min(gaps_ns) <= _MAX_CLOCK_GAP_NS
     notes: tuple[str, ...] = ()
     if has_stamps and not is_one_clock:
-        notes = ("the headers of the topics are of different clocks, so the times at which they were written are used",)
+        notes = (
+            "the headers of the topics are of different clocks, so the times at which they were "
+            "written are used",
+        )
     if has_logs and any(map(_is_set_back, topics.values())):
-        notes = ("the clock of the headers was set back, so the times at which images were written are used",)
+        notes = (
+            "the clock of the headers was set back, so the times at which images were written are "
+            "used",
+        )
     if has_stamps and is_one_clock:
         chosen = stamps
     elif has_logs:
         chosen = logs
     else:
         chosen = {
-            topic: stamps[topic] if _has_stamps(images) else logs[topic] if _tells_times(logs[topic]) else []
+            topic: stamps[topic]
+            if _has_stamps(images)
+            else logs[topic]
+            if _tells_times(logs[topic])
+            else []
             for topic, images in topics.items()
         }
     return {
@@ -224,7 +282,10 @@ def _describe_lack(others: Mapping[str, str], notes: Sequence[str]) -> str:
     """Why a file holds no images, as a clause."""
     video = [topic for topic, schema in others.items() if schema.endswith(_VIDEO)]
     if video:
-        return f"the topic {video[0]} holds video, which is not read; export it as a video file or as images"
+        return (
+            f"the topic {video[0]} holds video, which is not read; export it as a video file "
+            "or as images"
+        )
     if others:
         return f"the MCAP file has no topic of images, but {', '.join(sorted(others))}"
     return f"the MCAP file has no topic of images{f'; {notes[0]}' if notes else ''}"
@@ -237,17 +298,26 @@ def decode_image(message: Any, where: str, path: Path) -> Image:
             raise FileProblem(f"{where} holds depth: {NO_DEPTH}", path, field=where)
         return decode_rgb(bytes(message.data), where, path)
     shape = int(message.height), int(message.width)
-    return unpack_rgb(bytes(message.data), shape, int(message.step), str(message.encoding), where, path)
+    return unpack_rgb(
+        bytes(message.data), shape, int(message.step), str(message.encoding), where, path
+    )
 
 
 class _Topic:
     """The images of one topic."""
 
     def __init__(
-        self, file: McapFile, messages: Sequence[McapMessage], times_s: Mapping[int, float], decoders: Decoders,
+        self,
+        file: McapFile,
+        messages: Sequence[McapMessage],
+        times_s: Mapping[int, float],
+        decoders: Decoders,
         path: Path,
-    ) -> None:  # fmt: skip
-        self._file, self._messages, self._decoders, self._path = file, messages, decoders, path
+    ) -> None:
+        self._file = file
+        self._messages = messages
+        self._decoders = decoders
+        self._path = path
         self._times_s = [times_s.get(id(message), float("nan")) for message in messages]
 
     @property
@@ -257,7 +327,8 @@ class _Topic:
 
     def frame(self, index: int) -> Image:
         """(rows, cols, 3) RGB."""
-        message, where = self._messages[index], f"frame {index}"
+        message = self._messages[index]
+        where = f"frame {index}"
         try:
             image = self._decoders.decode(message.channel, self._file.read_content(message))
             return decode_image(image, where, self._path)
@@ -265,7 +336,9 @@ class _Topic:
             raise
         except Exception as error:
             topic = message.channel.topic
-            raise FileProblem(f"{where} of {topic} cannot be read", self._path, field=where) from error
+            raise FileProblem(
+                f"{where} of {topic} cannot be read", self._path, field=where
+            ) from error
 
     def time_s(self, index: int) -> float:
         """Time since the first image of the file; NaN where no clock tells it."""

@@ -1,7 +1,9 @@
-"""The messages of an MCAP file: one pass over its records finds each, with or without the file's own index.
+"""The messages of an MCAP file: one pass over its records finds each, with or without the file's
+own index.
 
-The package `mcap` reads the records. A file that was cut short or never closed has no footer and no index; what is
-there up to its end is read. A chunk is unfolded here, up to the size that it states, and one that is damaged left out.
+The package `mcap` reads the records. A file that was cut short or never closed has no footer and no
+index; what is there up to its end is read. A chunk is unfolded here, up to the size that it states,
+and one that is damaged left out.
 """
 
 import contextlib
@@ -48,11 +50,13 @@ class McapFile:
 
     def __init__(self, path: Path) -> None:
         """Raises FileProblem for a file that begins otherwise."""
-        self._path, self._lock = path, threading.Lock()
+        self._path = path
+        self._lock = threading.Lock()
         self._file: IO[bytes] = path.open("rb")
         self._unfolded: tuple[int, list[Any]] = _IN_FILE, []
         self._budget = max(_MIN_BUDGET_BYTES, _MAX_UNFOLDED * path.stat().st_size)
-        self._schemas, self._channels = dict[int, Any](), dict[int, McapChannel]()
+        self._schemas = dict[int, Any]()
+        self._channels = dict[int, McapChannel]()
         self.notes = list[str]()
         self.profile = ""
         if self._file.read(len(MAGIC)) != MAGIC:
@@ -80,7 +84,8 @@ class McapFile:
     def iterate(self) -> Iterator[tuple[McapMessage, bytes]]:
         """Every message in the order of the file, with its content; adds notes about what is lost.
 
-        Raises FileProblem for sizes beyond all bounds, and for a checksum that does not fit the file as a whole.
+        Raises FileProblem for sizes beyond all bounds, and for a checksum that does not fit the
+        file as a whole.
         """
         from mcap.exceptions import EndOfFile, InvalidMagic, RecordLengthLimitExceeded
         from mcap.records import Chunk, Header
@@ -90,7 +95,7 @@ class McapFile:
         self._file.seek(0)
         reader = StreamReader(
             self._file, emit_chunks=True, validate_crcs=True, record_size_limit=_MAX_RECORD_BYTES
-        )  # fmt: skip
+        )
         is_chunk_damaged = False
         try:
             for record in reader.records:
@@ -98,12 +103,21 @@ class McapFile:
                 if isinstance(record, Header):
                     self.profile = record.profile
                 elif isinstance(record, Chunk):
-                    at = end - len(record.data) - len(record.compression.encode()) - _CHUNK_HEAD_BYTES
+                    at = (
+                        end
+                        - len(record.data)
+                        - len(record.compression.encode())
+                        - _CHUNK_HEAD_BYTES
+                    )
                     try:
                         self._unfold(record, at)
                     except FileProblem as problem:
                         is_chunk_damaged = True
-                        self.notes.append(StageWarning(f"{str(problem).rsplit(': ', 1)[0]}; its images are left out"))
+                        self.notes.append(
+                            StageWarning(
+                                f"{str(problem).rsplit(': ', 1)[0]}; its images are left out"
+                            )
+                        )
                         continue
                     for place, one in enumerate(self._unfolded[1]):
                         yield from self._take(one, at, place)
@@ -114,26 +128,33 @@ class McapFile:
         except CRCValidationError as error:
             if not is_chunk_damaged:
                 raise FileProblem(
-                    "the MCAP file is damaged: its checksum does not fit; copy it again, or mend it with "
-                    "`mcap recover`", self._path,
-                ) from error  # fmt: skip
+                    "the MCAP file is damaged: its checksum does not fit; copy it again, or mend "
+                    "it with "
+                    "`mcap recover`",
+                    self._path,
+                ) from error
         except RecordLengthLimitExceeded as error:
             raise FileProblem(f"the MCAP file is damaged: a {error}", self._path) from error
         except (EndOfFile, InvalidMagic):
             self.notes.append(
                 StageWarning(
-                    "the MCAP file has no end: it was cut short or not closed; what is there up to then is read"
+                    "the MCAP file has no end: it was cut short or not closed; what is there up "
+                    "to then is read"
                 )
             )
 
     def _read_summary(self) -> None:
-        """Read the types and topics that a closed file repeats at its end: the chunk that holds them may be damaged."""
+        """Read the types and topics that a closed file repeats at its end: the chunk that holds
+        them may be damaged.
+        """
         from mcap.reader import SeekingReader
 
         self._file.seek(0)
         with contextlib.suppress(Exception):  # a file without an end is read without it
             summary = SeekingReader(self._file, record_size_limit=_MAX_RECORD_BYTES).get_summary()
-            for record in (*summary.schemas.values(), *summary.channels.values()) if summary else ():
+            for record in (
+                (*summary.schemas.values(), *summary.channels.values()) if summary else ()
+            ):
                 list(self._take(record, _IN_FILE, 0))
 
     def _take(self, record: Any, chunk: int, place: int) -> Iterator[tuple[McapMessage, bytes]]:
@@ -144,38 +165,53 @@ class McapFile:
             self._schemas[record.id] = record
         elif isinstance(record, Channel):
             self._channels[record.id] = McapChannel(
-                topic=record.topic, message_encoding=record.message_encoding,
+                topic=record.topic,
+                message_encoding=record.message_encoding,
                 schema=self._schemas.get(record.schema_id),
-            )  # fmt: skip
+            )
         elif isinstance(record, Message) and record.channel_id in self._channels:
             yield (
                 McapMessage(
-                    channel=self._channels[record.channel_id], sequence=record.sequence, log_time_ns=record.log_time,
-                    chunk=chunk, place=place, n_bytes=len(record.data),
+                    channel=self._channels[record.channel_id],
+                    sequence=record.sequence,
+                    log_time_ns=record.log_time,
+                    chunk=chunk,
+                    place=place,
+                    n_bytes=len(record.data),
                 ),
                 record.data,
-            )  # fmt: skip
+            )
 
     def _unfold(self, chunk: Any, at: int) -> None:
-        """Keep the records of a chunk; raises FileProblem where its size or checksum does not fit."""
+        """Keep the records of a chunk.
+
+        Raises FileProblem where its size or checksum does not fit.
+        """
         from mcap.stream_reader import breakup_chunk
 
         size = chunk.uncompressed_size
         if size > min(_MAX_RECORD_BYTES, self._budget):
             raise FileProblem(f"the chunk at byte {at} states {size / 1e9:.1f} GB", self._path)
         try:
-            chunk.data, chunk.compression = _decompress(chunk.data, chunk.compression, size), ""
+            chunk.data = _decompress(chunk.data, chunk.compression, size)
+            chunk.compression = ""
             checksum = zlib.crc32(chunk.data)
             if len(chunk.data) == size and chunk.uncompressed_crc in (0, checksum):
                 self._unfolded = at, breakup_chunk(chunk)
                 return
         except Exception as error:
-            raise FileProblem(f"the chunk at byte {at} is damaged and cannot be unfolded", self._path) from error
-        raise FileProblem(f"the chunk at byte {at} is damaged: its checksum does not fit", self._path)
+            raise FileProblem(
+                f"the chunk at byte {at} is damaged and cannot be unfolded", self._path
+            ) from error
+        raise FileProblem(
+            f"the chunk at byte {at} is damaged: its checksum does not fit", self._path
+        )
 
 
 def _decompress(stored: bytes, compression: str, size: int) -> bytes:
-    """At most one byte more than the stated size, so that a false one is noticed before it fills the memory."""
+    """At most one byte more than the stated size, so that a false one is noticed before it fills
+    the memory.
+    """
     if compression == "zstd":
         import zstandard
 

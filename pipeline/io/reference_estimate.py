@@ -1,6 +1,7 @@
 """A reference where a recording has none or a bad one, made of its own frames.
 
-It is the median of frames with touches at different places, that of the frames without contact, or one frame.
+It is the median of frames with touches at different places, that of the frames without contact, or
+one frame.
 """
 
 import contextlib
@@ -20,12 +21,19 @@ from pipeline.io.depth_arrays import compute_median_depth
 from pipeline.io.folder_contents import find_recording
 from pipeline.io.formats import RecordingFiles, get_format
 from pipeline.io.image_files import is_image_file, read_rgb
-from pipeline.io.reference_images import denoise_reference, find_untouched_reference, read_until_damaged
+from pipeline.io.reference_images import (
+    denoise_reference,
+    find_untouched_reference,
+    read_until_damaged,
+)
 from pipeline.io.video import VideoDecoder
 
 _MAX_BYTES = 400_000_000  # of all images together
-_MAX_IMAGES, _MIN_IMAGES = 101, 3
-MEDIAN, UNTOUCHED = "median", "untouched"  # of all frames, of those without contact
+_MAX_IMAGES = 101
+_MIN_IMAGES = 3
+# of all frames, of those without contact
+MEDIAN = "median"
+UNTOUCHED = "untouched"
 
 
 def make_reference(stream: Stream, frames: str, path: Path) -> tuple[Image | Floats, str]:
@@ -39,18 +47,26 @@ def make_reference(stream: Stream, frames: str, path: Path) -> tuple[Image | Flo
 
     if frames == MEDIAN:
         image, n_images = _stack_median(stream.n_frames, read, path, SILENT)
-        return image, f"the median of {n_images} frames is the reference; check that it shows no touch"
+        return (
+            image,
+            f"the median of {n_images} frames is the reference; check that it shows no touch",
+        )
     if frames == UNTOUCHED:
         if read(0).ndim == 2:
-            raise SettingProblem("untouched frames are detected in colour images; take the median or a frame by number")
+            raise SettingProblem(
+                "untouched frames are detected in colour images; take the median or a frame by "
+                "number"
+            )
         image, n_images = find_untouched_reference(read, stream.n_frames)
         return image, f"the median of {n_images} frames with least contact is the reference"
     if not frames.isdecimal() or int(frames) >= stream.n_frames:
         raise SettingProblem(
-            f"a reference is made of the {MEDIAN!r}, of {UNTOUCHED!r} frames or of a frame from 0 to "
+            f"a reference is made of the {MEDIAN!r}, of {UNTOUCHED!r} frames or of a frame from 0 "
+            "to "
             f"{stream.n_frames - 1}, got {frames!r}"
         )
-    image, n_averaged = read(int(frames)), 0
+    image = read(int(frames))
+    n_averaged = 0
     if image.ndim == 3:
         following = read_until_damaged(read, range(int(frames) + 1, stream.n_frames))
         image, n_averaged = denoise_reference(image, following)
@@ -59,9 +75,12 @@ def make_reference(stream: Stream, frames: str, path: Path) -> tuple[Image | Flo
 
 
 def write_reference(recording: Path, out: Path, progress: Progress = SILENT) -> tuple[Image, int]:
-    """Write the median image as PNG or JPEG; returns it, (rows, cols, 3) RGB, and the number of images it is of.
+    """Write the median image as PNG or JPEG.
 
-    Where more than half of the images touch one place, the median shows that touch. Raises FileProblem.
+    Returns it, (rows, cols, 3) RGB, and the number of images it is of.
+
+    Where more than half of the images touch one place, the median shows that touch. Raises
+    FileProblem.
     """
     import cv2
 
@@ -82,9 +101,13 @@ def _compute_median(files: RecordingFiles, progress: Progress) -> tuple[Image, i
     """The median of images spread evenly over a folder or a video, as they are stored."""
     if files.images:
         images = files.images
-        return _stack_median(len(images), lambda index: read_rgb(images[index]), files.path, progress)
+        return _stack_median(
+            len(images), lambda index: read_rgb(images[index]), files.path, progress
+        )
     if files.path.suffix.lower() not in get_format("video").suffixes:
-        raise FileProblem("a reference image can be made of a folder of images or a video", files.path)
+        raise FileProblem(
+            "a reference image can be made of a folder of images or a video", files.path
+        )
     video = VideoDecoder(files.path)
     try:
         return _stack_median(video.n_frames, video.frame, files.path, progress)
@@ -108,7 +131,9 @@ def _stack_median(
     chosen = sorted({round(k) for k in np.linspace(0, n - 1, n_chosen)})
     stack = [image for image in read_each(chosen) if image.shape == first.shape]
     if len(stack) < _MIN_IMAGES:
-        raise FileProblem(f"a median needs {_MIN_IMAGES} images of one size, there are {len(stack)}", path)
+        raise FileProblem(
+            f"a median needs {_MIN_IMAGES} images of one size, there are {len(stack)}", path
+        )
     if first.ndim == 2:
         return compute_median_depth(np.stack(stack)), len(stack)
     return freeze(np.median(np.stack(stack), axis=0).round().astype(np.uint8)), len(stack)

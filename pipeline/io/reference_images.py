@@ -27,18 +27,23 @@ _TOUCH_BLOCKS = 24  # along the longer side: markers and noise average out, a to
 _DIFFERS_GREY = 8.0  # grey levels: change of a block's mean by a touch, not noise
 _MIN_RELIEF_GREY = 1.0  # grey levels: least relief of a touch
 _MAX_RELIEF_RATIO = 0.6  # of a reference to the first frame, where they differ
-_MAX_CANDIDATES, _N_BRIGHTNESS = 16, 5  # frames compared with the first: seeking in a long video is slow
-_BRIGHT_RATIO, _DARK_RATIO = 0.92, 0.6  # of the brightness of most blocks to that of later frames
+# frames compared with the first: seeking in a long video is slow
+_MAX_CANDIDATES = 16
+_N_BRIGHTNESS = 5
+# of the brightness of most blocks to that of later frames
+_BRIGHT_RATIO = 0.92
+_DARK_RATIO = 0.6
 _RISE = 0.03  # of this ratio from frame to frame, while a camera starts that is not dark
 _BLACK_GREY = 4.0  # grey level of a block that says nothing of the brightness
-_WHITE_GREY, _WHITE_SHARE = (
-    250.0,
-    0.05,
-)  # grey level of a saturated block; more of them than usual, beyond a touch's glare
+# grey level of a saturated block; more of them than usual, beyond a touch's glare
+_WHITE_GREY = 250.0
+_WHITE_SHARE = 0.05
 
 
 def compute_block_means(image: NDArray[np.generic], n_along: int) -> Floats:
-    """Means (block rows, block cols, channels) with `n_along` blocks along the longer side; NaN counts as 0.
+    """Means (block rows, block cols, channels) with `n_along` blocks along the longer side.
+
+    NaN counts as 0.
 
     `image` is (rows, cols) or (rows, cols, channels).
     """
@@ -51,11 +56,15 @@ def compute_block_means(image: NDArray[np.generic], n_along: int) -> Floats:
     return means[..., None] if means.ndim == 2 else means
 
 
-def find_first_reference(read: Callable[[int], Image], n_frames: int) -> tuple[Image | None, int, int]:
-    """(reference, its frame, number of frames averaged with it) of a sequence that begins untouched.
+def find_first_reference(
+    read: Callable[[int], Image], n_frames: int
+) -> tuple[Image | None, int, int]:
+    """(reference, its frame, number of frames averaged with it) of a sequence that begins
+    untouched.
 
-    Its first frames, after those of a camera that starts dark, are alike, and no later frame has clearly less contact;
-    else the reference is None. `read` raises FileProblem for a frame that cannot be read or has another size.
+    Its first frames, after those of a camera that starts dark, are alike, and no later frame has
+    clearly less contact; else the reference is None. `read` raises FileProblem for a frame that
+    cannot be read or has another size.
     """
     start = find_bright_start(read, n_frames)
     frames = read_until_damaged(read, range(start, n_frames))
@@ -63,14 +72,17 @@ def find_first_reference(read: Callable[[int], Image], n_frames: int) -> tuple[I
     if first is None:
         return None, start, 0
     reference, n_averaged = denoise_reference(first, frames)
-    later = _read_each(read, range(start + n_averaged + 1, n_frames, max(1, n_frames // _MAX_CANDIDATES)))
+    later = _read_each(
+        read, range(start + n_averaged + 1, n_frames, max(1, n_frames // _MAX_CANDIDATES))
+    )
     if not n_averaged or select_reference_frame(reference, later) is not None:
         return None, start, 0
     return reference, start, n_averaged
 
 
 def find_untouched_reference(read: Callable[[int], Image], n_frames: int) -> tuple[Image, int]:
-    """(median of the frames that are like the one with least contact, their number), of some over the recording.
+    """(median of the frames that are like the one with least contact, their number), of some over
+    the recording.
 
     Raises FileProblem where no frame can be read.
     """
@@ -78,26 +90,37 @@ def find_untouched_reference(read: Callable[[int], Image], n_frames: int) -> tup
     first, *later = [*sample_frames(read, n_frames, first=start)] or [(start, read(start))]
     chosen, image = select_reference_frame(first[1], later) or first
     blocks = compute_block_means(image, _BLOCKS_ALONG)
-    alike = (other for index, other in (first, *later)
-             if index != chosen and other.shape == image.shape and _are_alike(other, blocks))  # fmt: skip
+    alike = (
+        other
+        for index, other in (first, *later)
+        if index != chosen and other.shape == image.shape and _are_alike(other, blocks)
+    )
     reference, n_averaged = denoise_reference(image, alike)
     return reference, n_averaged + 1
 
 
 def find_bright_start(read: Callable[[int], Image], n_frames: int) -> int:
-    """The first frame that is as bright as most: a camera may start black or overexposed, or expose longer and longer.
+    """The first frame that is as bright as most: a camera may start black or overexposed, or expose
+    longer and longer.
 
     A touch changes the brightness of some blocks, a gain that of all.
     """
-    samples = [compute_block_means(image, _BLOCKS_ALONG) for _, image in sample_frames(read, n_frames, _N_BRIGHTNESS)]
+    samples = [
+        compute_block_means(image, _BLOCKS_ALONG)
+        for _, image in sample_frames(read, n_frames, _N_BRIGHTNESS)
+    ]
     samples = sorted((s for s in samples if s.max() > _BLACK_GREY), key=lambda s: float(s.mean()))
     if not samples:
         return 0
-    usual, before = samples[3 * len(samples) // 4], -np.inf
+    usual = samples[3 * len(samples) // 4]
+    before = -np.inf
     for index, image in _read_each(read, range(n_frames)):
         blocks = compute_block_means(image, _BLOCKS_ALONG)
         ratio = _compute_brightness_ratio(blocks, usual) if blocks.shape == usual.shape else 0.0
-        if ratio >= _BRIGHT_RATIO and (blocks >= _WHITE_GREY).mean() > (usual >= _WHITE_GREY).mean() + _WHITE_SHARE:
+        if (
+            ratio >= _BRIGHT_RATIO
+            and (blocks >= _WHITE_GREY).mean() > (usual >= _WHITE_GREY).mean() + _WHITE_SHARE
+        ):
             continue
         if ratio >= _BRIGHT_RATIO:
             return index
@@ -114,9 +137,15 @@ def _compute_brightness_ratio(blocks: Floats, usual: Floats) -> float:
 def sample_frames(
     read: Callable[[int], Image], n_frames: int, most: int = _MAX_CANDIDATES, *, first: int = 0
 ) -> Iterator[tuple[int, Image]]:
-    """(index, frame) of `most` frames from `first` on, spread evenly; those that cannot be read are skipped."""
+    """(index, frame) of `most` frames from `first` on, spread evenly.
+
+    Those that cannot be read are skipped.
+    """
     count = min(most, n_frames - first)
-    return _read_each(read, sorted({round(i) for i in np.linspace(first, n_frames - 1, count)}) if count > 0 else ())
+    return _read_each(
+        read,
+        sorted({round(i) for i in np.linspace(first, n_frames - 1, count)}) if count > 0 else (),
+    )
 
 
 def _read_each(read: Callable[[int], Image], indices: Iterable[int]) -> Iterator[tuple[int, Image]]:
@@ -133,22 +162,36 @@ def read_until_damaged(read: Callable[[T], Image], frames: Iterable[T]) -> Itera
 
 
 def describe_first_reference(name: Callable[[int], str], start: int, n_averaged: int) -> str:
-    """The note on a reference of the first frames, or of those after dark ones; `name` names a frame."""
-    which = name(start) if not n_averaged else f"the median of {name(start)} to {name(start + n_averaged)}, all alike,"
+    """The note on a reference of the first frames, or of those after dark ones.
+
+    `name` names a frame.
+    """
+    which = (
+        name(start)
+        if not n_averaged
+        else f"the median of {name(start)} to {name(start + n_averaged)}, all alike,"
+    )
     dark = "the frame before is" if start == 1 else f"the {start} frames before are"
     why = f"; {dark} darker or overexposed, as of a camera that starts" if start else ""
     return f"{which} is taken as the reference{why}"
 
 
 def denoise_reference(reference: Image, frames: Iterable[Image]) -> tuple[Image, int]:
-    """(median (rows, cols, 3) of the reference and the first frames without contact, number of these frames).
+    """(median (rows, cols, 3) of the reference and the first frames without contact, number of
+    these frames).
 
-    `frames` is read up to the first frame with contact; with too few frames the result is (`reference`, 0).
+    `frames` is read up to the first frame with contact; with too few frames the result is
+    (`reference`, 0).
     """
     n_max = min(_MAX_FRAMES, _MAX_PIXELS // max(1, reference.shape[0] * reference.shape[1]))
-    reference_blocks, stack = compute_block_means(reference, _BLOCKS_ALONG), [reference]
+    reference_blocks = compute_block_means(reference, _BLOCKS_ALONG)
+    stack = [reference]
     for image in frames:
-        if len(stack) > n_max or image.shape != reference.shape or not _are_alike(image, reference_blocks):
+        if (
+            len(stack) > n_max
+            or image.shape != reference.shape
+            or not _are_alike(image, reference_blocks)
+        ):
             break
         stack.append(image)
     if len(stack) < _MIN_FRAMES:
@@ -159,14 +202,19 @@ def denoise_reference(reference: Image, frames: Iterable[Image]) -> tuple[Image,
 def _are_alike(image: Image, reference_blocks: Floats) -> bool:
     change = np.abs(compute_block_means(image, _BLOCKS_ALONG) - reference_blocks).max(axis=2)
     limit = max(_SAME_GREY, _NOISE_FACTOR * float(np.median(change)))
-    return bool(np.quantile(change, _QUIET_SHARE) <= limit and float(np.median(change)) <= _MAX_NOISE_GREY)
+    return bool(
+        np.quantile(change, _QUIET_SHARE) <= limit and float(np.median(change)) <= _MAX_NOISE_GREY
+    )
 
 
-def select_reference_frame(first: Image, later: Iterable[tuple[int, Image]]) -> tuple[int, Image] | None:
+def select_reference_frame(
+    first: Image, later: Iterable[tuple[int, Image]]
+) -> tuple[int, Image] | None:
     """(index, image) of the frame with least contact; None unless `first` clearly has more contact.
 
-    A touch adds light and shade in one place, so that the image is less smooth there. Where two frames differ, the
-    smoother one has less contact. Drift and exposure change the smoothness of both alike.
+    A touch adds light and shade in one place, so that the image is less smooth there. Where two
+    frames differ, the smoother one has less contact. Drift and exposure change the smoothness of
+    both alike.
     """
     best: tuple[int, Image] | None = None
     first_blocks = best_blocks = compute_block_means(first, _TOUCH_BLOCKS)
@@ -176,12 +224,16 @@ def select_reference_frame(first: Image, later: Iterable[tuple[int, Image]]) -> 
         blocks = compute_block_means(image, _TOUCH_BLOCKS)
         is_smooth = _compute_relief_ratio(blocks, first_blocks) <= _MAX_RELIEF_RATIO
         if is_smooth and (best is None or _compute_relief_ratio(blocks, best_blocks) < 1.0):
-            best, best_blocks = (index, image), blocks
+            best = (index, image)
+            best_blocks = blocks
     return best
 
 
 def _compute_relief_ratio(other: Floats, one: Floats) -> float:
-    """Relief of the blocks `other` over that of `one`, where the two differ; infinite if they do not."""
+    """Relief of the blocks `other` over that of `one`, where the two differ.
+
+    Infinite if they do not.
+    """
     differs = np.abs(other - one).max(axis=2) > _DIFFERS_GREY
     if not differs.any():
         return np.inf
@@ -193,4 +245,6 @@ def _compute_relief(blocks: Floats) -> Floats:
     """Difference of each block (rows, cols) from the mean of its neighbours, in grey levels."""
     import cv2
 
-    return np.abs(np.asarray(cv2.Laplacian(blocks, cv2.CV_32F, borderType=cv2.BORDER_REPLICATE))).max(axis=2)
+    return np.abs(
+        np.asarray(cv2.Laplacian(blocks, cv2.CV_32F, borderType=cv2.BORDER_REPLICATE))
+    ).max(axis=2)

@@ -1,7 +1,7 @@
 """Images of a sensor at another size than its description, calibration table and network have.
 
-Gel images are resampled to the described size. Depth images are not, since interpolation would invent depth across
-jumps and gaps; their camera is fitted to the image instead.
+Gel images are resampled to the described size. Depth images are not, since interpolation would
+invent depth across jumps and gaps; their camera is fitted to the image instead.
 """
 
 from dataclasses import dataclass
@@ -18,12 +18,18 @@ from pipeline.sensors.spec import SensorSpec
 
 _RATIO_TOLERANCE = 0.05  # relative, between width over height of two sizes of one image
 _MAX_TILE_PX = 256  # side of the squares that data sets squeeze images to for a network
-_FULL_CAMERA = (2464, 3280)  # (rows, cols) of the camera below; at another size its vignette tells what is cropped
-_CROP_SHARES = {"gelsight_mini": 1 / 7}  # sensor -> share of the camera image that its driver crops per side
-_VIGNETTE_TOLERANCE = 0.1  # of the brightness of each border over the middle; four real Minis differ by 0.05
+# (rows, cols) of the camera below; at another size its vignette tells what is cropped
+_FULL_CAMERA = (2464, 3280)
+# sensor -> share of the camera image that its driver crops per side
+_CROP_SHARES = {"gelsight_mini": 1 / 7}
+# of the brightness of each border over the middle; four real Minis differ by 0.05
+_VIGNETTE_TOLERANCE = 0.1
 _STEREO_FOCAL_PX = 434.0  # of a RealSense at 640 x 480, fitted to the K of Punyo's recordings
-_STEREO_ROWS, _STEREO_RATIOS = 480, (4 / 3, 848 / 480, 16 / 9)
-_TOF_SHAPE, _TOF_CORNER = (171, 224), (20, 25)  # (rows, cols) of the full image; soft_bubble's window in it
+_STEREO_ROWS = 480
+_STEREO_RATIOS = (4 / 3, 848 / 480, 16 / 9)
+# (rows, cols) of the full image; soft_bubble's window in it
+_TOF_SHAPE = (171, 224)
+_TOF_CORNER = (20, 25)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,42 +59,66 @@ class ResamplingFit:
         return cv2.resize(np.ascontiguousarray(part), self.shape[::-1], interpolation=interpolation)
 
 
-def fit_resampling(spec: SensorSpec, shape: tuple[int, int], image: Image | None = None) -> ResamplingFit | None:
-    """The resampling of images of `shape` (rows, cols) to a gel sensor's size; None if not needed or not possible.
+def fit_resampling(
+    spec: SensorSpec, shape: tuple[int, int], image: Image | None = None
+) -> ResamplingFit | None:
+    """The resampling of images of `shape` (rows, cols) to a gel sensor's size.
 
-    `image` is one of them: where the sensor's driver crops the camera image, its vignette tells whether it did.
+    None if not needed or not possible.
+
+    `image` is one of them: where the sensor's driver crops the camera image, its vignette tells
+    whether it did.
     """
     size = spec.camera.shape
     if spec.sensor_kind.is_depth or shape == size:
         return None
-    ratio, sensor_ratio = shape[1] / shape[0], size[1] / size[0]
+    ratio = shape[1] / shape[0]
+    sensor_ratio = size[1] / size[0]
     stored = f"{shape[1]} x {shape[0]} px"
     to = f"resampled to the {size[1]} x {size[0]} px of {spec.name}, {spec.pixel_mm:.4f} mm each"
     if _is_close(ratio, sensor_ratio):
-        how, cut = f"images of {stored} are {to}", _CROP_SHARES.get(spec.name, 0.0)
-        is_cropped = None if not cut or image is None or shape == _FULL_CAMERA else _find_cropped(image, spec, cut)
+        how = f"images of {stored} are {to}"
+        cut = _CROP_SHARES.get(spec.name, 0.0)
+        is_cropped = (
+            None
+            if not cut or image is None or shape == _FULL_CAMERA
+            else _find_cropped(image, spec, cut)
+        )
         if cut and (shape == _FULL_CAMERA or is_cropped is False):
-            how = f"images of {stored} are the full camera image; a seventh is cropped at each side, the rest is {to}"
+            how = (
+                f"images of {stored} are the full camera image; a seventh is cropped at each "
+                f"side, the rest is {to}"
+            )
         elif cut and is_cropped:
-            how, cut = f"{how}; by their vignette they are cropped as by its driver", 0.0
+            how = f"{how}; by their vignette they are cropped as by its driver"
+            cut = 0.0
         elif cut:
-            doubt = "if they are the full camera image, which their vignette does not tell, sizes are 29 % too small"
-            how, cut = StageWarning(f"{how}; {doubt}: then crop a seventh at each side before"), 0.0
+            doubt = (
+                "if they are the full camera image, which their vignette does not tell, "
+                "sizes are 29 % too small"
+            )
+            how = StageWarning(f"{how}; {doubt}: then crop a seventh at each side before")
+            cut = 0.0
         return ResamplingFit(shape=size, crop_share=cut, is_rotated=False, note=how)
     if _is_close(1 / ratio, sensor_ratio):
         note = f"images of {stored} lie on their side; rotated by 90 degrees to the left and {to}"
         return ResamplingFit(shape=size, crop_share=0.0, is_rotated=True, note=note)
     if ratio == 1.0 and max(shape) <= _MAX_TILE_PX:
         note = StageWarning(
-            f"tiles of {stored} have no millimetres: they are taken as whole images squeezed to a square and resampled "
-            f"to the {size[1]} x {size[0]} px of {spec.name}, so that lengths and depths are not to scale"
+            f"tiles of {stored} have no millimetres: they are taken as whole images squeezed to a "
+            "square and resampled "
+            f"to the {size[1]} x {size[0]} px of {spec.name}, so that lengths and depths are not "
+            "to scale"
         )
         return ResamplingFit(shape=size, crop_share=0.0, is_rotated=False, note=note)
     return None
 
 
 def _find_cropped(image: Image, spec: SensorSpec, cut: float) -> bool | None:
-    """Whether an image is cropped as the description says, by its vignette; None where it does not tell."""
+    """Whether an image is cropped as the description says, by its vignette.
+
+    None where it does not tell.
+    """
     if spec.optics is None:
         return None
     want = _compute_vignette(compute_reference_light(spec.camera, spec.optics), cut)
@@ -101,19 +131,29 @@ def _find_cropped(image: Image, spec: SensorSpec, cut: float) -> bool | None:
 
 
 def _compute_vignette(image: NDArray[Any], share: float) -> Doubles:
-    """Brightness of each border (4,) over that of the middle, for borders of a share of rows and cols."""
+    """Brightness of each border (4,) over that of the middle, for borders of a share of rows and
+    cols.
+    """
     grey = image.mean(axis=2, dtype=np.float64)
     rows, cols = (round(n * share) for n in grey.shape)
     borders = (grey[:rows], grey[-rows:], grey[:, :cols], grey[:, -cols:])
-    return np.array([border.mean() for border in borders]) / max(float(grey[rows:-rows, cols:-cols].mean()), 1.0)
+    return np.array([border.mean() for border in borders]) / max(
+        float(grey[rows:-rows, cols:-cols].mean()), 1.0
+    )
 
 
-def infer_depth_camera(spec: SensorSpec, shape: tuple[int, int]) -> tuple[Camera | None, tuple[str, ...]]:
-    """(camera, notes) for depth images of `shape` without one; None where the sensor's camera or none fits."""
+def infer_depth_camera(
+    spec: SensorSpec, shape: tuple[int, int]
+) -> tuple[Camera | None, tuple[str, ...]]:
+    """(camera, notes) for depth images of `shape` without one.
+
+    None where the sensor's camera or none fits.
+    """
     own = spec.camera
     if not spec.sensor_kind.is_depth or shape == own.shape:
         return None, ()
-    size, exact = f"{shape[1]} x {shape[0]} px", "a matrix K in the file would be exact"
+    size = f"{shape[1]} x {shape[0]} px"
+    exact = "a matrix K in the file would be exact"
     if own.shape == (140, 175) and shape == _TOF_SHAPE:
         camera = own.crop(-_TOF_CORNER[0], -_TOF_CORNER[1], *shape)
         return camera, (f"depth of {size} is the full image of which {spec.name} is a window",)
@@ -122,9 +162,18 @@ def infer_depth_camera(spec: SensorSpec, shape: tuple[int, int]) -> tuple[Camera
         return own.resize(*shape), (note,)
     if any(_is_close(shape[1] / shape[0], ratio, 0.01) for ratio in _STEREO_RATIOS):
         f_px = _STEREO_FOCAL_PX * shape[0] / _STEREO_ROWS
-        camera = Camera(rows=shape[0], cols=shape[1], fx_px=f_px, fy_px=f_px,
-                        cx_px=(shape[1] - 1) / 2, cy_px=(shape[0] - 1) / 2)  # fmt: skip
-        note = f"depth of {size} is taken as that of a RealSense with a focal length of about {f_px:.0f} px; {exact}"
+        camera = Camera(
+            rows=shape[0],
+            cols=shape[1],
+            fx_px=f_px,
+            fy_px=f_px,
+            cx_px=(shape[1] - 1) / 2,
+            cy_px=(shape[0] - 1) / 2,
+        )
+        note = (
+            f"depth of {size} is taken as that of a RealSense with a focal length of about "
+            f"{f_px:.0f} px; {exact}"
+        )
         return camera, (note,)
     return None, ()
 

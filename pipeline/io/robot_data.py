@@ -1,8 +1,9 @@
-"""Cameras of robot-learning data sets: HDF5 of robomimic and ACT (ALOHA), and Zarr replay buffers of Diffusion Policy.
+"""Cameras of robot-learning data sets: HDF5 of robomimic and ACT (ALOHA), and Zarr replay buffers
+of Diffusion Policy.
 
-Known layouts are `data/demo_N/obs/<camera>` (robomimic), `observations/images/<camera>` (ACT, plain or encoded) and
-`data/<camera>` with `meta/episode_ends` (replay buffers). Arrays of colour images elsewhere in such a file are read as
-well. Episodes follow each other.
+Known layouts are `data/demo_N/obs/<camera>` (robomimic), `observations/images/<camera>` (ACT, plain
+or encoded) and `data/<camera>` with `meta/episode_ends` (replay buffers). Arrays of colour images
+elsewhere in such a file are read as well. Episodes follow each other.
 """
 
 import math
@@ -30,13 +31,28 @@ from pipeline.io.file_names import natural_sort_key
 from pipeline.io.formats import ReadOptions, RecordingFiles
 from pipeline.io.image_files import read_rgb
 
-_TACTILE = re.compile(r"tactile|touch|digit|gel|finger(?!_joint)|bubble", re.IGNORECASE)  # in the name of a camera
-_LEFT_OUT = re.compile(r"(^|/)next_obs/|depth|mask|segmentation", re.IGNORECASE)  # in the place of an array
+# in the name of a camera
+_TACTILE = re.compile(r"tactile|touch|digit|gel|finger(?!_joint)|bubble", re.IGNORECASE)
+# in the place of an array
+_LEFT_OUT = re.compile(r"(^|/)next_obs/|depth|mask|segmentation", re.IGNORECASE)
 _ENCODED = (b"\xff\xd8\xff", b"\x89PNG")  # first bytes of an image
 _MAX_OBJECTS = 200_000  # groups and arrays of one file
 _MAX_BYTES = 1 << 29  # of one frame or chunk, as stated
-_CODECS = frozenset({"blosc", "zlib", "gzip", "zstd", "lz4", "bz2", "lzma", "bytes", "transpose", "crc32c",
-                     "sharding_indexed"})  # fmt: skip
+_CODECS = frozenset(
+    {
+        "blosc",
+        "zlib",
+        "gzip",
+        "zstd",
+        "lz4",
+        "bz2",
+        "lzma",
+        "bytes",
+        "transpose",
+        "crc32c",
+        "sharding_indexed",
+    }
+)
 _ARRAY_FILES = (".zarray", "zarr.json")  # describe an array of Zarr 2 and 3
 
 
@@ -75,8 +91,12 @@ def read_hdf5(files: RecordingFiles, options: ReadOptions) -> Recording:
             for camera, episodes in found.items()
         }
         if not cameras:
-            raise FileProblem("this HDF5 file is not a tactoscope recording, and holds no colour images of robomimic "
-                              "(data/demo_0/obs) or ACT (observations/images)", path)  # fmt: skip
+            raise FileProblem(
+                "this HDF5 file is not a tactoscope recording, and holds no colour images of "
+                "robomimic "
+                "(data/demo_0/obs) or ACT (observations/images)",
+                path,
+            )
         streams, notes = _make_streams(cameras, path, options)
     except TouchError:
         file.close()
@@ -84,12 +104,20 @@ def read_hdf5(files: RecordingFiles, options: ReadOptions) -> Recording:
     except (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError) as error:
         file.close()
         raise FileProblem(f"the HDF5 file is damaged ({error!r:.80})", path) from error
-    return Recording(path=path, format="HDF5 of a robot data set", streams=streams, notes=(*files.notes, *notes),
-                     close=file.close)  # fmt: skip
+    return Recording(
+        path=path,
+        format="HDF5 of a robot data set",
+        streams=streams,
+        notes=(*files.notes, *notes),
+        close=file.close,
+    )
 
 
 def read_zarr(files: RecordingFiles, options: ReadOptions) -> Recording:
-    """The tactile cameras of a Zarr replay buffer as streams; raises FileProblem, and SettingProblem without `zarr`."""
+    """The tactile cameras of a Zarr replay buffer as streams.
+
+    Raises FileProblem, and SettingProblem without `zarr`.
+    """
     path = files.path
     try:
         import zarr
@@ -97,7 +125,8 @@ def read_zarr(files: RecordingFiles, options: ReadOptions) -> Recording:
         raise SettingProblem(
             "Zarr replay buffers are read by zarr, which is not installed; pip install zarr"
         ) from error
-    cameras, n_episodes = dict[str, list[ImageStack]](), 1
+    cameras = dict[str, list[ImageStack]]()
+    n_episodes = 1
     for folder in _list_zarr_arrays(path):
         place = folder.relative_to(path).as_posix()
         if _LEFT_OUT.search(place):
@@ -106,55 +135,77 @@ def read_zarr(files: RecordingFiles, options: ReadOptions) -> Recording:
         try:
             array: Any = zarr.open_array(str(folder), mode="r")
         except Exception as error:
-            raise FileProblem(f"the array {place} cannot be read ({error!r:.80})", path, field=place) from error
+            raise FileProblem(
+                f"the array {place} cannot be read ({error!r:.80})", path, field=place
+            ) from error
         if folder.name == "episode_ends":
             n_episodes = array.shape[0]
         for stack in _make_stacks(array, place, path):
             cameras["_".join(part for part in (folder.name, stack.name) if part)] = [stack]
     if not cameras:
-        raise FileProblem("the Zarr group holds no colour images of shape (frames, rows, cols, 3)", path)
+        raise FileProblem(
+            "the Zarr group holds no colour images of shape (frames, rows, cols, 3)", path
+        )
     streams, notes = _make_streams(cameras, path, options, n_episodes)
-    return Recording(path=path, format="Zarr replay buffer", streams=streams, notes=(*files.notes, *notes))
+    return Recording(
+        path=path, format="Zarr replay buffer", streams=streams, notes=(*files.notes, *notes)
+    )
 
 
 def _make_streams(
-    cameras: Mapping[str, Sequence[ImageStack]], path: Path, options: ReadOptions, n_episodes: int = 1
+    cameras: Mapping[str, Sequence[ImageStack]],
+    path: Path,
+    options: ReadOptions,
+    n_episodes: int = 1,
 ) -> tuple[tuple[Stream, ...], tuple[str, ...]]:
     chosen = [camera for camera in cameras if _TACTILE.search(camera) or camera == options.stream]
     if not chosen and len(cameras) == 1:
         chosen = list(cameras)
     if not chosen:
         raise FileProblem(
-            f"none of the cameras is named after touch ({', '.join(sorted(cameras))}); choose the sensor's with "
+            f"none of the cameras is named after touch ({', '.join(sorted(cameras))}); choose the "
+            "sensor's with "
             "--stream",
             path,
         )
     asked = options.stream if options.stream in chosen else chosen[0] if len(chosen) == 1 else ""
     if options.reference is not None and not asked:
         raise SettingProblem(
-            f"a reference can be given for one camera; choose it with --stream ({', '.join(chosen)}): '{path}'"
+            "a reference can be given for one camera; choose it with --stream "
+            f"({', '.join(chosen)}): '{path}'"
         )
-    streams, notes = list[Stream](), list[str]()
+    streams = list[Stream]()
+    notes = list[str]()
     for camera in chosen:
         stack = _join_episodes(camera, cameras[camera], path)
         own = options if asked in ("", camera) else replace(options, sensor="", reference=None)
         stream, about = make_array_stream(
-            stack, camera, path, own, name=escape_text(camera),
+            stack,
+            camera,
+            path,
+            own,
+            name=escape_text(camera),
             reference=None if own.reference is None else read_rgb(own.reference),
             about="" if own.reference is None else f"{own.reference.name} is the reference",
-        )  # fmt: skip
+        )
         streams.append(stream)
         notes += [f"{stream.name}: {note}" if len(chosen) > 1 else note for note in about]
     left_out = sorted(cameras.keys() - set(chosen))
     notes += [f"cameras without touch are left out: {', '.join(left_out)}"] if left_out else []
     n_episodes = max(n_episodes, *(len(cameras[camera]) for camera in chosen))
-    notes += [f"{n_episodes} episodes follow each other; the reference is of the first"] if n_episodes > 1 else []
+    notes += (
+        [f"{n_episodes} episodes follow each other; the reference is of the first"]
+        if n_episodes > 1
+        else []
+    )
     return tuple(streams), tuple(dict.fromkeys(notes))
 
 
 def _join_episodes(camera: str, episodes: Sequence[ImageStack], path: Path) -> ImageStack:
     if len({stack.shape for stack in episodes}) > 1:
-        raise FileProblem(f"the images of {camera} differ in size between episodes", path, field=camera)
+        raise FileProblem(
+            f"the images of {camera} differ in size between episodes", path, field=camera
+        )
     ends = list(accumulate(stack.n_frames for stack in episodes))
 
     def read(index: int) -> NDArray[np.generic]:
@@ -184,7 +235,9 @@ def _make_stacks(array: Any, place: str, path: Path) -> tuple[ImageStack, ...]:
         return read_checked
 
     return tuple(
-        ImageStack(name=s.name, n_frames=s.n_frames, shape=s.shape, read=guard(s.read)) for s in stacks if s.n_frames
+        ImageStack(name=s.name, n_frames=s.n_frames, shape=s.shape, read=guard(s.read))
+        for s in stacks
+        if s.n_frames
     )
 
 
@@ -208,20 +261,31 @@ def _make_encoded_stack(array: Any, place: str, path: Path) -> tuple[ImageStack,
     except FileProblem:
         return ()
     first = decode_rgb(read_bytes(0), "frame 0", path)
-    return (ImageStack(name="", n_frames=array.shape[0], shape=(first.shape[0], first.shape[1]),
-                       read=lambda index: decode_rgb(read_bytes(index), f"frame {index}", path)),)  # fmt: skip
+    return (
+        ImageStack(
+            name="",
+            n_frames=array.shape[0],
+            shape=(first.shape[0], first.shape[1]),
+            read=lambda index: decode_rgb(read_bytes(index), f"frame {index}", path),
+        ),
+    )
 
 
 def _refuse_frame(place: str, index: int, path: Path, error: Exception) -> Never:
     where = f"frame {index} of {place}"
-    raise FileProblem(f"{where} cannot be read; it is damaged or of an unknown coding", path, field=where) from error
+    raise FileProblem(
+        f"{where} cannot be read; it is damaged or of an unknown coding", path, field=where
+    ) from error
 
 
 def _walk_datasets(file: Any, path: Path) -> Iterator[tuple[str, Any]]:
-    """(place, dataset) of all that lie in the file itself: links and other files' content are left out."""
+    """(place, dataset) of all that lie in the file itself: links and other files' content are
+    left out.
+    """
     import h5py
 
-    groups, n_objects = [file], 0
+    groups = [file]
+    n_objects = 0
     while groups:
         group = groups.pop()
         for key in group:
@@ -241,12 +305,18 @@ def _walk_datasets(file: Any, path: Path) -> Iterator[tuple[str, Any]]:
 def _is_own_dataset(part: Any) -> bool:
     import h5py
 
-    return isinstance(part, h5py.Dataset) and part.shape is not None and not (part.is_virtual or part.external)
+    return (
+        isinstance(part, h5py.Dataset)
+        and part.shape is not None
+        and not (part.is_virtual or part.external)
+    )
 
 
 def _list_zarr_arrays(root: Path) -> list[Path]:
     """The folders of arrays in a Zarr group."""
-    found, folders, n_objects = list[Path](), [root], 0
+    found = list[Path]()
+    folders = [root]
+    n_objects = 0
     while folders:
         folder = folders.pop()
         if any((folder / name).is_file() for name in _ARRAY_FILES[:1]) or _is_zarr_3_array(folder):
@@ -274,19 +344,32 @@ def _read_description(file: Path) -> dict[str, Any]:
 
 
 def _check_zarr_array(folder: Path) -> None:
-    """Refuse codecs that run code or are unknown, and entries that are no regular files (a pipe blocks for ever)."""
+    """Refuse codecs that run code or are unknown, and entries that are no regular files (a pipe
+    blocks for ever).
+    """
     file = next(folder / name for name in _ARRAY_FILES if (folder / name).is_file())
     described = _read_description(file)
-    used = [described.get("compressor"), *(described.get("filters") or []), *(described.get("codecs") or [])]
-    names = [str(codec.get("id") or codec.get("name")) if isinstance(codec, dict) else "?" for codec in used if codec]
+    used = [
+        described.get("compressor"),
+        *(described.get("filters") or []),
+        *(described.get("codecs") or []),
+    ]
+    names = [
+        str(codec.get("id") or codec.get("name")) if isinstance(codec, dict) else "?"
+        for codec in used
+        if codec
+    ]
     unknown = sorted(set(names) - _CODECS)
     if unknown:
         raise FileProblem(
-            f"the array is stored with the codec {', '.join(unknown)}, which is not read; save it with blosc or zstd",
+            f"the array is stored with the codec {', '.join(unknown)}, which is not read; save it "
+            "with blosc or zstd",
             file,
         )
     if "O" in str(described.get("dtype", "")):
-        raise FileProblem("the array holds objects, which could run code; save images as uint8", file)
+        raise FileProblem(
+            "the array holds objects, which could run code; save images as uint8", file
+        )
     with os.scandir(folder) as entries:
         for entry in entries:
             mode = entry.stat().st_mode

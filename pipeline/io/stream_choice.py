@@ -1,4 +1,6 @@
-"""Streams of a container that holds several cameras: which record touch, and which of them a stated sensor is about."""
+"""Streams of a container that holds several cameras: which record touch, and which of them a
+stated sensor is about.
+"""
 
 import re
 from collections.abc import Callable, Mapping
@@ -13,7 +15,8 @@ from pipeline.io.resampling import fit_resampling
 from pipeline.io.sensor_guess import find_named_sensor, resolve_sensor_name
 from pipeline.sensors.spec import SensorSpec, load_sensor
 
-# A word for touch: "tactile_left", "leftTactile", "digit2", "gelsight"; not "digital", "angel" or "touchscreen".
+# A word for touch: "tactile_left", "leftTactile", "digit2", "gelsight"; not "digital", "angel" or
+# "touchscreen".
 _TOUCH = re.compile(
     r"(?i:tactile|haptic|gelsight|gelslim)|(?:(?<![A-Za-z])(?i:touch|digit|gel|bubble)|(?<=[a-z])(?:Touch|Digit|Gel|Bubble))"
     r"(?!(?i:screen|pad|al|ise|ize|ato))"
@@ -21,23 +24,31 @@ _TOUCH = re.compile(
 
 
 def names_touch(name: str) -> bool:
-    """Whether the name of a topic or camera says that it records touch, or names a described sensor."""
+    """Whether the name of a topic or camera says that it records touch, or names a described
+    sensor.
+    """
     return bool(_TOUCH.search(name)) or bool(find_named_sensor((name,)))
 
 
 def make_streams(
     cameras: Mapping[str, Callable[[], ImageSequence]], path: Path, options: ReadOptions
 ) -> tuple[tuple[Stream, ...], tuple[str, ...]]:
-    """The streams of a container's cameras that record touch, and notes; the one that the user names in any case.
+    """The streams of a container's cameras that record touch, and notes.
 
-    Where no name says so, all are streams, but their sensor is not guessed. A stated sensor names the only camera, the
-    stream that the user names, and those that name no sensor and have its size. A camera that cannot be read is left
-    out; raises its FileProblem where none can.
+    The one that the user names in any case.
+
+    Where no name says so, all are streams, but their sensor is not guessed. A stated sensor names
+    the only camera, the stream that the user names, and those that name no sensor and have its
+    size. A camera that cannot be read is left out; raises its FileProblem where none can.
     """
     tactile = [name for name in cameras if names_touch(name)]
     asked = options.stream.strip("/")
-    chosen = [name for name in cameras if name in tactile or name == asked] if tactile else list(cameras)
-    streams, notes, problems = list[Stream](), list[str](), dict[str, FileProblem]()
+    chosen = (
+        [name for name in cameras if name in tactile or name == asked] if tactile else list(cameras)
+    )
+    streams = list[Stream]()
+    notes = list[str]()
+    problems = dict[str, FileProblem]()
     opened = dict[str, ImageSequence]()
     for name in chosen:
         try:
@@ -50,9 +61,10 @@ def make_streams(
     for name, images in opened.items():
         try:
             own = replace(
-                options, sensor=options.sensor if name in stated else "",
+                options,
+                sensor=options.sensor if name in stated else "",
                 reference=options.reference if asked in ("", name) else None,
-            )  # fmt: skip
+            )
             stream, about = make_stream(images, path, own, name=name, may_guess=names_touch(name))
         except FileProblem as problem:
             problems[name] = problem
@@ -67,13 +79,17 @@ def make_streams(
     return tuple(streams), tuple(dict.fromkeys(notes))
 
 
-def _select_stated(opened: Mapping[str, ImageSequence], options: ReadOptions, *, is_only: bool) -> list[str]:
+def _select_stated(
+    opened: Mapping[str, ImageSequence], options: ReadOptions, *, is_only: bool
+) -> list[str]:
     """Names of the streams that the stated sensor is about."""
     asked = options.stream.strip("/")
     if not options.sensor or is_only or asked in opened:
         return [name for name in opened if asked in ("", name)] if options.sensor else []
     spec = load_sensor(options.sensor)
-    fitting = [name for name, images in opened.items() if _may_be(spec, name, images.frame(0).shape[:2])]
+    fitting = [
+        name for name, images in opened.items() if _may_be(spec, name, images.frame(0).shape[:2])
+    ]
     if len(fitting) > 1 and not any(map(names_touch, fitting)):
         return []  # cameras of one size, none of which names touch: the user has to name the stream
     return fitting

@@ -1,8 +1,8 @@
 """Touches of TacQuad: one object's folder with a folder of images for each of its sensors.
 
-`contact_indoor.csv` and `contact_outdoor.csv` two levels above list first and last frame in contact: object, then both
-numbers for GelSight Mini, DIGIT and DuraGel. The sensors touched one after the other, so frames of two streams are
-paired by their share of the contact.
+`contact_indoor.csv` and `contact_outdoor.csv` two levels above list first and last frame in
+contact: object, then both numbers for GelSight Mini, DIGIT and DuraGel. The sensors touched one
+after the other, so frames of two streams are paired by their share of the contact.
 """
 
 import csv
@@ -18,7 +18,8 @@ from pipeline.io.file_names import sort_series
 from pipeline.io.formats import ReadOptions, RecordingFiles
 from pipeline.io.image_files import is_image_file
 
-_SENSORS = {"gelsight": "gelsight_mini", "digit": "digit"}  # folder -> description, in the order of the tables
+# folder -> description, in the order of the tables
+_SENSORS = {"gelsight": "gelsight_mini", "digit": "digit"}
 _OTHERS = ("duragel", "tac3d")
 _PAIRED = "the sensors touched one after the other; frames are paired by their share of the contact"
 
@@ -32,7 +33,9 @@ def is_touch_folder(folder: Path) -> bool:
 
 def read(path: Path) -> Recording:
     """The touch as streams of GelSight Mini and DIGIT; raises FileProblem."""
-    streams, notes, unlisted = list[Stream](), list[str](), list[str]()
+    streams = list[Stream]()
+    notes = list[str]()
+    unlisted = list[str]()
     ranges = _read_contact_ranges(path)
     for folder, sensor in _SENSORS.items():
         images = _list_images(path / folder)
@@ -40,41 +43,63 @@ def read(path: Path) -> Recording:
             files = RecordingFiles(path=path / folder, images=images)
             whole = image_folder.read(files, ReadOptions(sensor=sensor))
             numbers = [image.stem for image in images]
-            first, last = (numbers.index(n) if n in numbers else -1 for n in ranges.get(folder, ("", "")))
+            first, last = (
+                numbers.index(n) if n in numbers else -1 for n in ranges.get(folder, ("", ""))
+            )
             is_listed = 0 <= first <= last
             indices = range(first, last + 1) if is_listed else range(len(images))
             unlisted += [] if is_listed else [sensor]
-            streams.append(replace(whole.streams[0], name=sensor, n_frames=len(indices), times_s=None,
-                                   frame=_select_frames(whole.streams[0], indices)))  # fmt: skip
+            streams.append(
+                replace(
+                    whole.streams[0],
+                    name=sensor,
+                    n_frames=len(indices),
+                    times_s=None,
+                    frame=_select_frames(whole.streams[0], indices),
+                )
+            )
             notes += [f"{sensor}: {note}" for note in whole.notes]
     n_frames = min(stream.n_frames for stream in streams)
     streams = [_resample(stream, n_frames) for stream in streams]
     if len(streams) > 1:
         notes.append(_warn_of_whole_films(unlisted) if unlisted else _PAIRED)
     left_out = [name for name in _OTHERS if (path / name).is_dir()]
-    notes += [f"sensors without a description are left out: {', '.join(left_out)}"] if left_out else []
+    notes += (
+        [f"sensors without a description are left out: {', '.join(left_out)}"] if left_out else []
+    )
     return Recording(path=path, format="TacQuad touch", streams=tuple(streams), notes=tuple(notes))
 
 
 def _warn_of_whole_films(sensors: list[str]) -> StageWarning:
     return StageWarning(
-        f"no contact_*.csv two folders above lists the first and last image in contact of {' and '.join(sensors)}, so "
-        "the whole film is taken: paired frames may show different moments; add the touch to the table"
+        "no contact_*.csv two folders above lists the first and last image in contact of "
+        f"{' and '.join(sensors)}, so "
+        "the whole film is taken: paired frames may show different moments; add the touch to the "
+        "table"
     )
 
 
 def _list_images(folder: Path) -> tuple[Path, ...]:
-    return tuple(sort_series(list(filter(is_image_file, folder.iterdir())))) if folder.is_dir() else ()
+    return (
+        tuple(sort_series(list(filter(is_image_file, folder.iterdir())))) if folder.is_dir() else ()
+    )
 
 
 def _read_contact_ranges(path: Path) -> dict[str, tuple[str, str]]:
-    """Folder of a sensor -> names of the first and last image in contact; {} where no table lists the touch."""
+    """Folder of a sensor -> names of the first and last image in contact.
+
+    {} where no table lists the touch.
+    """
     for file in sorted(path.parent.parent.glob("contact_*.csv")):
-        text = read_bytes(file, "the table of contacts", MOST_TEXT_BYTES).decode("utf-8", errors="replace")
+        text = read_bytes(file, "the table of contacts", MOST_TEXT_BYTES).decode(
+            "utf-8", errors="replace"
+        )
         try:
             for row in csv.reader(text.splitlines()):
                 if row[:1] == [path.name] and len(row) > 2 * len(_SENSORS):
-                    return {name: (row[1 + 2 * k], row[2 + 2 * k]) for k, name in enumerate(_SENSORS)}
+                    return {
+                        name: (row[1 + 2 * k], row[2 + 2 * k]) for k, name in enumerate(_SENSORS)
+                    }
         except csv.Error as error:
             raise FileProblem(f"the table of contacts cannot be read ({error})", file) from error
     return {}

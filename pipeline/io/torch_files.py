@@ -35,24 +35,35 @@ def load_tensors(path: Path) -> Mapping[str, Any]:
     """
     tensors = load_torch_file(path, only_tensors=True)
     if not isinstance(tensors, dict):
-        raise FileProblem(f"the file must hold a dictionary of tensors, it holds a {type(tensors).__name__}", path)
+        raise FileProblem(
+            f"the file must hold a dictionary of tensors, it holds a {type(tensors).__name__}", path
+        )
     return cast("Mapping[str, Any]", tensors)
 
 
-def require_tensor(tensors: Mapping[str, Any], key: str, path: Path, shape: tuple[int | None, ...]) -> Any:
-    """The tensor of `key`, which must hold real numbers and have this shape (None = any length above 0).
+def require_tensor(
+    tensors: Mapping[str, Any], key: str, path: Path, shape: tuple[int | None, ...]
+) -> Any:
+    """The tensor of `key`, which must hold real numbers and have this shape (None = any length
+    above 0).
 
     Raises FileProblem naming the key.
     """
     value = _get_plain_tensor(tensors, key, path)
     got = tuple(value.shape)
-    if len(got) != len(shape) or 0 in got or any(n not in (None, m) for n, m in zip(shape, got, strict=True)):
+    if (
+        len(got) != len(shape)
+        or 0 in got
+        or any(n not in (None, m) for n, m in zip(shape, got, strict=True))
+    ):
         wanted = ", ".join("any" if n is None else str(n) for n in shape)
         raise FileProblem(f"{key} must have shape ({wanted}), got {got}", path, field=key)
     return value
 
 
-def require_tensor_rows(tensors: Mapping[str, Any], key: str, path: Path, tail: tuple[int, ...]) -> Any:
+def require_tensor_rows(
+    tensors: Mapping[str, Any], key: str, path: Path, tail: tuple[int, ...]
+) -> Any:
     """The tensor of `key` reshaped to (n, *tail), n > 0."""
     value = _get_plain_tensor(tensors, key, path)
     got = tuple(value.shape)
@@ -66,27 +77,48 @@ def _get_plain_tensor(tensors: Mapping[str, Any], key: str, path: Path) -> Any:
 
     if key not in tensors:
         raise FileProblem(
-            f"the key {key!r} is missing; there are {', '.join(sorted(map(str, tensors)))}", path, field=key
+            f"the key {key!r} is missing; there are {', '.join(sorted(map(str, tensors)))}",
+            path,
+            field=key,
         )
     value = tensors[key]
     if not isinstance(value, torch.Tensor):
-        raise FileProblem(f"{key} must be a tensor, it is a {type(value).__name__}", path, field=key)
+        raise FileProblem(
+            f"{key} must be a tensor, it is a {type(value).__name__}", path, field=key
+        )
     is_unusual = value.layout != torch.strided or value.device.type != "cpu"
     known = (torch.uint8, torch.int16, torch.int32, torch.int64, torch.float16, torch.bfloat16)
     if is_unusual or value.dtype not in (*known, torch.float32, torch.float64):
-        raise FileProblem(f"{key} must hold plain real numbers, it is {value.dtype} on {value.device}", path, field=key)
+        raise FileProblem(
+            f"{key} must hold plain real numbers, it is {value.dtype} on {value.device}",
+            path,
+            field=key,
+        )
     row = value.detach()[:1] if value.ndim > 2 else value
-    require_budget(4 * row.numel(), f"{key} of one frame" if value.ndim > 2 else key, path, field=key)
+    require_budget(
+        4 * row.numel(), f"{key} of one frame" if value.ndim > 2 else key, path, field=key
+    )
     return value.detach()
 
 
 def convert_to_rgb(channels_first: Any, key: str, path: Path) -> Image:
-    """The image (rows, cols, 3) uint8 of a tensor (3, rows, cols) with values 0..255; raises FileProblem."""
+    """The image (rows, cols, 3) uint8 of a tensor (3, rows, cols) with values 0..255.
+
+    Raises FileProblem.
+    """
     values = cast("NDArray[np.float32]", channels_first.float().numpy())
-    low, high = float(values.min()), float(values.max())
+    low = float(values.min())
+    high = float(values.max())
     if not (low >= -0.5 and high <= 255.5):
-        raise FileProblem(f"{key} must hold grey levels of 0 to 255, got {low:g} to {high:g}", path, field=key)
+        raise FileProblem(
+            f"{key} must hold grey levels of 0 to 255, got {low:g} to {high:g}", path, field=key
+        )
     if 0 < high <= 1.0:
-        raise FileProblem(f"{key} must hold grey levels of 0 to 255, but none exceeds {high:g}; are they 0 to 1?", path,
-                          field=key)  # fmt: skip
-    return freeze(np.ascontiguousarray(np.moveaxis(np.clip(np.rint(values), 0, 255).astype(np.uint8), 0, 2)))
+        raise FileProblem(
+            f"{key} must hold grey levels of 0 to 255, but none exceeds {high:g}; are they 0 to 1?",
+            path,
+            field=key,
+        )
+    return freeze(
+        np.ascontiguousarray(np.moveaxis(np.clip(np.rint(values), 0, 255).astype(np.uint8), 0, 2))
+    )

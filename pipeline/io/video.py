@@ -24,41 +24,57 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
 
     Raises FileProblem for a video or first frame that cannot be decoded.
     """
-    path, video = files.path, VideoDecoder(files.path)
+    path = files.path
+    video = VideoDecoder(files.path)
     try:
         stream, notes = make_stream(video, path, options, name="")
     except Exception:
         video.close()
         raise
-    return Recording(path=path, format="video", streams=(stream,), close=video.close, notes=(*files.notes, *notes))
+    return Recording(
+        path=path,
+        format="video",
+        streams=(stream,),
+        close=video.close,
+        notes=(*files.notes, *notes),
+    )
 
 
 class VideoDecoder:
     """A decoder that knows a frame by its time in the file, whatever was read before.
 
-    The file's packets are listed once, undecoded: a stated number of frames is an estimate where the rate varies.
+    The file's packets are listed once, undecoded: a stated number of frames is an estimate where
+    the rate varies.
     """
 
     def __init__(self, path: Path) -> None:
-        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: this module raises its own errors
+        # quiet: this module raises its own errors
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
         import cv2
 
         if not is_utf8_encodable(str(path)):
             raise FileProblem("the name of a video must be UTF-8; rename it", path)
         self._cv2: Any = cv2
-        self._path, self._lock = path, threading.Lock()
+        self._path = path
+        self._lock = threading.Lock()
         self._at = -1  # the frame that was decoded last
         require_file(path, "the video", most_bytes=1 << 50)
         most_frames = min(_MAX_FRAMES, path.stat().st_size // _LEAST_FRAME_BYTES)
         with silence_native_libraries():
             self._capture: Any = cv2.VideoCapture(str(path))
-            n_stated = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)) if self._capture.isOpened() else 0
+            n_stated = (
+                int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)) if self._capture.isOpened() else 0
+            )
             self._rate_hz = max(float(self._capture.get(cv2.CAP_PROP_FPS)), 0.0)  # a mean
-            self._times_ms = self._list_times_ms(n_stated) if n_stated <= most_frames else np.zeros(0)
+            self._times_ms = (
+                self._list_times_ms(n_stated) if n_stated <= most_frames else np.zeros(0)
+            )
         self.n_frames = len(self._times_ms)
         if not self.n_frames:
             self._capture.release()
-            raise FileProblem("the video cannot be opened; it is damaged or cannot be decoded", path)
+            raise FileProblem(
+                "the video cannot be opened; it is damaged or cannot be decoded", path
+            )
 
     def _list_times_ms(self, n_stated: int) -> Doubles:
         """Times of the frames in the file, and of those that it lacks at its end."""
@@ -70,7 +86,9 @@ class VideoDecoder:
         packets.release()
         if not found:
             return np.zeros(0)
-        interval_ms, times_ms = 1e3 / (self._rate_hz or 1.0), np.sort(np.array(found))  # packets follow the decoding
+        # packets follow the decoding
+        interval_ms = 1e3 / (self._rate_hz or 1.0)
+        times_ms = np.sort(np.array(found))
         if not (np.isfinite(times_ms).all() and (np.diff(times_ms) > 0.0).all()):
             times_ms = np.arange(float(len(found))) * interval_ms
         last_ms = times_ms[-1]
@@ -86,12 +104,18 @@ class VideoDecoder:
                 self._at = self._decode_next()
             pixels = self._capture.retrieve()[1] if self._at == index else None
         if pixels is None:
-            raise FileProblem(f"frame {index} of the video cannot be decoded", self._path, field=f"frame {index}")
+            raise FileProblem(
+                f"frame {index} of the video cannot be decoded", self._path, field=f"frame {index}"
+            )
         return freeze(np.ascontiguousarray(pixels[:, :, ::-1]))
 
     def _seek(self, index: int) -> None:
-        """Go to a frame at or before `index`; the library takes the rate for constant and may go too far."""
-        goal, back = round(1e-3 * self._times_ms[index] * self._rate_hz), 0
+        """Go to a frame at or before `index`.
+
+        The library takes the rate for constant and may go too far.
+        """
+        goal = round(1e-3 * self._times_ms[index] * self._rate_hz)
+        back = 0
         while True:
             start = max(goal - back, 0)
             self._capture.set(self._cv2.CAP_PROP_POS_FRAMES, start)
@@ -101,7 +125,10 @@ class VideoDecoder:
             back = 2 * back + 8
 
     def _decode_next(self) -> int:
-        """Decode one frame and return which it is, by its time; `n_frames` at the end of the file."""
+        """Decode one frame and return which it is, by its time.
+
+        `n_frames` at the end of the file.
+        """
         if not self._capture.grab():
             return self.n_frames
         middles_ms = 0.5 * (self._times_ms[1:] + self._times_ms[:-1])

@@ -1,4 +1,6 @@
-"""Writing simulated recordings: several processes, finished moments saved, interrupted work continued."""
+"""Writing simulated recordings: several processes, finished moments saved, interrupted work
+continued.
+"""
 
 import math
 import time
@@ -22,7 +24,8 @@ from pipeline.physics.simulation.datasets import SimulatedMoment, SimulationPlan
 
 BUBBLE_STEP_MM = 0.05  # of stored depth frames; their noise is eight times as large
 MIN_MOMENTS_FOR_POOL = 8  # starting processes takes longer than they save for fewer moments
-PUBLISH_INTERVAL_S = 30.0  # between writes into place; a recording of 1 GB is copied in some seconds
+# between writes into place; a recording of 1 GB is copied in some seconds
+PUBLISH_INTERVAL_S = 30.0
 _MOMENTS_AHEAD = 3  # for each process
 
 
@@ -35,13 +38,17 @@ class RecordingResult:
 
 
 def resolve_recording_path(plan: SimulationPlan, out: Path, n_plans: int) -> Path:
-    """The path of a plan's recording: `out` itself for an .h5 file, otherwise a file in the folder `out`.
+    """The path of a plan's recording: `out` itself for an .h5 file, otherwise a file in the folder
+    `out`.
 
     A recording holds one object mesh, so that several objects need a folder. Raises FileProblem.
     """
     if out.suffix == ".h5" and not out.is_dir():
         if n_plans > 1:
-            raise FileProblem(f"{n_plans} objects make {n_plans} recordings; give a folder without .h5 as --out", out)
+            raise FileProblem(
+                f"{n_plans} objects make {n_plans} recordings; give a folder without .h5 as --out",
+                out,
+            )
         return out
     if out.is_file():
         raise FileProblem("there is a file of this name; --out must be a folder or end in .h5", out)
@@ -64,25 +71,36 @@ def _inspect_file(plan: SimulationPlan, path: Path) -> tuple[int, bool]:
         recording = hdf5.read(path)
     except TouchError as error:
         raise FileProblem(
-            "there is a file that is damaged or no recording; it is kept, choose another --out or delete it", path
+            "there is a file that is damaged or no recording; it is kept, choose another --out or "
+            "delete it",
+            path,
         ) from error
     with closing(recording):
         if datasets.describe_plan(plan) not in recording.notes:
             raise FileProblem(
-                "there is a recording of another plan; it is kept, choose another --out or delete it", path
+                "there is a recording of another plan; it is kept, choose another --out or delete "
+                "it",
+                path,
             )
         counts = [stream.n_frames for stream in recording.streams]
         good = next((k for k in range(min(counts)) if not _is_readable(recording, k)), min(counts))
-        if any(hdf5.TRUTH_TABLE_TITLE in note and note.endswith(hdf5.DAMAGED_NOTE) for note in recording.notes):
+        if any(
+            hdf5.TRUTH_TABLE_TITLE in note and note.endswith(hdf5.DAMAGED_NOTE)
+            for note in recording.notes
+        ):
             good = 0  # frames without their truth
         damaged = any(
-            note.startswith(hdf5.TRUNCATED_NOTE) or note.endswith(hdf5.DAMAGED_NOTE) for note in recording.notes
+            note.startswith(hdf5.TRUNCATED_NOTE) or note.endswith(hdf5.DAMAGED_NOTE)
+            for note in recording.notes
         )
         return good, good == max(counts) and not damaged
 
 
 def _is_readable(recording: Recording, index: int) -> bool:
-    """Whether frames and truth of all sensors can be read; a moment without its time has lost its tables."""
+    """Whether frames and truth of all sensors can be read.
+
+    A moment without its time has lost its tables.
+    """
     try:
         for stream in recording.streams:
             stream.truth(index)
@@ -98,29 +116,38 @@ def record_plan(
 ) -> RecordingResult:
     """Simulate and write the moments of `plan` that `path` does not hold yet.
 
-    Finished moments are written into place at intervals. When `progress` cancels or a process dies, they are saved and
-    the error passes on; the next call continues from there, and from the first damaged moment of a damaged file.
-    Raises FileProblem where the file cannot be written or another one is there.
+    Finished moments are written into place at intervals. When `progress` cancels or a process dies,
+    they are saved and the error passes on; the next call continues from there, and from the first
+    damaged moment of a damaged file. Raises FileProblem where the file cannot be written or another
+    one is there.
     """
     start, complete = _inspect_file(plan, path)
     if start and not complete:
         _repair(plan, path, start)
-    done, unsolved, stopped = start, 0, None
+    done = start
+    unsolved = 0
+    stopped = None
     with closing(_iterate_moments(plan, start, pool)) as moments:
         while done < plan.n_poses and stopped is None:
-            written, due_s = done, time.monotonic() + PUBLISH_INTERVAL_S
+            written = done
+            due_s = time.monotonic() + PUBLISH_INTERVAL_S
             with _open_writer(plan, path, done) as writer:
                 try:
                     while done < plan.n_poses and (done == written or time.monotonic() < due_s):
                         moment = next(moments)
                         for frame, truth in moment.frames:
                             writer.append(frame.sensor, frame, truth)
-                        done, unsolved = done + 1, unsolved + moment.n_unsolved
-                        progress.step(done / plan.n_poses, f"{plan.object_name}: {done} of {plan.n_poses}")
+                        done = done + 1
+                        unsolved = unsolved + moment.n_unsolved
+                        progress.step(
+                            done / plan.n_poses, f"{plan.object_name}: {done} of {plan.n_poses}"
+                        )
                 except (Cancelled, KeyboardInterrupt) as error:
                     stopped = error
                 except BrokenProcessPool as error:
-                    stopped = NotConverged("a worker process died, perhaps out of memory; run again with --jobs 1")
+                    stopped = NotConverged(
+                        "a worker process died, perhaps out of memory; run again with --jobs 1"
+                    )
                     stopped.__cause__ = error
                 if stopped is not None and done == written:
                     raise stopped  # inside the writer: nothing new to save
@@ -147,13 +174,19 @@ def _open_writer(plan: SimulationPlan, path: Path, start: int) -> RecordingWrite
     if start:
         return RecordingWriter.open_for_append(path)
     return RecordingWriter(
-        path, object_mesh=datasets.load_object_mesh(plan), symmetry=datasets.load_object_symmetry(plan),
+        path,
+        object_mesh=datasets.load_object_mesh(plan),
+        symmetry=datasets.load_object_symmetry(plan),
         pairings=datasets.compute_pairings(plan),
-        notes=(datasets.describe_plan(plan),), coding="row differences", depth_step_mm=BUBBLE_STEP_MM,
-    )  # fmt: skip
+        notes=(datasets.describe_plan(plan),),
+        coding="row differences",
+        depth_step_mm=BUBBLE_STEP_MM,
+    )
 
 
-def _iterate_moments(plan: SimulationPlan, start: int, pool: Executor | None) -> Generator[SimulatedMoment, None, None]:
+def _iterate_moments(
+    plan: SimulationPlan, start: int, pool: Executor | None
+) -> Generator[SimulatedMoment, None, None]:
     """All moments from `start` on, in order; a pool simulates a few ahead."""
     if pool is None:
         for index in range(start, plan.n_poses):

@@ -1,9 +1,10 @@
-"""The bubble in contact: an inflated, pre-stretched membrane under an object, with sealed air behind it.
+"""The bubble in contact: an inflated, pre-stretched membrane under an object, with sealed air
+behind it.
 
-The membrane's height w over the rim obeys -T lap w = p - lambda with w <= g (the object), lambda >= 0 and
-lambda (g - w) = 0, the obstacle problem (Kinderlehrer and Stampacchia 1980). Heights are solved as the deviation from
-the rest dome, which solves the equation at rest exactly. The air follows Boyle: (p_atm + p) (V_dead + V(w)) stays what
-it was untouched.
+The membrane's height w over the rim obeys -T lap w = p - lambda with w <= g (the object), lambda >=
+0 and lambda (g - w) = 0, the obstacle problem (Kinderlehrer and Stampacchia 1980). Heights are
+solved as the deviation from the rest dome, which solves the equation at rest exactly. The air
+follows Boyle: (p_atm + p) (V_dead + V(w)) stays what it was untouched.
 """
 
 import math
@@ -24,7 +25,8 @@ ATMOSPHERE_KPA = 101.325
 TOLERANCE_MM = 1e-4
 _PRESSURE_TOLERANCE = 1e-4  # of the gauge pressure: a few micrometres of the free membrane
 _MAX_PRESSURES = 25  # tried in the secant search
-_RIM_STEPS = 0.36  # mean distance of the nearest clamped nodes beyond a curved rim, in lattice steps
+# mean distance of the nearest clamped nodes beyond a curved rim, in lattice steps
+_RIM_STEPS = 0.36
 _KPA_TO_N_MM2 = 1e-3
 
 
@@ -32,7 +34,8 @@ _KPA_TO_N_MM2 = 1e-3
 class BubbleContact:
     """State of the pressed bubble on its lattice."""
 
-    deviation_mm: Doubles  # (ny, nx) from the rest dome: negative toward the camera, positive where it bulges
+    # (ny, nx) from the rest dome: negative toward the camera, positive where it bulges
+    deviation_mm: Doubles
     contact_pressure_kpa: Doubles  # (ny, nx) of the object on the membrane
     contact: Mask  # (ny, nx) contact pressure > 0
     pressure_kpa: float  # gauge, inside
@@ -41,10 +44,20 @@ class BubbleContact:
 
 
 def make_lattice(bubble: Bubble, step_mm: float = STEP_MM) -> Lattice:
-    """The lattice centred on the optical axis that holds the whole rim and can be halved for multigrid."""
+    """The lattice centred on the optical axis that holds the whole rim and can be halved for
+    multigrid.
+    """
     halves = 2**multigrid.N_HALVINGS
-    ny, nx = (halves * math.ceil(2 * a / (step_mm * halves)) + 1 for a in (bubble.half_height_mm, bubble.half_width_mm))
-    return Lattice(x0_mm=-0.5 * (nx - 1) * step_mm, y0_mm=-0.5 * (ny - 1) * step_mm, step_mm=step_mm, shape=(ny, nx))
+    ny, nx = (
+        halves * math.ceil(2 * a / (step_mm * halves)) + 1
+        for a in (bubble.half_height_mm, bubble.half_width_mm)
+    )
+    return Lattice(
+        x0_mm=-0.5 * (nx - 1) * step_mm,
+        y0_mm=-0.5 * (ny - 1) * step_mm,
+        step_mm=step_mm,
+        shape=(ny, nx),
+    )
 
 
 def compute_rest_height_mm(bubble: Bubble, on: Lattice) -> Doubles:
@@ -55,10 +68,13 @@ def compute_rest_height_mm(bubble: Bubble, on: Lattice) -> Doubles:
 def find_free_nodes(bubble: Bubble, on: Lattice) -> Mask:
     """Nodes (ny, nx) that may move.
 
-    The first nodes outside are clamped. The rim is drawn in by their mean distance; otherwise the membrane is too wide
-    and rises by 0.7 % too much on a half-millimetre lattice, instead of by less than 0.1 %.
+    The first nodes outside are clamped. The rim is drawn in by their mean distance; otherwise the
+    membrane is too wide and rises by 0.7 % too much on a half-millimetre lattice, instead of by
+    less than 0.1 %.
     """
-    width, height = (a - _RIM_STEPS * on.step_mm for a in (bubble.half_width_mm, bubble.half_height_mm))
+    width, height = (
+        a - _RIM_STEPS * on.step_mm for a in (bubble.half_width_mm, bubble.half_height_mm)
+    )
     return freeze((on.x_mm()[None, :] / width) ** 2 + (on.y_mm()[:, None] / height) ** 2 < 1)
 
 
@@ -71,24 +87,43 @@ def compute_tension_n_per_mm(bubble: Bubble) -> float:
 
 
 def press_bubble(
-    bubble: Bubble, ceiling_mm: NDArray[np.floating], on: Lattice, *, tolerance_mm: float = TOLERANCE_MM
+    bubble: Bubble,
+    ceiling_mm: NDArray[np.floating],
+    on: Lattice,
+    *,
+    tolerance_mm: float = TOLERANCE_MM,
 ) -> BubbleContact:
-    """The bubble under an object at `ceiling_mm` (ny, nx) over the rim plane; not finite = no object.
+    """The bubble under an object at `ceiling_mm` (ny, nx) over the rim plane.
+
+    Not finite = no object.
 
     Raises ShapeError for another shape than the lattice's.
     """
     if ceiling_mm.shape != on.shape:
-        raise ShapeError(f"the ceiling must have the shape {on.shape} of the lattice, got {ceiling_mm.shape}")
+        raise ShapeError(
+            f"the ceiling must have the shape {on.shape} of the lattice, got {ceiling_mm.shape}"
+        )
     free = find_free_nodes(bubble, on)
-    room = np.where(np.isfinite(ceiling_mm), ceiling_mm - compute_rest_height_mm(bubble, on), np.inf)
+    room = np.where(
+        np.isfinite(ceiling_mm), ceiling_mm - compute_rest_height_mm(bubble, on), np.inf
+    )
     grid = multigrid.ObstacleProblem(clearance_mm=room, free=free, step_mm=on.step_mm)
-    tension = compute_tension_n_per_mm(bubble) / _KPA_TO_N_MM2  # kPa mm, so that load = pressure / tension is 1 / mm
-    v, over_kpa, settled = np.zeros(on.shape), 0.0, True
+    # kPa mm, so that load = pressure / tension is 1 / mm
+    tension = compute_tension_n_per_mm(bubble) / _KPA_TO_N_MM2
+    v = np.zeros(on.shape)
+    over_kpa = 0.0
+    settled = True
     if (room < 0).any():
         half = grid.coarsen()  # finds the pressure at a quarter of the cost
-        rough = _solve_sealed(bubble, half, tension, tolerance_mm, _SealedState(v=np.zeros(half.free.shape)))
-        answer = _solve_sealed(bubble, grid, tension, tolerance_mm, replace(rough, v=multigrid.refine(rough.v)))
-        v, over_kpa, settled = answer.v, answer.over_kpa, answer.converged
+        rough = _solve_sealed(
+            bubble, half, tension, tolerance_mm, _SealedState(v=np.zeros(half.free.shape))
+        )
+        answer = _solve_sealed(
+            bubble, grid, tension, tolerance_mm, replace(rough, v=multigrid.refine(rough.v))
+        )
+        v = answer.v
+        over_kpa = answer.over_kpa
+        settled = answer.converged
     force = multigrid.compute_contact_load(grid, v, over_kpa / tension) * tension
     return BubbleContact(
         deviation_mm=freeze(v),
@@ -116,12 +151,19 @@ class _SealedState:
 
 
 def _solve_sealed(
-    bubble: Bubble, grid: multigrid.ObstacleProblem, tension: float, tolerance_mm: float, start: _SealedState
+    bubble: Bubble,
+    grid: multigrid.ObstacleProblem,
+    tension: float,
+    tolerance_mm: float,
+    start: _SealedState,
 ) -> _SealedState:
-    """Shape and pressure at which Boyle's law holds: secant search over the pressure, with warm starts."""
+    """Shape and pressure at which Boyle's law holds: secant search over the pressure, with warm
+    starts.
+    """
     air = bubble.dead_volume_mm3 + compute_volume_mm3(bubble)
     absolute = ATMOSPHERE_KPA + bubble.pressure_kpa
-    v, settled = start.v, True
+    v = start.v
+    settled = True
 
     def compute_missing_pressure(over_kpa: float) -> float:
         """Pressure in kPa that Boyle's law adds for the volume at this pressure."""
@@ -133,7 +175,8 @@ def _solve_sealed(
     # A pressure dp lifts the free membrane's volume by V dp / p; contact reduces this.
     steepest = -1.0 - absolute / air * compute_volume_mm3(bubble) / bubble.pressure_kpa
     slope = start.slope if math.isfinite(start.slope) else steepest
-    over, short = start.over_kpa, compute_missing_pressure(start.over_kpa)
+    over = start.over_kpa
+    short = compute_missing_pressure(start.over_kpa)
     for _ in range(_MAX_PRESSURES):
         new = min(max(over - short / slope, 0.0), 8.0 * over + bubble.pressure_kpa)
         if abs(new - over) <= _PRESSURE_TOLERANCE * (bubble.pressure_kpa + over):
@@ -141,12 +184,15 @@ def _solve_sealed(
         new_short = compute_missing_pressure(new)
         secant = (new_short - short) / (new - over)
         slope = secant if secant < -1.0 else -1.0  # a higher pressure always gives a larger volume
-        over, short = new, new_short
+        over = new
+        short = new_short
     return _SealedState(v=v, over_kpa=over, slope=slope, converged=False)
 
 
 @derive_once
 def _dome(bubble: Bubble, on: Lattice) -> Doubles:
     return freeze(
-        1.0 - (on.x_mm()[None, :] / bubble.half_width_mm) ** 2 - (on.y_mm()[:, None] / bubble.half_height_mm) ** 2
+        1.0
+        - (on.x_mm()[None, :] / bubble.half_width_mm) ** 2
+        - (on.y_mm()[:, None] / bubble.half_height_mm) ** 2
     )

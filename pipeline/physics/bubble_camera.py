@@ -1,7 +1,8 @@
 """Depth camera of a bubble: conversions between its lattice and depth images, and simulated frames.
 
-A frame is the exact depth along each ray with the errors of depth cameras: noise that grows with distance and grazing
-incidence, flying pixels where the depth jumps, gaps (NaN) where a surface is too steep, and a coarse step.
+A frame is the exact depth along each ray with the errors of depth cameras: noise that grows with
+distance and grazing incidence, flying pixels where the depth jumps, gaps (NaN) where a surface is
+too steep, and a coarse step.
 """
 
 import numpy as np
@@ -19,27 +20,44 @@ from pipeline.sensors.spec import SensorSpec
 _MIN_COSINE = 0.1  # noise is constant beyond 84 degrees, where there is no signal
 
 
-def compute_ceiling_from_depth(sensor: SensorSpec, depth_mm: NDArray[np.floating], on: Lattice) -> Doubles:
-    """Height (ny, nx) in mm over the rim plane of the surface in a depth image; +inf without a surface."""
+def compute_ceiling_from_depth(
+    sensor: SensorSpec, depth_mm: NDArray[np.floating], on: Lattice
+) -> Doubles:
+    """Height (ny, nx) in mm over the rim plane of the surface in a depth image.
+
+    +inf without a surface.
+    """
     return lattice.rasterise_depth_image(sensor.camera, depth_mm, on) - get_rim_z_mm(sensor)
 
 
-def compute_depth_from_deviation(sensor: SensorSpec, deviation_mm: NDArray[np.floating], on: Lattice) -> Doubles:
-    """Z (rows, cols) where each camera ray meets the membrane; the rest depth itself where nothing deviates."""
+def compute_depth_from_deviation(
+    sensor: SensorSpec, deviation_mm: NDArray[np.floating], on: Lattice
+) -> Doubles:
+    """Z (rows, cols) where each camera ray meets the membrane.
+
+    The rest depth itself where nothing deviates.
+    """
     if not deviation_mm.any():
         return freeze(np.array(sensor.rest_depth_mm, dtype=np.float64))
     return lattice.intersect_rays(
-        sensor.camera, compute_rest_z_mm(sensor, on) + deviation_mm, on, guess_mm=sensor.rest_depth_mm
+        sensor.camera,
+        compute_rest_z_mm(sensor, on) + deviation_mm,
+        on,
+        guess_mm=sensor.rest_depth_mm,
     )
 
 
 def simulate_depth_frame(
-    sensor: SensorSpec, depth_mm: NDArray[np.floating], seed: int | None, *, cosine: NDArray[np.floating] | None = None
+    sensor: SensorSpec,
+    depth_mm: NDArray[np.floating],
+    seed: int | None,
+    *,
+    cosine: NDArray[np.floating] | None = None,
 ) -> Floats:
     """The depth frame (rows, cols) float32 of a membrane; NaN = no value.
 
-    With `seed` None it is the exact depth, else it has the errors of `sensor.depth_camera`, the same for the same seed.
-    `cosine` (rows, cols) is that of the incidence, if it is known already.
+    With `seed` None it is the exact depth, else it has the errors of `sensor.depth_camera`, the
+    same for the same seed. `cosine` (rows, cols) is that of the incidence, if it is known already.
     """
     errs = sensor.depth_camera
     if seed is None or sensor.bubble is None or errs is None:
@@ -62,7 +80,10 @@ def simulate_depth_frame(
 
 
 def compute_incidence_cosine(camera: Camera, depth_mm: NDArray[np.floating]) -> Doubles:
-    """Cosine (rows, cols) of the angle between each ray and the surface normal; 1 = perpendicular incidence."""
+    """Cosine (rows, cols) of the angle between each ray and the surface normal.
+
+    1 = perpendicular incidence.
+    """
     points = camera.back_project(depth_mm)
     normal = compute_area_vectors(points)
     size = np.linalg.norm(normal, axis=2) * np.linalg.norm(points, axis=2)
@@ -78,7 +99,10 @@ def compute_rest_cosine(sensor: SensorSpec) -> Doubles:
 
 
 def _relative_noise(depth_mm: Doubles, cosine: NDArray[np.floating], errs: DepthCamera) -> Doubles:
-    """Standard deviation (rows, cols) up to a factor; distance in tenths of a metre, to stay near 1."""
+    """Standard deviation (rows, cols) up to a factor.
+
+    Distance in tenths of a metre, to stay near 1.
+    """
     distance = np.abs(depth_mm) / 100.0
     return distance**errs.distance_power / np.maximum(cosine, _MIN_COSINE) ** errs.grazing_power
 
@@ -87,8 +111,10 @@ def _with_flying_pixels(depth_mm: Doubles, errs: DepthCamera, rng: np.random.Gen
     """The depth with flying pixels: mixtures of front and back where the depth jumps."""
     import cv2
 
-    flies, share = rng.random(depth_mm.shape) < errs.flying_share, rng.random(depth_mm.shape)
-    framed = np.pad(depth_mm, 1, mode="reflect", reflect_type="odd")  # continues straight: a border is no jump
+    flies = rng.random(depth_mm.shape) < errs.flying_share
+    share = rng.random(depth_mm.shape)
+    # continues straight: a border is no jump
+    framed = np.pad(depth_mm, 1, mode="reflect", reflect_type="odd")
     bend_x = np.abs(framed[1:-1, 2:] - 2 * depth_mm + framed[1:-1, :-2])
     bend_y = np.abs(framed[2:, 1:-1] - 2 * depth_mm + framed[:-2, 1:-1])
     jump = np.maximum(bend_x, bend_y) > errs.jump_mm
@@ -107,7 +133,8 @@ def _speckle(grain: Floats, width_px: float) -> Floats:
         return grain
     reach = max(1, round(4 * width_px))
     weights = np.asarray(cv2.getGaussianKernel(2 * reach + 1, width_px))[:, 0]
-    keeps = float((weights**2).sum())  # variance left by a blur along both axes, as a standard deviation
+    # variance left by a blur along both axes, as a standard deviation
+    keeps = float((weights**2).sum())
     return np.asarray(cv2.sepFilter2D(grain, cv2.CV_32F, weights, weights) / keeps, np.float32)
 
 

@@ -1,8 +1,10 @@
-"""Normal force of a measured touch: its contact as a rigid object, pressed into the described gel or membrane.
+"""Normal force of a measured touch: its contact as a rigid object, pressed into the described gel
+or membrane.
 
-The surface in contact has the object's shape, so pressing that shape gives the contact's pressure (`gel.press_gel`,
-`bubble.press_bubble`), whose integral is the force. Stiffness, thickness and air pressure are the description's: of one
-sensor instance, the force is known up to a scale, which weighings determine (`calibration.force_scale`).
+The surface in contact has the object's shape, so pressing that shape gives the contact's pressure
+(`gel.press_gel`, `bubble.press_bubble`), whose integral is the force. Stiffness, thickness and air
+pressure are the description's: of one sensor instance, the force is known up to a scale, which
+weighings determine (`calibration.force_scale`).
 """
 
 import math
@@ -26,7 +28,8 @@ class ContactForce:
     """Force of a contact by the contact model; of one sensor instance up to a scale."""
 
     normal_n: float
-    shear_n: tuple[float, float] | None = None  # along the surface, right and down; None = not measured
+    # along the surface, right and down; None = not measured
+    shear_n: tuple[float, float] | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -41,9 +44,12 @@ class PressedCells:
 
 
 def press_gel_contact(sensor: SensorSpec, indentation_mm: Floats, contact: Mask) -> PressedCells:
-    """The pressure of a contact (rows, cols) with the described gel; `indentation_mm` is finite in contact.
+    """The pressure of a contact (rows, cols) with the described gel.
 
-    A contact at the image border is continued by half of the pad beyond the view, since it ends somewhere there.
+    `indentation_mm` is finite in contact.
+
+    A contact at the image border is continued by half of the pad beyond the view, since it ends
+    somewhere there.
     """
     import cv2
 
@@ -53,21 +59,30 @@ def press_gel_contact(sensor: SensorSpec, indentation_mm: Floats, contact: Mask)
     size = tuple(max(2, round(n * sensor.pixel_mm / cell_mm)) for n in (cols, rows))
     share = np.asarray(cv2.resize(contact.astype(np.float32), size, interpolation=cv2.INTER_AREA))
     pressed = np.asarray(
-        cv2.resize(np.where(contact, indentation_mm, 0.0).astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        cv2.resize(
+            np.where(contact, indentation_mm, 0.0).astype(np.float32),
+            size,
+            interpolation=cv2.INTER_AREA,
+        )
     )
     overlap = np.where(share > _COVERED_SHARE, pressed / np.maximum(share, _COVERED_SHARE), -np.inf)
     beyond = sensor.gel.thickness_mm / cell_mm  # width of the pad beyond the view, as simulated
-    continued, margin = round(0.5 * beyond), math.ceil(beyond)
+    continued = round(0.5 * beyond)
+    margin = math.ceil(beyond)
     overlap = np.pad(overlap, continued, mode="edge")
     overlap = np.pad(overlap, margin - continued, constant_values=-np.inf)
     found = gel.press_gel(sensor.gel, cell_mm, overlap, tolerance_mm=_TOLERANCE_MM)
-    return PressedCells(pressure_kpa=found.pressure_kpa, force_n=found.force_n, cell_mm=cell_mm, margin_cells=margin)
+    return PressedCells(
+        pressure_kpa=found.pressure_kpa, force_n=found.force_n, cell_mm=cell_mm, margin_cells=margin
+    )
 
 
 def estimate_bubble_force(
     sensor: SensorSpec, _frame: TactileFrame, indentation_mm: Floats, contact: Mask
 ) -> ContactForce:
-    """Normal force of a contact (rows, cols) with the described bubble; `indentation_mm` is finite in contact.
+    """Normal force of a contact (rows, cols) with the described bubble.
+
+    `indentation_mm` is finite in contact.
 
     The shape is that of the described membrane at rest less the indentation.
     """

@@ -1,8 +1,9 @@
 """Contact of a gel pad: an elastic layer bonded to a rigid back, without friction and adhesion.
 
-Contact is the complementarity problem p >= 0, u >= overlap, p (u - overlap) = 0 over the layer of `gel_layer`, solved
-by the constrained conjugate gradients of Polonsky and Keer (1999), preconditioned with the inverse of the periodic
-layer: a few steps of two or three FFT convolutions, instead of about twenty.
+Contact is the complementarity problem p >= 0, u >= overlap, p (u - overlap) = 0 over the layer of
+`gel_layer`, solved by the constrained conjugate gradients of Polonsky and Keer (1999),
+preconditioned with the inverse of the periodic layer: a few steps of two or three FFT convolutions,
+instead of about twenty.
 """
 
 import math
@@ -22,7 +23,8 @@ MAX_STEPS = 400
 _NOTHING_MM = 1e-9  # smaller overlaps are zero: denormal numbers make every sum three times as slow
 _KPA_TO_N_MM2 = 1e-3
 _BOX_PX = 32  # sides of the solved box are multiples of this
-_BULGE = 0.3  # share of the deepest overlap by which the gel may bulge: such gaps may come into contact
+# share of the deepest overlap by which the gel may bulge: such gaps may come into contact
+_BULGE = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +50,8 @@ def press_gel(
 ) -> GelContact:
     """The gel under a rigid object that reaches `overlap_mm` (rows, cols) past its rest surface.
 
-    Where the overlap is not finite there is no object; where it is negative the object is above the rest surface.
+    Where the overlap is not finite there is no object; where it is negative the object is above the
+    rest surface.
     """
     overlap = _check_overlap(overlap_mm, pixel_mm)
     deepest = float(overlap.max(initial=-np.inf))
@@ -56,7 +59,9 @@ def press_gel(
         return _no_contact(overlap.shape, pixel_mm)
     box = _bound_mask(overlap > -_BULGE * deepest)
     while True:
-        pressure, steps, residual = _solve_contact(gel, pixel_mm, overlap[box], tolerance_mm, max_steps)
+        pressure, steps, residual = _solve_contact(
+            gel, pixel_mm, overlap[box], tolerance_mm, max_steps
+        )
         whole = np.zeros(overlap.shape, np.float32)
         whole[box] = pressure
         u = gel_layer.make_elastic_layer(gel, pixel_mm, overlap.shape).compute_displacement(whole)
@@ -75,7 +80,9 @@ def relax_gel(
     tolerance_mm: float = TOLERANCE_MM,
     max_steps: int = MAX_STEPS,
 ) -> GelContact:
-    """The surface of least elastic energy that equals `prescribed_mm` on `mask`; pressures may be negative.
+    """The surface of least elastic energy that equals `prescribed_mm` on `mask`.
+
+    Pressures may be negative.
 
     Conjugate gradients on the masked operator, preconditioned with the inverse of the unmasked one.
     """
@@ -83,11 +90,16 @@ def relax_gel(
     if not mask.any():
         return _no_contact(target.shape, pixel_mm)
     box = _bound_mask(mask)
-    layer, inside = gel_layer.make_elastic_layer(gel, pixel_mm, target[box].shape), mask[box]
-    pressure, left, steps = np.zeros(inside.shape, np.float32), target[box].copy(), 0
+    layer = gel_layer.make_elastic_layer(gel, pixel_mm, target[box].shape)
+    inside = mask[box]
+    pressure = np.zeros(inside.shape, np.float32)
+    left = target[box].copy()
+    steps = 0
     for steps, step in enumerate(
         generate_steps(
-            left, lambda p: layer.compute_displacement(p) * inside, lambda u: layer.compute_pressure(u) * inside
+            left,
+            lambda p: layer.compute_displacement(p) * inside,
+            lambda u: layer.compute_pressure(u) * inside,
         ),
         1,
     ):
@@ -106,11 +118,15 @@ def _solve_contact(
 ) -> tuple[Floats, int, float]:
     """(pressure, steps, residual in mm) on the box of `overlap`."""
     layer = gel_layer.make_elastic_layer(gel, pixel_mm, overlap.shape)
-    stiffness = np.float32(1.0) / np.float32(layer.compute_displacement(np.ones(overlap.shape, np.float32)).max())
+    stiffness = np.float32(1.0) / np.float32(
+        layer.compute_displacement(np.ones(overlap.shape, np.float32)).max()
+    )
     pressure = np.maximum(overlap, 0) * stiffness
     u = layer.compute_displacement(pressure)
     direction = np.zeros_like(pressure)
-    norm, conjugate, residual = 1.0, False, np.inf
+    norm = 1.0
+    conjugate = False
+    residual = np.inf
     for step in range(max_steps):
         gap = u - overlap
         touching = pressure > 0
@@ -128,7 +144,8 @@ def _solve_contact(
         curvature = compute_dot(direction, moved)
         if curvature <= 0:  # no contact yet: push where it overlaps
             pressure = np.where(gap < 0, -stiffness * gap, pressure)
-            u, conjugate = layer.compute_displacement(pressure), False
+            u = layer.compute_displacement(pressure)
+            conjugate = False
             continue
         length = np.float32(compute_dot(along, direction) / curvature)
         trial = pressure - length * direction
@@ -136,9 +153,11 @@ def _solve_contact(
         entering = ~touching & (gap < 0)
         conjugate = not entering.any()
         if conjugate and not clipped.any():
-            pressure, u = trial, u - length * moved
+            pressure = trial
+            u = u - length * moved
             if step % 20 == 19:
-                u = layer.compute_displacement(pressure)  # remove the rounding errors of the recursion
+                # remove the rounding errors of the recursion
+                u = layer.compute_displacement(pressure)
             continue
         trial[clipped] = 0
         trial[entering] -= stiffness * gap[entering]
@@ -149,7 +168,9 @@ def _solve_contact(
 
 def _check_overlap(overlap_mm: NDArray[np.floating], pixel_mm: float) -> Floats:
     if overlap_mm.ndim != 2 or min(overlap_mm.shape) < 2:
-        raise ShapeError(f"a gel needs a grid of at least 2 x 2 pixels, got shape {overlap_mm.shape}")
+        raise ShapeError(
+            f"a gel needs a grid of at least 2 x 2 pixels, got shape {overlap_mm.shape}"
+        )
     if not (math.isfinite(pixel_mm) and pixel_mm > 0):
         raise ShapeError(f"the pixel width must be a positive length in mm, got {pixel_mm!r}")
     overlap = np.asarray(overlap_mm, dtype=np.float32)
@@ -160,10 +181,12 @@ def _check_overlap(overlap_mm: NDArray[np.floating], pixel_mm: float) -> Floats:
 
 def _bound_mask(mask: Mask) -> tuple[slice, slice]:
     """The box of a mask, its sides rounded up so that cached tables serve many boxes."""
-    rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    rows = np.flatnonzero(mask.any(axis=1))
+    cols = np.flatnonzero(mask.any(axis=0))
 
     def bound_axis(indices: NDArray[np.intp], n: int) -> slice:
-        low, high = int(indices[0]), int(indices[-1]) + 1
+        low = int(indices[0])
+        high = int(indices[-1]) + 1
         size = min(n, -(-(high - low) // _BOX_PX) * _BOX_PX)
         start = min(low, n - size)
         return slice(start, start + size)
@@ -172,7 +195,9 @@ def _bound_mask(mask: Mask) -> tuple[slice, slice]:
 
 
 def _no_contact(shape: tuple[int, ...], pixel_mm: float) -> GelContact:
-    return _result(np.zeros(shape, np.float32), np.zeros(shape, np.float32), pixel_mm, 0, 0.0, converged=True)
+    return _result(
+        np.zeros(shape, np.float32), np.zeros(shape, np.float32), pixel_mm, 0, 0.0, converged=True
+    )
 
 
 def _result(

@@ -1,8 +1,11 @@
-"""Elastic response of a gel pad: displacement of its surface under a pressure, as an FFT convolution.
+"""Elastic response of a gel pad: displacement of its surface under a pressure, as an FFT
+convolution.
 
-A layer bonded to a rigid back responds to a pressure of wavenumber q with (K. L. Johnson, Contact Mechanics, 1985)
+A layer bonded to a rigid back responds to a pressure of wavenumber q with (K. L. Johnson, Contact
+Mechanics, 1985)
 
-    U(q) = 2 / (E* q) K(q t) P(q),   K(x) = ((3-4v) sinh 2x - 2x) / ((3-4v) cosh 2x + 2x^2 + 5 - 12v + 8v^2)
+    U(q) = 2 / (E* q) K(q t) P(q),   K(x) = ((3-4v) sinh 2x - 2x) / ((3-4v) cosh 2x + 2x^2 + 5 - 12v
+    + 8v^2)
 
 An infinite thickness is a half-space, whose response to a pixel is Love's.
 """
@@ -18,14 +21,17 @@ from pipeline.core.derived import derive_once
 from pipeline.sensors.parts import Gel
 
 _LARGEST_X = 40.0  # K is 1 to double precision long before sinh overflows
-_REACH = 8.0  # thicknesses: the kernel of a nearly incompressible layer is below 1e-4 of its peak there
+# thicknesses: the kernel of a nearly incompressible layer is below 1e-4 of its peak there
+_REACH = 8.0
 _MIN_PX_FOR_THREADS = 2**15  # threads take longer to start than to work on fewer pixels
 _REACH_MAX_PX = 1024  # larger than any image; bounds the table of a very thick pad
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ElasticLayer:
-    """Elastic response of the pad as a convolution over a zero-padded grid: exact, without wrap-around."""
+    """Elastic response of the pad as a convolution over a zero-padded grid: exact, without
+    wrap-around.
+    """
 
     padded_shape: tuple[int, int]
     periodic_shape: tuple[int, int]  # grid of the preconditioner, which may wrap around
@@ -37,7 +43,9 @@ class ElasticLayer:
         return _convolve(pressure_kpa, self.symbol, self.padded_shape)
 
     def compute_pressure(self, displacement_mm: Floats) -> Floats:
-        """Pressure (rows, cols) in kPa that makes the displacement on a periodic pad: the preconditioner."""
+        """Pressure (rows, cols) in kPa that makes the displacement on a periodic pad: the
+        preconditioner.
+        """
         return _convolve(displacement_mm, self.inverse_symbol, self.periodic_shape)
 
 
@@ -106,23 +114,31 @@ def _compute_layer_kernel(gel: Gel, pixel_mm: float) -> Doubles:
 
 
 def compute_symbol(gel: Gel, pixel_mm: float, padded: tuple[int, int]) -> Doubles:
-    """Displacement in mm by 1 kPa of each wave of a periodic grid, as `np.fft.rfft2` orders them."""
-    v, t = gel.poisson, gel.thickness_mm
+    """Displacement in mm by 1 kPa of each wave of a periodic grid, as `np.fft.rfft2` orders
+    them.
+    """
+    v = gel.poisson
+    t = gel.thickness_mm
     qy = 2 * np.pi * np.fft.fftfreq(padded[0], pixel_mm)[:, None]
     qx = 2 * np.pi * np.fft.rfftfreq(padded[1], pixel_mm)[None, :]
     q = np.hypot(qx, qy)
     q[0, 0] = 0.5 * q[0, 1]
     x = np.minimum(q * t, _LARGEST_X)
-    k = ((3 - 4 * v) * np.sinh(2 * x) - 2 * x) / ((3 - 4 * v) * np.cosh(2 * x) + 2 * x * x + 5 - 12 * v + 8 * v * v)
+    k = ((3 - 4 * v) * np.sinh(2 * x) - 2 * x) / (
+        (3 - 4 * v) * np.cosh(2 * x) + 2 * x * x + 5 - 12 * v + 8 * v * v
+    )
     symbol = 2.0 * (1 - v * v) / (gel.youngs_kpa * q) * k
     if math.isfinite(t):
-        # An incompressible layer does not move as a whole; a small value keeps the operator definite.
+        # An incompressible layer does not move as a whole; a small value keeps the operator
+        # definite.
         symbol[0, 0] = max(t * (1 + v) * (1 - 2 * v) / (1 - v), 1e-6 * t) / gel.youngs_kpa
     return symbol
 
 
 def _compute_half_space_kernel(gel: Gel, pixel_mm: float, x: Doubles, y: Doubles) -> Doubles:
-    """Love's displacement of a half-space under a uniform pressure on one pixel (Boussinesq over a square)."""
+    """Love's displacement of a half-space under a uniform pressure on one pixel (Boussinesq over
+    a square).
+    """
     h = pixel_mm / 2
 
     def integrate_corner(cx: Doubles, cy: Doubles) -> Doubles:

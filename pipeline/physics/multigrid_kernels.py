@@ -1,23 +1,27 @@
 # pyright: basic
-"""Compiled cycle of the multigrid solver (`multigrid`) for -lap v = load, v <= room, v = 0 at the rim.
+"""Compiled cycle of the multigrid solver (`multigrid`) for -lap v = load, v <= room, v = 0 at the
+rim.
 
-Fields are (rows, cols). `free`: nodes that may move, False at the rim and beyond; `loose`: those of them that coarse
-levels correct.
+Fields are (rows, cols). `free`: nodes that may move, False at the rim and beyond; `loose`: those of
+them that coarse levels correct.
 """
 
 import numpy as np
 
 from pipeline.core.cached_kernels import FAST, inner_kernel, kernel
 
-_SWEEPS, _COARSEST_SWEEPS = 2, 40  # of smoothing; the latter are enough for 17 x 14 nodes
+# of smoothing; the latter are enough for 17 x 14 nodes
+_SWEEPS = 2
+_COARSEST_SWEEPS = 40
 
 
 @kernel(fastmath=FAST)
 def run_cycle(v, load, room, free, loose, step_sq, n_halvings, truncated, careful):
     """Run one V-cycle on `v` in place, and write `loose`.
 
-    If `truncated`, coarse levels correct only nodes out of contact, and only away from it if `careful`. Otherwise they
-    correct all free nodes and stay below the object: coarse nodes have the least clearance nearby.
+    If `truncated`, coarse levels correct only nodes out of contact, and only away from it if
+    `careful`. Otherwise they correct all free nodes and stay below the object: coarse nodes have
+    the least clearance nearby.
     """
     if n_halvings == 0:
         _smooth(v, load, room, free, step_sq, _COARSEST_SWEEPS)
@@ -27,7 +31,9 @@ def run_cycle(v, load, room, free, loose, step_sq, n_halvings, truncated, carefu
     compute_residual(v, load, room, free, step_sq, left)
     for r in range(v.shape[0]):
         for c in range(v.shape[1]):
-            loose[r, c] = free[r, c] and (not truncated or v[r, c] < room[r, c] or left[r, c] != 0.0)
+            loose[r, c] = free[r, c] and (
+                not truncated or v[r, c] < room[r, c] or left[r, c] != 0.0
+            )
     coarse = _coarsen(left, room, v, loose, not truncated, careful)
     run_cycle(*coarse, 4.0 * step_sq, n_halvings - 1, truncated, careful)
     _prolong(coarse[0], v, room, loose)
@@ -43,7 +49,13 @@ def _smooth(v, load, room, free, step_sq, sweeps):
             for r in range(1, rows - 1):
                 for c in range(1 + (r + colour) % 2, cols - 1, 2):
                     if free[r, c]:
-                        new = 0.25 * (v[r - 1, c] + v[r + 1, c] + v[r, c - 1] + v[r, c + 1] + step_sq * load[r, c])
+                        new = 0.25 * (
+                            v[r - 1, c]
+                            + v[r + 1, c]
+                            + v[r, c - 1]
+                            + v[r, c + 1]
+                            + step_sq * load[r, c]
+                        )
                         v[r, c] = min(new, room[r, c])
 
 
@@ -56,7 +68,9 @@ def compute_residual(v, load, room, free, step_sq, out):
     for r in range(1, rows - 1):
         for c in range(1, cols - 1):
             if free[r, c]:
-                lap = (v[r - 1, c] + v[r + 1, c] + v[r, c - 1] + v[r, c + 1] - 4.0 * v[r, c]) * inverse
+                lap = (
+                    v[r - 1, c] + v[r + 1, c] + v[r, c - 1] + v[r, c + 1] - 4.0 * v[r, c]
+                ) * inverse
                 left = load[r, c] + lap
                 if not (left > 0.0 and v[r, c] >= room[r, c]):
                     out[r, c] = left
@@ -64,23 +78,37 @@ def compute_residual(v, load, room, free, step_sq, out):
 
 @inner_kernel(fastmath=FAST)
 def _coarsen(left, room, v, loose, bounded, careful):
-    """Return what `run_cycle` takes first, on every second node: zeros, the residual, the clearance, the free nodes."""
-    rows, cols = left.shape[0] // 2 + 1, left.shape[1] // 2 + 1
-    correction, load, coarse_room = np.zeros((rows, cols)), np.zeros((rows, cols)), np.empty((rows, cols))
-    free, coarse_loose = np.zeros((rows, cols), np.bool_), np.empty((rows, cols), np.bool_)
+    """Return what `run_cycle` takes first, on every second node: zeros, the residual, the
+    clearance, the free nodes.
+    """
+    rows = left.shape[0] // 2 + 1
+    cols = left.shape[1] // 2 + 1
+    correction = np.zeros((rows, cols))
+    load = np.zeros((rows, cols))
+    coarse_room = np.empty((rows, cols))
+    free = np.zeros((rows, cols), np.bool_)
+    coarse_loose = np.empty((rows, cols), np.bool_)
     for r in range(rows):
         for c in range(cols):
             coarse_room[r, c] = np.inf
     for r in range(1, rows - 1):
         for c in range(1, cols - 1):
-            y, x = 2 * r, 2 * c
+            y = 2 * r
+            x = 2 * c
             load[r, c] = (
                 0.25 * left[y, x]
                 + 0.125 * (left[y - 1, x] + left[y + 1, x] + left[y, x - 1] + left[y, x + 1])
-                + 0.0625 * (left[y - 1, x - 1] + left[y - 1, x + 1] + left[y + 1, x - 1] + left[y + 1, x + 1])
+                + 0.0625
+                * (
+                    left[y - 1, x - 1]
+                    + left[y - 1, x + 1]
+                    + left[y + 1, x - 1]
+                    + left[y + 1, x + 1]
+                )
             )
             free[r, c] = loose[y, x] and (
-                not careful or (loose[y - 1, x] and loose[y + 1, x] and loose[y, x - 1] and loose[y, x + 1])
+                not careful
+                or (loose[y - 1, x] and loose[y + 1, x] and loose[y, x - 1] and loose[y, x + 1])
             )
             if bounded:
                 for i in range(y - 1, y + 2):

@@ -1,9 +1,10 @@
 """Rendering of gels: reference image, colour change by slopes, and the image of a touch.
 
-A slope (gx, gy) of the indentation tilts the surface normal, seen from the camera, to (-gx, -gy, 1). Each LED's light
-on a pixel changes with the cosine to the tilted normal (Lambert), down to zero (attached shadow). Light falls off from
-the LED's side to the far side of the image, and toward the corners (vignette). Where a dent stands between an LED and a
-point, that LED's light is missing there (cast shadow).
+A slope (gx, gy) of the indentation tilts the surface normal, seen from the camera, to (-gx, -gy,
+1). Each LED's light on a pixel changes with the cosine to the tilted normal (Lambert), down to zero
+(attached shadow). Light falls off from the LED's side to the far side of the image, and toward the
+corners (vignette). Where a dent stands between an LED and a point, that LED's light is missing
+there (cast shadow).
 """
 
 import math
@@ -27,24 +28,37 @@ _N_QUANTILES = 4096
 _Scene = tuple[np.float32, Floats, Floats, Floats, np.float32]
 
 
-def compute_colour_change(sensor: SensorSpec, gx: NDArray[np.floating], gy: NDArray[np.floating]) -> Floats:
-    """Grey levels (rows, cols, 3) float32 that the slopes add to the reference image; exactly 0 for zero slopes.
+def compute_colour_change(
+    sensor: SensorSpec, gx: NDArray[np.floating], gy: NDArray[np.floating]
+) -> Floats:
+    """Grey levels (rows, cols, 3) float32 that the slopes add to the reference image.
 
-    gx, gy (rows, cols): d indentation_mm / dx (right) and / dy (down), in mm/mm. NaN slopes give NaN.
+    Exactly 0 for zero slopes.
+
+    gx, gy (rows, cols): d indentation_mm / dx (right) and / dy (down), in mm/mm. NaN slopes give
+    NaN.
     """
     optics = require_optics(sensor)
     if gx.shape != sensor.camera.shape or gy.shape != gx.shape:
-        raise ShapeError(f"slopes must have the shape {sensor.camera.shape} of {sensor.name}, got {gx.shape}")
+        raise ShapeError(
+            f"slopes must have the shape {sensor.camera.shape} of {sensor.name}, got {gx.shape}"
+        )
     rows, cols = gx.shape
-    gx, gy, one = gx.astype(np.float32), gy.astype(np.float32), np.float32(1.0)
-    x, y = np.arange(cols, dtype=np.float32), np.arange(rows, dtype=np.float32)[:, None]
-    across, down = (2 * x + 1) / np.float32(cols) - 1, (2 * y + 1) / np.float32(rows) - 1
+    gx = gx.astype(np.float32)
+    gy = gy.astype(np.float32)
+    one = np.float32(1.0)
+    x = np.arange(cols, dtype=np.float32)
+    y = np.arange(rows, dtype=np.float32)[:, None]
+    across = (2 * x + 1) / np.float32(cols) - 1
+    down = (2 * y + 1) / np.float32(rows) - 1
     lens = one - np.float32(optics.vignette) * ((across * across + down * down) / 2) ** 2
     normal = one / np.sqrt(one + gx * gx + gy * gy)
     out = np.zeros((rows, cols, 3), np.float32)
     for led, (first, per_x, per_y) in zip(*pack_leds(optics, sensor.camera), strict=True):
         facing = np.maximum((led[2] - gx * led[0] - gy * led[1]) * normal, 0) - led[2]
-        out += (lens * facing * ((first + per_x * x + per_y * y) / (one - led[2])))[..., None] * led[3:]
+        out += (lens * facing * ((first + per_x * x + per_y * y) / (one - led[2])))[
+            ..., None
+        ] * led[3:]
     return freeze(out)
 
 
@@ -62,9 +76,9 @@ def render(
 ) -> Image:
     """The image (rows, cols, 3) of a gel sensor under an indentation (rows, cols) in mm.
 
-    Slopes -> colour -> cast shadows -> markers that move with the surface -> lens blur -> camera noise (none if `seed`
-    is None). `shear_mm` (rows, cols, 2): motion of the material at each pixel, right and down, by a tangential load
-    (`shear.solve_shear`).
+    Slopes -> colour -> cast shadows -> markers that move with the surface -> lens blur -> camera
+    noise (none if `seed` is None). `shear_mm` (rows, cols, 2): motion of the material at each
+    pixel, right and down, by a tangential load (`shear.solve_shear`).
     """
     optics = require_optics(sensor)
     check_surface(sensor, indentation_mm, shear_mm)
@@ -92,16 +106,32 @@ def _to_float32(array: NDArray[np.floating]) -> Floats:
 
 @derive_once
 def pack_leds(optics: Optics, camera: Camera) -> tuple[Floats, Floats]:
-    """Light directions and colours (n, 6), and falloff over the image (n, 3), for the kernels; padded to n = 3 k."""
-    half_w, half_h = camera.cols / 2, camera.rows / 2
-    directions, strength = [], []
+    """Light directions and colours (n, 6), and falloff over the image (n, 3), for the kernels.
+
+    Padded to n = 3 k.
+    """
+    half_w = camera.cols / 2
+    half_h = camera.rows / 2
+    directions = []
+    strength = []
     for led in optics.leds:
-        azimuth, elevation = math.radians(led.azimuth_deg), math.radians(led.elevation_deg)
-        cos_a, sin_a = math.cos(azimuth), math.sin(azimuth)
-        directions.append((math.cos(elevation) * cos_a, math.cos(elevation) * sin_a, math.sin(elevation), *led.rgb))
+        azimuth = math.radians(led.azimuth_deg)
+        elevation = math.radians(led.elevation_deg)
+        cos_a = math.cos(azimuth)
+        sin_a = math.sin(azimuth)
+        directions.append(
+            (
+                math.cos(elevation) * cos_a,
+                math.cos(elevation) * sin_a,
+                math.sin(elevation),
+                *led.rgb,
+            )
+        )
         # The strength is 1 at the LED's side and 1 - falloff at the far side, linear between.
         per_px = 0.5 * optics.falloff / (half_w * abs(cos_a) + half_h * abs(sin_a))
-        first = 1.0 - 0.5 * optics.falloff - per_px * ((half_w - 0.5) * cos_a + (half_h - 0.5) * sin_a)
+        first = (
+            1.0 - 0.5 * optics.falloff - per_px * ((half_w - 0.5) * cos_a + (half_h - 0.5) * sin_a)
+        )
         strength.append((first, per_px * cos_a, per_px * sin_a))
     while len(directions) % 3:  # the kernel takes three at a time
         directions.append((0.0,) * 6)
@@ -110,7 +140,9 @@ def pack_leds(optics: Optics, camera: Camera) -> tuple[Floats, Floats]:
 
 
 @derive_once
-def _render_reference(camera: Camera, optics: Optics, markers: Markers | None, pixel_mm: float) -> Image:
+def _render_reference(
+    camera: Camera, optics: Optics, markers: Markers | None, pixel_mm: float
+) -> Image:
     light = compute_reference_light(camera, optics).copy()
     if markers is not None:
         no_motion = freeze(np.zeros(camera.shape, np.float32))
@@ -129,7 +161,9 @@ def _render_light(sensor: SensorSpec, optics: Optics, height_mm: Floats) -> Floa
 
     rows, cols = height_mm.shape
     light = np.empty((rows, 3 * cols), np.float32)
-    render_light(height_mm, *_prepare_scene(sensor), *_make_buffers(cols), light, np.empty((0, 0), np.uint8))
+    render_light(
+        height_mm, *_prepare_scene(sensor), *_make_buffers(cols), light, np.empty((0, 0), np.uint8)
+    )
     light = light.reshape(rows, cols, 3)
     if _casts_shadow(optics, height_mm):
         apply_shadows(light, optics, sensor.camera, height_mm, sensor.pixel_mm)
@@ -137,7 +171,9 @@ def _render_light(sensor: SensorSpec, optics: Optics, height_mm: Floats) -> Floa
 
 
 def _is_plain(sensor: SensorSpec, optics: Optics, seed: int | None) -> bool:
-    return sensor.markers is None and optics.blur_px <= 0 and (seed is None or optics.noise_grey <= 0)
+    return (
+        sensor.markers is None and optics.blur_px <= 0 and (seed is None or optics.noise_grey <= 0)
+    )
 
 
 def _render_plain(sensor: SensorSpec, height_mm: Floats) -> Image:
@@ -146,30 +182,44 @@ def _render_plain(sensor: SensorSpec, height_mm: Floats) -> Image:
 
     rows, cols = height_mm.shape
     out = np.empty((rows, 3 * cols), np.uint8)
-    render_light(height_mm, *_prepare_scene(sensor), *_make_buffers(cols), np.empty((0, 0), np.float32), out)
+    render_light(
+        height_mm, *_prepare_scene(sensor), *_make_buffers(cols), np.empty((0, 0), np.float32), out
+    )
     return out.reshape(rows, cols, 3)
 
 
 @derive_once
 def _prepare_scene(sensor: SensorSpec) -> _Scene:
     """Arguments of the kernels for this sensor, after the surface."""
-    camera, optics = sensor.camera, require_optics(sensor)
+    camera = sensor.camera
+    optics = require_optics(sensor)
     light = compute_reference_light(camera, optics).reshape(camera.rows, -1)
-    return np.float32(sensor.pixel_mm), light, *pack_leds(optics, camera), np.float32(optics.vignette)
+    return (
+        np.float32(sensor.pixel_mm),
+        light,
+        *pack_leds(optics, camera),
+        np.float32(optics.vignette),
+    )
 
 
 def _casts_shadow(optics: Optics, height_mm: Floats) -> bool:
     return optics.shadow > 0 and float(height_mm.max()) > _NO_SHADOW_MM
 
 
-def apply_shadows(light: Floats, optics: Optics, camera: Camera, height_mm: Floats, pixel_mm: float) -> None:
-    """Darken `light` (rows, cols, 3) in place by the shadows that an indentation casts, LED by LED."""
+def apply_shadows(
+    light: Floats, optics: Optics, camera: Camera, height_mm: Floats, pixel_mm: float
+) -> None:
+    """Darken `light` (rows, cols, 3) in place by the shadows that an indentation casts, LED by
+    LED.
+    """
     from pipeline.physics.optics_kernels import darken
 
     leds = pack_leds(optics, camera)[0][: len(optics.leds)]
     all_leds = np.maximum(leds[:, 3:].sum(axis=0), 1e-6)
     sinks = np.full(len(leds), math.tan(math.radians(optics.shadow_deg)))
-    for led, cover in zip(leds, iterate_led_shadows(height_mm, leds[:, :2], sinks, pixel_mm), strict=True):
+    for led, cover in zip(
+        leds, iterate_led_shadows(height_mm, leds[:, :2], sinks, pixel_mm), strict=True
+    ):
         darken(light, cover, np.float32(optics.shadow) * led[3:] / all_leds)
 
 
@@ -178,17 +228,20 @@ def iterate_led_shadows(
 ) -> Iterator[Floats]:
     """LED by LED, the share (rows, cols) of its light, 0 to 1, that an indentation blocks.
 
-    towards (n, 2): directions toward the LEDs in the image, of any length; sinks (n,): descent of their light in mm per
-    mm of path. The yielded array is overwritten by the next LED's.
+    towards (n, 2): directions toward the LEDs in the image, of any length; sinks (n,): descent of
+    their light in mm per mm of path. The yielded array is overwritten by the next LED's.
     """
     from pipeline.physics.optics_kernels import cast_shadow
 
     height_mm, turned = _to_float32(height_mm), _to_float32(height_mm.T)
-    cover, cover_turned = np.empty_like(height_mm), np.empty_like(turned)
+    cover = np.empty_like(height_mm)
+    cover_turned = np.empty_like(turned)
     lines = np.empty((2, max(height_mm.shape) + 4), np.float32)
     for (x, y), sink in zip(towards, sinks, strict=True):
-        length, drop = np.float32(math.hypot(x, y) or 1.0), np.float32(pixel_mm * sink)
-        to_x, to_y = np.float32(x) / length, np.float32(y) / length
+        length = np.float32(math.hypot(x, y) or 1.0)
+        drop = np.float32(pixel_mm * sink)
+        to_x = np.float32(x) / length
+        to_y = np.float32(y) / length
         if abs(to_x) >= abs(to_y):
             cast_shadow(turned, to_y, to_x, drop, np.float32(_PENUMBRA_MM), lines, cover_turned)
             cover[:] = cover_turned.T

@@ -8,22 +8,25 @@ import numpy as np
 from pipeline.core.cached_kernels import FAST, inline_kernel, kernel
 from pipeline.physics.slope_kernels import write_row_slopes
 
-# Called functions are inlined before compilation: as separate functions, with contracted sums, their results differ in
-# the last bit between a process that compiles them and one that loads them from the cache.
-# No arcp: processors with a fast estimate of 1 / sqrt would use it, and zero slopes, where the root is 1, would change
-# the light slightly.
+# Called functions are inlined before compilation: as separate functions, with contracted sums,
+# their results differ in the last bit between a process that compiles them and one that loads them
+# from the cache. No arcp: processors with a fast estimate of 1 / sqrt would use it, and zero
+# slopes, where the root is 1, would change the light slightly.
 _FAST = FAST - {"arcp"}
 
 
 @kernel(fastmath=_FAST)
 def render_light(height, pixel, glow, leds, strength, vignette, slope, part, light, picture):
-    """Write `light` (rows, 3 cols) of a surface: the reference light `glow` (rows, 3 cols) and the change by slopes.
+    """Write `light` (rows, 3 cols) of a surface: the reference light `glow` (rows, 3 cols) and the
+    change by slopes.
 
-    If `light` has no rows, write the 8-bit `picture` (rows, 3 cols) without blur and noise instead, in one pass.
-    slope (2, cols) and part (2, 3 cols) are buffers.
+    If `light` has no rows, write the 8-bit `picture` (rows, 3 cols) without blur and noise instead,
+    in one pass. slope (2, cols) and part (2, 3 cols) are buffers.
     """
     rows = height.shape[0]
-    gx, gy, more = slope[0], slope[1], part[1]
+    gx = slope[0]
+    gy = slope[1]
+    more = part[1]
     for r in range(rows):
         change = light[r] if light.shape[0] else part[0]
         write_row_slopes(height, r, np.float32(1.0) / pixel, gx, gy)
@@ -36,7 +39,9 @@ def render_light(height, pixel, glow, leds, strength, vignette, slope, part, lig
 
 @inline_kernel()
 def _row_change(gx, gy, r, rows, leds, strength, vignette, part, out):
-    """Write the change by all LEDs in row `r`, three at a time: `out` (3 cols,), interleaved colours."""
+    """Write the change by all LEDs in row `r`, three at a time: `out` (3 cols,), interleaved
+    colours.
+    """
     y = (np.float32(r) + np.float32(0.5)) * np.float32(2.0 / rows) - np.float32(1.0)
     to_x = np.float32(2.0 / gx.shape[0])
     for k in range(0, leds.shape[0], 3):
@@ -50,26 +55,33 @@ def _row_change(gx, gy, r, rows, leds, strength, vignette, part, out):
 
 @inline_kernel()
 def _get_led(led, strength, r):
-    """Direction (3), its share of light at the row's first pixel, the share's change per pixel, colour (3)."""
+    """Direction (3), its share of light at the row's first pixel, the share's change per pixel,
+    colour (3).
+    """
     per_flat = np.float32(1.0) - led[2]
     first = (strength[0] + strength[2] * np.float32(r)) / per_flat
     return led[0], led[1], led[2], first, strength[1] / per_flat, led[3], led[4], led[5]
 
 
-# Inner loops are vectorised: no branches, and unsigned indices, since a negative index counts from the end and would be
-# checked at every pixel.
+# Inner loops are vectorised: no branches, and unsigned indices, since a negative index counts from
+# the end and would be checked at every pixel.
 
 
 @inline_kernel()
 def _row_of_three(gx, gy, y, to_x, vignette, one, two, three, out):
-    third, next_one = np.uint64(3), np.uint64(1)
-    nothing, unit, half = np.float32(0.0), np.float32(1.0), np.float32(0.5)
+    third = np.uint64(3)
+    next_one = np.uint64(1)
+    nothing = np.float32(0.0)
+    unit = np.float32(1.0)
+    half = np.float32(0.5)
     ax, ay, az, a_first, a_per, a_red, a_green, a_blue = one
     bx, by, bz, b_first, b_per, b_red, b_green, b_blue = two
     cx, cy, cz, c_first, c_per, c_red, c_green, c_blue = three
     for i in range(gx.shape[0]):
         c = np.uint64(i)
-        sx, sy, at = gx[c], gy[c], np.float32(np.int32(i))
+        sx = gx[c]
+        sy = gy[c]
+        at = np.float32(np.int32(i))
         x = (at + half) * to_x - unit
         corner = (x * x + y * y) * half
         lens = unit - vignette * corner * corner
@@ -104,9 +116,10 @@ def _row_greys(glow, change, out):
 def cast_shadow(height, to_x, to_y, drop, soft, lines, cover):
     """Write the blocked share of one LED's light, `cover` (rows, cols) from 0 to 1.
 
-    One sweep away from the LED, O(pixels), a row at a time; requires |to_y| >= |to_x| (transpose the image otherwise).
-    to_x, to_y: unit vector toward the LED. drop: descent of the light in mm per pixel of path. soft: depth in mm below
-    the light at which a point is fully dark. lines (2, cols + 4): buffer.
+    One sweep away from the LED, O(pixels), a row at a time; requires |to_y| >= |to_x| (transpose
+    the image otherwise). to_x, to_y: unit vector toward the LED. drop: descent of the light in mm
+    per pixel of path. soft: depth in mm below the light at which a point is fully dark. lines (2,
+    cols + 4): buffer.
     """
     rows, cols = height.shape
     lean = to_x / abs(to_y)
@@ -117,19 +130,24 @@ def cast_shadow(height, to_x, to_y, drop, soft, lines, cover):
     lines[0] = np.float32(-1e9)
     for step in range(rows):
         r = rows - 1 - step if to_y > 0 else step
-        edge, line = lines[step % 2], lines[(step + 1) % 2]
-        _shade_row(edge[2 + first :], edge[3 + first :], share, sink, soft, height[r], line[2:-2], cover[r])
+        edge = lines[step % 2]
+        line = lines[(step + 1) % 2]
+        _shade_row(
+            edge[2 + first :], edge[3 + first :], share, sink, soft, height[r], line[2:-2], cover[r]
+        )
         line[0] = line[1] = line[2]
         line[cols + 2] = line[cols + 3] = line[cols + 1]
 
 
 @inline_kernel()
 def _shade_row(low, high, share, sink, soft, height, line, cover):
-    nothing, one = np.float32(0.0), np.float32(1.0)
+    nothing = np.float32(0.0)
+    one = np.float32(1.0)
     per_soft = one / soft
     for i in range(height.shape[0]):
         c = np.uint64(i)
-        light, own = low[c] * (one - share) + high[c] * share - sink, height[c]
+        light = low[c] * (one - share) + high[c] * share - sink
+        own = height[c]
         depth = (light - own) * per_soft
         cover[c] = min(max(depth, nothing), one)
         line[c] = light if light > own else own
@@ -137,7 +155,9 @@ def _shade_row(low, high, share, sink, soft, height, line, cover):
 
 @kernel(fastmath=_FAST)
 def darken(image, cover, loss):
-    """Reduce each colour of `image` (rows, cols, 3) by the share `loss` (3,) times `cover` (rows, cols)."""
+    """Reduce each colour of `image` (rows, cols, 3) by the share `loss` (3,) times `cover`
+    (rows, cols).
+    """
     rows, cols = cover.shape
     flat = image.reshape(rows, 3 * cols)
     for r in range(rows):
@@ -146,7 +166,8 @@ def darken(image, cover, loss):
 
 @inline_kernel()
 def _darken_row(out, cover, red, green, blue):
-    three, one = np.uint64(3), np.uint64(1)
+    three = np.uint64(3)
+    one = np.uint64(1)
     whole = np.float32(1.0)
     for i in range(cover.shape[0]):
         c = np.uint64(i)
@@ -160,9 +181,10 @@ def _darken_row(out, cover, red, green, blue):
 def darken_markers(image, move_x, move_y, pitch, radius, half_twin, darkness, jitter, place):
     """Darken `image` at the markers; lengths in pixels.
 
-    move_x, move_y (rows, cols): motion of the material at each pixel from its rest position.
-    place (5,): x and y of the dot nearest the image centre, cosine and sine of the grid's rotation, and its distortion.
-    Dots are on a square grid, each displaced by up to `jitter`; their edge is one pixel soft.
+    move_x, move_y (rows, cols): motion of the material at each pixel from its rest position. place
+    (5,): x and y of the dot nearest the image centre, cosine and sine of the grid's rotation, and
+    its distortion. Dots are on a square grid, each displaced by up to `jitter`; their edge is one
+    pixel soft.
     """
     rows, cols = move_x.shape
     x0 = np.float32((cols - 1) / 2)
@@ -186,9 +208,12 @@ def darken_markers(image, move_x, move_y, pitch, radius, half_twin, darkness, ji
             dx = (across - i) * pitch
             if jitter > 0.0:
                 seed = _mix_bits(np.uint64(np.int64(i) * 7919 + np.int64(j) * 104729 + 12345))
-                dx -= jitter * (np.float32(seed & np.uint64(0xFFFF)) / np.float32(32767.5) - np.float32(1.0))
+                dx -= jitter * (
+                    np.float32(seed & np.uint64(0xFFFF)) / np.float32(32767.5) - np.float32(1.0)
+                )
                 dy -= jitter * (
-                    np.float32((seed >> np.uint64(16)) & np.uint64(0xFFFF)) / np.float32(32767.5) - np.float32(1.0)
+                    np.float32((seed >> np.uint64(16)) & np.uint64(0xFFFF)) / np.float32(32767.5)
+                    - np.float32(1.0)
                 )
             dx = abs(dx) - half_twin
             cover = radius + np.float32(0.5) - math.sqrt(dx * dx + dy * dy)
@@ -210,7 +235,8 @@ def _mix_bits(n):
 def digitise(light, quantiles, noise, seed, out):
     """Write 8-bit grey levels: the light plus normal noise of standard deviation `noise`.
 
-    quantiles (4096,): of the standard normal; 64 random bits of each pixel, counted from `seed`, select three of them.
+    quantiles (4096,): of the standard normal; 64 random bits of each pixel, counted from `seed`,
+    select three of them.
     """
     rows, cols = light.shape[:2]
     counter = _mix_bits(seed + np.uint64(0x9E3779B97F4A7C15))
@@ -225,4 +251,6 @@ def digitise(light, quantiles, noise, seed, out):
                 if noise > 0.0:
                     value += noise * quantiles[np.int64(bits & np.uint64(4095))]
                     bits >>= np.uint64(12)
-                out[r, c, k] = np.uint8(min(max(value + np.float32(0.5), np.float32(0.0)), np.float32(255.0)))
+                out[r, c, k] = np.uint8(
+                    min(max(value + np.float32(0.5), np.float32(0.0)), np.float32(255.0))
+                )

@@ -1,15 +1,16 @@
-"""Tangential load: motion of a gel's surface and its markers under an object that is dragged along it.
+"""Tangential load: motion of a gel's surface and its markers under an object that is dragged along
+it.
 
-A layer bonded to a rigid back responds to a tangential traction of wavenumber q, with parts along the wave (L) and
-across it (T), with
+A layer bonded to a rigid back responds to a tangential traction of wavenumber q, with parts along
+the wave (L) and across it (T), with
 
-    U_T(q) = tanh(x) / (G q) T(q),    x = q t,   G = E / 2(1+v)
-    U_L(q) = 2 / (E* q) K(x) L(q),    K(x) = ((3-4v) sinh 2x + 2x) / ((3-4v) cosh 2x + 2x^2 + 5 - 12v + 8v^2)
+    U_T(q) = tanh(x) / (G q) T(q),    x = q t,   G = E / 2(1+v) U_L(q) = 2 / (E* q) K(x) L(q),
+    K(x) = ((3-4v) sinh 2x + 2x) / ((3-4v) cosh 2x + 2x^2 + 5 - 12v + 8v^2)
 
-(plane elasticity of the layer, as in Johnson, Contact Mechanics; the tangential counterpart of `gel_layer`).
-Both are t / G for long waves. The coupling between pressure and tangential motion is neglected: it vanishes for an
-incompressible half-space. The traction moves the contact with the object and is limited to friction times pressure
-(Coulomb): the contact slips from its rim inward.
+(plane elasticity of the layer, as in Johnson, Contact Mechanics; the tangential counterpart of
+`gel_layer`). Both are t / G for long waves. The coupling between pressure and tangential motion is
+neglected: it vanishes for an incompressible half-space. The traction moves the contact with the
+object and is limited to friction times pressure (Coulomb): the contact slips from its rim inward.
 """
 
 import math
@@ -61,14 +62,20 @@ class ShearResult:
     converged: bool
 
 
-def solve_shear(gel: Gel, pixel_mm: float, pressure_kpa: NDArray[np.floating], load: TangentialLoad) -> ShearResult:
+def solve_shear(
+    gel: Gel, pixel_mm: float, pressure_kpa: NDArray[np.floating], load: TangentialLoad
+) -> ShearResult:
     """The surface under `pressure_kpa` (rows, cols) dragged by `load`.
 
     Least energy over tractions within the friction limit, by accelerated projected gradients.
     """
     _check(pressure_kpa, pixel_mm)
     shape = (int(pressure_kpa.shape[0]), int(pressure_kpa.shape[1]))
-    cell = max(1, round(_CELL_PER_THICKNESS * gel.thickness_mm / pixel_mm)) if math.isfinite(gel.thickness_mm) else 4
+    cell = (
+        max(1, round(_CELL_PER_THICKNESS * gel.thickness_mm / pixel_mm))
+        if math.isfinite(gel.thickness_mm)
+        else 4
+    )
     pressure = _average_cells(pressure_kpa, cell)
     limit = load.friction * pressure
     response = make_response(gel, cell * pixel_mm, (int(pressure.shape[0]), int(pressure.shape[1])))
@@ -81,7 +88,10 @@ def solve_shear(gel: Gel, pixel_mm: float, pressure_kpa: NDArray[np.floating], l
     return ShearResult(
         motion_mm=freeze(_interpolate_cells(move, cell, shape)),
         slipping=freeze(
-            _interpolate_cells(((size >= 0.999 * limit) & (limit > 0)).astype(np.float32), cell, shape) > 0.5
+            _interpolate_cells(
+                ((size >= 0.999 * limit) & (limit > 0)).astype(np.float32), cell, shape
+            )
+            > 0.5
         ),
         force_n=(float(force[0]), float(force[1])),
         steps=steps,
@@ -89,8 +99,13 @@ def solve_shear(gel: Gel, pixel_mm: float, pressure_kpa: NDArray[np.floating], l
     )
 
 
-def sample_motion_at_pixels(camera: Camera, on: Lattice, move_mm: Floats, depth_mm: NDArray[np.floating]) -> Floats:
-    """The motion (rows, cols, 2) in mm at the points that a camera sees at `depth_mm`; `move_mm` is (ny, nx, 2)."""
+def sample_motion_at_pixels(
+    camera: Camera, on: Lattice, move_mm: Floats, depth_mm: NDArray[np.floating]
+) -> Floats:
+    """The motion (rows, cols, 2) in mm at the points that a camera sees at `depth_mm`.
+
+    `move_mm` is (ny, nx, 2).
+    """
     import cv2
 
     ray_x, ray_y = camera.rays()
@@ -140,30 +155,42 @@ def make_response(gel: Gel, cell_mm: float, shape: tuple[int, int]) -> Tangentia
     q[0, 0] = 0.5 * q[0, 1] if math.isinf(gel.thickness_mm) else 1e-3 / gel.thickness_mm
     across, along = compute_symbols(gel, q)
     return TangentialResponse(
-        shape=shape, padded_shape=(rows, cols), transverse_symbol=freeze(across),
+        shape=shape,
+        padded_shape=(rows, cols),
+        transverse_symbol=freeze(across),
         longitudinal_extra=freeze((along - across) / (q * q)),
-        qx=freeze(qx), qy=freeze(qy),
-    )  # fmt: skip
+        qx=freeze(qx),
+        qy=freeze(qy),
+    )
 
 
 def compute_symbols(gel: Gel, q_per_mm: Doubles) -> tuple[Doubles, Doubles]:
-    """Motion in mm per kPa of traction across and along waves of wavenumber `q_per_mm`, which is positive."""
+    """Motion in mm per kPa of traction across and along waves of wavenumber `q_per_mm`, which is
+    positive.
+    """
     v = gel.poisson
     x = np.minimum(q_per_mm * gel.thickness_mm, _LARGEST_X)
     across = 2.0 * (1 + v) / gel.youngs_kpa / q_per_mm * np.tanh(x)
-    k = ((3 - 4 * v) * np.sinh(2 * x) + 2 * x) / ((3 - 4 * v) * np.cosh(2 * x) + 2 * x * x + 5 - 12 * v + 8 * v * v)
+    k = ((3 - 4 * v) * np.sinh(2 * x) + 2 * x) / (
+        (3 - 4 * v) * np.cosh(2 * x) + 2 * x * x + 5 - 12 * v + 8 * v * v
+    )
     return across, 2.0 * (1 - v * v) / gel.youngs_kpa / q_per_mm * k
 
 
-def _solve_traction(response: TangentialResponse, target: Floats, limit: Floats) -> tuple[Floats, int, bool]:
-    """(traction, steps, converged): motion equals `target` wherever the traction stays below `limit`."""
+def _solve_traction(
+    response: TangentialResponse, target: Floats, limit: Floats
+) -> tuple[Floats, int, bool]:
+    """(traction, steps, converged): motion equals `target` wherever the traction stays below
+    `limit`.
+    """
     traction: Floats = np.zeros(target.shape, np.float32)
     largest = float(np.hypot(target[..., 0], target[..., 1])[limit > 0].max(initial=0.0))
     if largest == 0:
         return traction, 0, True
     extra = np.maximum(response.longitudinal_extra * (response.qx**2 + response.qy**2), 0)
     step = np.float32(1.0 / float((response.transverse_symbol + extra).max()))
-    ahead, momentum = traction, 1.0
+    ahead = traction
+    momentum = 1.0
     for n in range(1, _STEPS + 1):
         new = _limit_traction(ahead + step * (target - response.compute_motion(ahead)), limit)
         change = new - traction
@@ -173,7 +200,8 @@ def _solve_traction(response: TangentialResponse, target: Floats, limit: Floats)
             momentum = 1.0  # overshoot: restart the acceleration
         grown = 0.5 * (1.0 + math.sqrt(1.0 + 4.0 * momentum * momentum))
         ahead = np.add(new, np.float32((momentum - 1.0) / grown) * change, dtype=np.float32)
-        traction, momentum = new, grown
+        traction = new
+        momentum = grown
     return traction, _STEPS, False
 
 
@@ -199,7 +227,9 @@ def _interpolate_cells(field: Floats, cell: int, shape: tuple[int, int]) -> Floa
 
 def _check(pressure_kpa: NDArray[np.floating], pixel_mm: float) -> None:
     if pressure_kpa.ndim != 2 or min(pressure_kpa.shape) < 2:
-        raise ShapeError(f"a pressure needs a grid of at least 2 x 2 pixels, got shape {pressure_kpa.shape}")
+        raise ShapeError(
+            f"a pressure needs a grid of at least 2 x 2 pixels, got shape {pressure_kpa.shape}"
+        )
     if not (np.isfinite(pressure_kpa).all() and (pressure_kpa >= 0).all()):
         raise ShapeError("the pressure must be finite and not negative")
     if not (math.isfinite(pixel_mm) and pixel_mm > 0):

@@ -13,7 +13,8 @@ from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.geometry import rigid
 from pipeline.sensors.spec import SensorSpec
 
-AlignmentPart = Literal["alignment_from_source", "target_from_alignment"]  # the transform that stores a change
+# the transform that stores a change
+AlignmentPart = Literal["alignment_from_source", "target_from_alignment"]
 ALIGNMENT_PARTS: tuple[AlignmentPart, ...] = ("alignment_from_source", "target_from_alignment")
 
 
@@ -33,10 +34,15 @@ class Alignment:
 def resolve_alignment(
     source: SensorSpec, target: SensorSpec, recorded_target_from_source: Doubles | None = None
 ) -> Alignment:
-    """The alignment by the two sensor descriptions, or by the T_S->T (4, 4) in mm of a recording."""
-    inward, onward = source.alignment_from_sensor, rigid.invert(target.alignment_from_sensor)
+    """The alignment by the two sensor descriptions, or by the T_S->T (4, 4) in mm of a
+    recording.
+    """
+    inward = source.alignment_from_sensor
+    onward = rigid.invert(target.alignment_from_sensor)
     if recorded_target_from_source is not None:
-        target_from_source = rigid.validate_rigid(recorded_target_from_source, "target_from_source of the recording")
+        target_from_source = rigid.validate_rigid(
+            recorded_target_from_source, "target_from_source of the recording"
+        )
         onward = target_from_source @ rigid.invert(inward)
     return Alignment(alignment_from_source=inward, target_from_alignment=freeze(onward))
 
@@ -44,20 +50,29 @@ def resolve_alignment(
 def correct_alignment(
     alignment: Alignment, motion: Doubles, into: AlignmentPart = "target_from_alignment"
 ) -> Alignment:
-    """The alignment whose T_S->T is `motion` @ the old one; `motion` is (4, 4) in the target frame, mm.
+    """The alignment whose T_S->T is `motion` @ the old one.
+
+    `motion` is (4, 4) in the target frame, mm.
 
     The transform `into` stores the change, the other stays. Both are orthonormal.
     """
-    onward, inward = alignment.target_from_alignment, alignment.alignment_from_source
+    onward = alignment.target_from_alignment
+    inward = alignment.alignment_from_source
     if into == "target_from_alignment":
         onward = freeze(rigid.validate_rigid(motion @ onward, "T_A->T"))
     else:
-        inward = freeze(rigid.validate_rigid(rigid.invert(onward) @ motion @ onward @ inward, "T_S->A"))
+        inward = freeze(
+            rigid.validate_rigid(rigid.invert(onward) @ motion @ onward @ inward, "T_S->A")
+        )
     return Alignment(alignment_from_source=inward, target_from_alignment=onward)
 
 
-def shift_alignment_along_z(alignment: Alignment, *, source_shift_mm: float, target_shift_mm: float) -> Alignment:
-    """The alignment of two sensor instances whose cameras measure z smaller by these shifts than described."""
+def shift_alignment_along_z(
+    alignment: Alignment, *, source_shift_mm: float, target_shift_mm: float
+) -> Alignment:
+    """The alignment of two sensor instances whose cameras measure z smaller by these shifts than
+    described.
+    """
     if source_shift_mm == 0.0 and target_shift_mm == 0.0:
         return alignment
     inward = alignment.alignment_from_source @ rigid.translation(0.0, 0.0, source_shift_mm)
@@ -77,9 +92,11 @@ RotationDeg = tuple[_Deg, _Deg, _Deg]  # rotation vector: axis times angle
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Offsets:
-    """A motion in the target frame after the opened T_S->T: a rotation about a pivot, then a translation.
+    """A motion in the target frame after the opened T_S->T: a rotation about a pivot, then a
+    translation.
 
-    The pivot is the centre of the contact under the opened alignment, so that rotations are about the contact.
+    The pivot is the centre of the contact under the opened alignment, so that rotations are about
+    the contact.
     """
 
     translation_mm: TranslationMm = ZERO_TRIPLE

@@ -1,7 +1,8 @@
 """Alignments as TOML files that people can read and edit.
 
-Two tables, [alignment_from_source] and [target_from_alignment], hold a translation in mm and a rotation vector in
-degrees each. The names of the two sensors above them prevent use of the file for other sensors.
+Two tables, [alignment_from_source] and [target_from_alignment], hold a translation in mm and a
+rotation vector in degrees each. The names of the two sensors above them prevent use of the file for
+other sensors.
 """
 
 import json
@@ -20,8 +21,10 @@ from pipeline.sensors.alignment import ALIGNMENT_PARTS, Alignment, RotationDeg, 
 
 ALIGNMENT_SUFFIX = ".toml"
 _COMMENTS = {
-    "alignment_from_source": "the paper's T_S->A: maps points from the source frame to the alignment frame",
-    "target_from_alignment": "the paper's T_A->T: maps points from the alignment frame to the target frame",
+    "alignment_from_source": "the paper's T_S->A: maps points from the source frame to the "
+    "alignment frame",
+    "target_from_alignment": "the paper's T_A->T: maps points from the alignment frame to the "
+    "target frame",
 }
 
 
@@ -56,7 +59,8 @@ class AlignmentFile:
 
 
 def save_alignment(path: Path, content: AlignmentFile) -> None:
-    """Write the file to a temporary one, then replace the old one, so that a crash leaves one of the two.
+    """Write the file to a temporary one, then replace the old one, so that a crash leaves one of
+    the two.
 
     Numbers are rounded to 1e-12. Raises FileProblem.
     """
@@ -70,7 +74,8 @@ def save_alignment(path: Path, content: AlignmentFile) -> None:
 def format_alignment(content: AlignmentFile) -> str:
     """The text of the file."""
     lines = [
-        f"# Alignment of {escape_text(content.source)} and {escape_text(content.target)} for the same touch.",
+        f"# Alignment of {escape_text(content.source)} and {escape_text(content.target)} for the "
+        "same touch.",
         "# Translations in mm, rotation vectors in degrees (axis times angle).",
         "# A sensor's frame is its camera's: x right, y down, z out along the optical axis.",
         f"source = {_quote(content.source)}",
@@ -89,19 +94,25 @@ def format_alignment(content: AlignmentFile) -> str:
 
 
 class AlignmentMismatch(FileProblem):
-    """An alignment is of other sensors than those chosen; `field` names the one that differs, "" the direction."""
+    """An alignment is of other sensors than those chosen.
+
+    `field` names the one that differs, "" the direction.
+    """
 
     def __init__(self, what: str, content: AlignmentFile, path: Path, field: str = "") -> None:
         """Build the sentence, and keep the sensors that the file is of."""
         super().__init__(what, path, field=field)
-        self.source, self.target = content.source, content.target
+        self.source = content.source
+        self.target = content.target
 
 
 def read_alignment(path: Path) -> AlignmentFile:
     """The alignment of a file, whichever its sensors; raises FileProblem."""
     table = convert(read_toml(path, "the alignment"), _AlignmentTable, "the alignment", path)
     alignment = Alignment(**{side: getattr(table, side).to_matrix() for side in ALIGNMENT_PARTS})
-    return AlignmentFile(alignment=alignment, origin=table.origin, source=table.source, target=table.target)
+    return AlignmentFile(
+        alignment=alignment, origin=table.origin, source=table.source, target=table.target
+    )
 
 
 def load_alignment(path: Path, *, source: str, target: str) -> AlignmentFile:
@@ -109,11 +120,20 @@ def load_alignment(path: Path, *, source: str, target: str) -> AlignmentFile:
     content = read_alignment(path)
     if (content.source, content.target) == (target, source) != (source, target):
         raise AlignmentMismatch(
-            f"this alignment is for {target} to {source}, the reverse direction; swap source and target", content, path
+            f"this alignment is for {target} to {source}, the reverse direction; swap source and "
+            "target",
+            content,
+            path,
         )
-    for key, found, expected in (("source", content.source, source), ("target", content.target, target)):
+    for key, found, expected in (
+        ("source", content.source, source),
+        ("target", content.target, target),
+    ):
         if found != expected:
-            what = f"this alignment has the {key} {found!r}, not {expected!r}; choose the file of these two sensors"
+            what = (
+                f"this alignment has the {key} {found!r}, not {expected!r}; choose the file "
+                "of these two sensors"
+            )
             raise AlignmentMismatch(what, content, path, key)
     return content
 

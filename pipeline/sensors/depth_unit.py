@@ -1,4 +1,6 @@
-"""Check the unit of depth images against the described rest depth: 1.5 times it is another camera, 10 times a unit."""
+"""Check the unit of depth images against the described rest depth: 1.5 times it is another
+camera, 10 times a unit.
+"""
 
 import math
 
@@ -11,12 +13,18 @@ _FACTORS = (0.001, 0.01, 0.1, 10.0, 100.0, 1000.0)
 
 
 def find_unit_factor(depth_mm: float, spec: SensorSpec) -> float:
-    """The factor that a median depth lacks to fit the sensor's rest depth: 1 where it fits, NaN where no unit does."""
+    """The factor that a median depth lacks to fit the sensor's rest depth: 1 where it fits, NaN
+    where no unit does.
+    """
     rest_mm = float(np.median(spec.rest_depth_mm))
     if not depth_mm > 0.0:
         return math.nan
     distances = {factor: abs(math.log(depth_mm * factor / rest_mm)) for factor in (1.0, *_FACTORS)}
-    factor = 1.0 if distances[1.0] <= math.log(_MAX_RATIO) else min(distances, key=lambda f: distances[f])
+    factor = (
+        1.0
+        if distances[1.0] <= math.log(_MAX_RATIO)
+        else min(distances, key=lambda f: distances[f])
+    )
     return factor if distances[factor] <= math.log(_MAX_RATIO) else math.nan
 
 

@@ -1,8 +1,9 @@
 """Read the TOML of a sensor; every number is checked for presence, unit, range and finiteness.
 
-Every number is a table `{ value, unit, from }` with `assumed = true` where no source gives it. `extends = "other"`
-starts from another sensor's file. Descriptions come with the project, from the entry point group `tactoscope.sensors`
-of other packages, whose values are paths of a TOML or of a folder of them, or by `register_sensors`.
+Every number is a table `{ value, unit, from }` with `assumed = true` where no source gives it.
+`extends = "other"` starts from another sensor's file. Descriptions come with the project, from the
+entry point group `tactoscope.sensors` of other packages, whose values are paths of a TOML or of a
+folder of them, or by `register_sensors`.
 """
 
 import contextlib
@@ -22,7 +23,8 @@ from pipeline.core.typed_data import convert
 
 DESCRIPTIONS_FOLDER = Path(__file__).parent  # of the project's own descriptions
 DESCRIPTION = "the sensor description"
-_Number = Annotated[float, Meta(ge=-1e9, le=1e9)]  # finite; values derived from it still fit float32
+# finite; values derived from it still fit float32
+_Number = Annotated[float, Meta(ge=-1e9, le=1e9)]
 _UNITS = {"px", "mm", "px/mm", "kPa", "N/mm", "1", "deg", "grey", "rgb", "grey/px", "mm^3"}
 
 
@@ -56,7 +58,11 @@ def find_descriptions() -> dict[str, Path]:
         *map(Path, load_entry_points("tactoscope.sensors", object, _check_path)),
         DESCRIPTIONS_FOLDER,
     ]
-    files = [f for place in places for f in (sorted(place.glob("*.toml")) if place.is_dir() else (place,))]
+    files = [
+        f
+        for place in places
+        for f in (sorted(place.glob("*.toml")) if place.is_dir() else (place,))
+    ]
     return {file.stem: file for file in files}
 
 
@@ -86,7 +92,8 @@ def read_description(path: Path, children: tuple[Path, ...] = ()) -> dict[str, A
     merged = read_description(file, (*children, path))
     for key, value in data.items():
         before = merged.get(key)
-        if isinstance(before, dict) and isinstance(value, dict) and "kind" not in value:  # another kind replaces
+        # another kind replaces
+        if isinstance(before, dict) and isinstance(value, dict) and "kind" not in value:
             merged[key] = {**before, **value}
         else:
             merged[key] = value
@@ -96,13 +103,19 @@ def read_description(path: Path, children: tuple[Path, ...] = ()) -> dict[str, A
     return {key: value for key, value in merged.items() if key not in without}
 
 
-def refuse_unknown_keys(found: Iterable[str], known: Iterable[str], path: Path, within: str = "") -> None:
-    """Raise CalibrationError for a key that nothing reads; the sentence names the known key that is most like it."""
+def refuse_unknown_keys(
+    found: Iterable[str], known: Iterable[str], path: Path, within: str = ""
+) -> None:
+    """Raise CalibrationError for a key that nothing reads.
+
+    The sentence names the known key that is most like it.
+    """
     for key in found:
         if key not in known:
             nearest = difflib.get_close_matches(key, known, 1, 0.0)[0]
             raise CalibrationError(
-                f"the sensor description has {within}{key}; do you mean {within}{nearest}?: '{path}'"
+                f"the sensor description has {within}{key}; do you mean {within}{nearest}?: "
+                f"'{path}'"
             )
 
 
@@ -113,20 +126,32 @@ class DescriptionSection:
         section = data.get(name)
         if not isinstance(section, dict):
             raise CalibrationError(f"the sensor description lacks the section [{name}]: '{path}'")
-        self._items, self._name, self._path, self._assumed = cast("dict[str, Any]", section), name, path, assumed
+        self._items = cast("dict[str, Any]", section)
+        self._name = name
+        self._path = path
+        self._assumed = assumed
         self.known_keys = set[str]()  # that somebody has asked for
 
-    def _read_value(self, key: str, unit: str, low: float, high: float) -> float | tuple[float, ...]:
-        """The value of `key`, given in `unit` and within [low, high]; raises CalibrationError and FileProblem."""
+    def _read_value(
+        self, key: str, unit: str, low: float, high: float
+    ) -> float | tuple[float, ...]:
+        """The value of `key`, given in `unit` and within [low, high].
+
+        Raises CalibrationError and FileProblem.
+        """
         where = f"{self._name}.{key}"
         self.known_keys.add(key)
         entry = convert(self._items.get(key), _Entry, DESCRIPTION, self._path, within=where)
         if entry.unit != unit or unit not in _UNITS:
-            raise CalibrationError(f"{where} must be given in {unit!r}, got {entry.unit!r}: '{self._path}'")
+            raise CalibrationError(
+                f"{where} must be given in {unit!r}, got {entry.unit!r}: '{self._path}'"
+            )
         values = entry.value if isinstance(entry.value, tuple) else (entry.value,)
         if not all(low <= value <= high for value in values):
             got = f"{entry.value:g}" if isinstance(entry.value, float) else repr(entry.value)
-            raise CalibrationError(f"{where} must lie within {low:g} and {high:g} {unit}, got {got}: '{self._path}'")
+            raise CalibrationError(
+                f"{where} must lie within {low:g} and {high:g} {unit}, got {got}: '{self._path}'"
+            )
         if entry.assumed:
             self._assumed.append(where)
         return entry.value
@@ -140,7 +165,9 @@ class DescriptionSection:
         """A number within [low, high]; raises CalibrationError and FileProblem."""
         value = self._read_value(key, unit, low, high)
         if isinstance(value, tuple):
-            raise CalibrationError(f"{self._name}.{key} must be one number, got {value!r}: '{self._path}'")
+            raise CalibrationError(
+                f"{self._name}.{key} must be one number, got {value!r}: '{self._path}'"
+            )
         return value
 
     def read_vector(
@@ -149,5 +176,7 @@ class DescriptionSection:
         """Three numbers within [low, high]; raises CalibrationError and FileProblem."""
         value = self._read_value(key, unit, low, high)
         if not isinstance(value, tuple) or len(value) != 3:
-            raise CalibrationError(f"{self._name}.{key} must be a list of 3 numbers, got {value!r}: '{self._path}'")
+            raise CalibrationError(
+                f"{self._name}.{key} must be a list of 3 numbers, got {value!r}: '{self._path}'"
+            )
         return value

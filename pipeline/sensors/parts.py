@@ -14,7 +14,8 @@ from pipeline.core.geometry.camera import Camera
 from pipeline.core.typed_data import convert
 from pipeline.sensors.descriptions import DESCRIPTION, DescriptionSection
 
-LightNumber = Annotated[float, Meta(ge=-1000.0, le=1000.0)]  # degrees, half image sizes, or grey levels
+# degrees, half image sizes, or grey levels
+LightNumber = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
 LobeWidth = Annotated[float, Meta(gt=0.0, le=1000.0)]
 
 
@@ -27,7 +28,9 @@ class NumberRange(NamedTuple):
     key: str  # "" = field name without its unit
 
 
-def declare_number(unit: str, low: float, high: float, default: float | None = None, *, key: str = "") -> Any:
+def declare_number(
+    unit: str, low: float, high: float, default: float | None = None, *, key: str = ""
+) -> Any:
     """A dataclass field that is a number of a description; required without a default."""
     metadata = {"number": NumberRange(unit, low, high, key)}
     return field(default=MISSING if default is None else default, metadata=metadata)
@@ -56,17 +59,24 @@ class Bubble:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthCamera:
-    """Errors of a bubble's depth camera; the defaults are those of time of flight, whose images have no gaps.
+    """Errors of a bubble's depth camera.
 
-    The standard deviation of one value is `Bubble.depth_noise_mm` as a root mean square over the rest shape; over the
-    image it follows distance ** `distance_power` / cos(incidence) ** `grazing_power`.
+    The defaults are those of time of flight, whose images have no gaps.
+
+    The standard deviation of one value is `Bubble.depth_noise_mm` as a root mean square over the
+    rest shape; over the image it follows distance ** `distance_power` / cos(incidence) **
+    `grazing_power`.
     """
 
-    distance_power: float = declare_number("1", 0.0, 8.0, 2.0)  # returned light falls with the squared distance
-    grazing_power: float = declare_number("1", 0.0, 8.0, 0.5)  # noise grows with the root of 1 / cos(incidence)
+    # returned light falls with the squared distance
+    distance_power: float = declare_number("1", 0.0, 8.0, 2.0)
+    # noise grows with the root of 1 / cos(incidence)
+    grazing_power: float = declare_number("1", 0.0, 8.0, 0.5)
     grain_px: float = declare_number("px", 0.0, 20.0, 0.8)  # correlation width of the noise
-    jump_mm: float = declare_number("mm", 0.0, 1000.0, 2.0)  # difference of neighbours beyond which pixels fly
-    flying_share: float = declare_number("1", 0.0, 1.0, 0.5)  # of the pixels at a jump: depth between near and far
+    # difference of neighbours beyond which pixels fly
+    jump_mm: float = declare_number("mm", 0.0, 1000.0, 2.0)
+    # of the pixels at a jump: depth between near and far
+    flying_share: float = declare_number("1", 0.0, 1.0, 0.5)
     max_incidence_deg: float = declare_number("deg", 0.0, 90.0, 90.0)  # beyond it no light returns
     gap_share: float = declare_number("1", 0.0, 1.0, 0.0)  # of all pixels: random gaps
     step_mm: float = declare_number("mm", 0.0, 100.0, 0.0)  # quantisation of depth
@@ -78,12 +88,16 @@ class Led:
 
     azimuth_deg: LightNumber  # 0 = from the right (+x), 90 = from below (+y), in the image
     elevation_deg: LightNumber
-    rgb: tuple[LightNumber, LightNumber, LightNumber]  # grey levels added to a surface that faces it
+    # grey levels added to a surface that faces it
+    rgb: tuple[LightNumber, LightNumber, LightNumber]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Glow:
-    """A Gaussian lobe of colour in the reference image; lengths in half image sizes from the centre."""
+    """A Gaussian lobe of colour in the reference image.
+
+    Lengths in half image sizes from the centre.
+    """
 
     x: LightNumber  # -1 = left edge, 1 = right edge
     y: LightNumber  # -1 = top edge, 1 = bottom edge
@@ -103,8 +117,10 @@ class Optics:
     blur_px: float = declare_number("px", 0.0, 100.0)
     noise_grey: float = declare_number("grey", 0.0, 255.0)
     glows: tuple[Glow, ...] = ()
-    shadow: float = declare_number("1", 0.0, 1.0, 0.0)  # share of an LED's light missing right behind a dent
-    shadow_deg: float = declare_number("deg", 1.0, 89.0, 20.0, key="shadow_elevation")  # elevation of the missing light
+    # share of an LED's light missing right behind a dent
+    shadow: float = declare_number("1", 0.0, 1.0, 0.0)
+    # elevation of the missing light
+    shadow_deg: float = declare_number("deg", 1.0, 89.0, 20.0, key="shadow_elevation")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,11 +130,15 @@ class Markers:
     pitch_mm: float = declare_number("mm", 0.1, 100.0)
     radius_mm: float = declare_number("mm", 0.0, 50.0)
     darkness: float = declare_number("1", 0.0, 1.0)  # 1 = black
-    doubling_mm: float = declare_number("mm", 0.0, 50.0, 0.0)  # between the two halves of a dot along x; 0 = single
-    jitter_mm: float = declare_number("mm", 0.0, 50.0, 0.0)  # largest displacement of a dot along each axis
-    distortion: float = declare_number("1", -0.5, 0.5, 0.0)  # radial shift of the corners by the lens; > 0 outward
+    # between the two halves of a dot along x; 0 = single
+    doubling_mm: float = declare_number("mm", 0.0, 50.0, 0.0)
+    # largest displacement of a dot along each axis
+    jitter_mm: float = declare_number("mm", 0.0, 50.0, 0.0)
+    # radial shift of the corners by the lens; > 0 outward
+    distortion: float = declare_number("1", -0.5, 0.5, 0.0)
     rotation_deg: float = 0.0
-    phase_mm: tuple[float, float] = (0.0, 0.0)  # of the dot nearest to the image centre: right, down
+    # of the dot nearest to the image centre: right, down
+    phase_mm: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,16 +147,21 @@ class SensorLimits:
 
     contact_min_mm: float = declare_number("mm", 0.0, 100.0)  # smallest indentation of contact
     indentation_max_mm: float = declare_number("mm", 1e-3, 100.0)
-    # Error of measured depth in contact; for a gel that of a touch of slope 1 under the described LEDs (`depth_error`).
+    # Error of measured depth in contact; for a gel that of a touch of slope 1 under the described
+    # LEDs (`depth_error`).
     depth_rms_mm: float = declare_number("mm", 0.0, 100.0, 0.0)  # 0 = not measured
-    depth_rms_other_instance_mm: float = declare_number("mm", 0.0, 100.0, 0.0)  # of an instance with other LEDs
+    # of an instance with other LEDs
+    depth_rms_other_instance_mm: float = declare_number("mm", 0.0, 100.0, 0.0)
     depth_correlation_mm: float = 1.0  # correlation length of that error
-    no_contact_change: float  # largest smoothed change from the reference without contact: grey levels or mm
+    # largest smoothed change from the reference without contact: grey levels or mm
+    no_contact_change: float
 
 
 @derive_once
 def compute_reference_light(camera: Camera, optics: Optics) -> Floats:
-    """Grey levels (rows, cols, 3) float32 of a gel without contact, before markers and lens blur."""
+    """Grey levels (rows, cols, 3) float32 of a gel without contact, before markers and lens
+    blur.
+    """
     x = ((np.arange(camera.cols) + 0.5) / camera.cols * 2 - 1)[None, :]
     y = ((np.arange(camera.rows) + 0.5) / camera.rows * 2 - 1)[:, None]
     light = np.empty((*camera.shape, 3))
@@ -186,7 +211,9 @@ def parse_limits(s: DescriptionSection, change_unit: str) -> SensorLimits:
     values = parse_numbers(SensorLimits, s)
     if s.has("depth_correlation") or "depth_rms_mm" in values:
         values["depth_correlation_mm"] = s.read_number("depth_correlation", "mm", 1e-3, 100.0)
-    return SensorLimits(**values, no_contact_change=s.read_number("no_contact_change", change_unit, 0.0, 255.0))
+    return SensorLimits(
+        **values, no_contact_change=s.read_number("no_contact_change", change_unit, 0.0, 255.0)
+    )
 
 
 def parse_optics(s: DescriptionSection, data: dict[str, Any], path: Path) -> Optics:

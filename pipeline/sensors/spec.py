@@ -1,7 +1,7 @@
 """Sensor descriptions: one TOML per sensor, read and checked once.
 
-Every number in a TOML is a table `{ value, unit, from }` with `assumed = true` where no source gives it.
-`extends = "other"` starts from another sensor's file.
+Every number in a TOML is a table `{ value, unit, from }` with `assumed = true` where no source
+gives it. `extends = "other"` starts from another sensor's file.
 """
 
 from __future__ import annotations
@@ -26,14 +26,30 @@ from pipeline.core.geometry.membrane import Membrane
 from pipeline.core.memo import Memo
 from pipeline.core.typed_data import FileName, convert
 from pipeline.sensors import descriptions
-from pipeline.sensors.descriptions import DESCRIPTION, DescriptionSection, find_descriptions, read_description
+from pipeline.sensors.descriptions import (
+    DESCRIPTION,
+    DescriptionSection,
+    find_descriptions,
+    read_description,
+)
 from pipeline.sensors.kinds import SensorKind, get_kind, list_kinds
-from pipeline.sensors.parts import Bubble, DepthCamera, Gel, Markers, Optics, SensorLimits, parse_limits, parse_part
+from pipeline.sensors.parts import (
+    Bubble,
+    DepthCamera,
+    Gel,
+    Markers,
+    Optics,
+    SensorLimits,
+    parse_limits,
+    parse_part,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorSpec:
-    """One sensor: its camera, rest surface, mechanics, optics, limits and place in the alignment frame."""
+    """One sensor: its camera, rest surface, mechanics, optics, limits and place in the alignment
+    frame.
+    """
 
     name: str
     title: str
@@ -49,12 +65,15 @@ class SensorSpec:
     optics: Optics | None = None
     markers: Markers | None = None
     assumed_keys: tuple[str, ...] = ()  # keys of numbers without a published source
-    # Width of one pixel on the rest surface at the optical axis, by the median depth; computed once.
+    # Width of one pixel on the rest surface at the optical axis, by the median depth; computed
+    # once.
     pixel_mm: float = field(init=False, repr=False, compare=False, metadata=UNDIGESTED)
 
     def __post_init__(self) -> None:
         """Compute the pixel width."""
-        object.__setattr__(self, "pixel_mm", float(np.median(self.rest_depth_mm)) / self.camera.fx_px)
+        object.__setattr__(
+            self, "pixel_mm", float(np.median(self.rest_depth_mm)) / self.camera.fx_px
+        )
 
     @property
     def sensor_kind(self) -> SensorKind:
@@ -72,7 +91,8 @@ class SensorSpec:
 
 
 _SIDES_PX = (8, 10_000)  # range of an image side; smaller images show no slope and no edge
-_OPTIONAL_KEYS = ("title", "kind", "without", "rest", "markers", "depth_camera")  # beside sections that a kind reads
+# beside sections that a kind reads
+_OPTIONAL_KEYS = ("title", "kind", "without", "rest", "markers", "depth_camera")
 
 _loaded: Memo[tuple[Path, str, str], SensorSpec] = Memo(32)
 
@@ -88,7 +108,10 @@ def list_sensor_names() -> tuple[str, ...]:
 
 
 def list_sensor_titles() -> dict[str, str]:
-    """Name -> title of all described sensors, sorted by name; one whose description cannot be read has its name."""
+    """Name -> title of all described sensors, sorted by name.
+
+    One whose description cannot be read has its name.
+    """
     titles: dict[str, str] = {}
     for name, path in sorted(find_descriptions().items()):
         try:
@@ -101,20 +124,23 @@ def list_sensor_titles() -> dict[str, str]:
 def load_sensor(name_or_file: str) -> SensorSpec:
     """The sensor of this name or TOML file; the same object until the file changes.
 
-    Raises SettingProblem for an unknown name, CalibrationError, FileProblem or MeshProblem for an invalid description.
+    Raises SettingProblem for an unknown name, CalibrationError, FileProblem or MeshProblem for an
+    invalid description.
     """
     path = Path(name_or_file)
     if path.suffix != ".toml":
         known = find_descriptions()
         if name_or_file not in known:
             raise SettingProblem(
-                f"unknown sensor {name_or_file!r}; known are {', '.join(sorted(known))}; or give a .toml file"
+                f"unknown sensor {name_or_file!r}; known are {', '.join(sorted(known))}; or give "
+                "a .toml file"
             )
         path = known[name_or_file]
     data = read_description(path)
     surface = load_rest_membrane(data, path)
     return _loaded.get_or_make(
-        (path, repr(data), compute_cached_digest(surface)), lambda: _build(path.stem, data, path, surface)
+        (path, repr(data), compute_cached_digest(surface)),
+        lambda: _build(path.stem, data, path, surface),
     )
 
 
@@ -125,11 +151,16 @@ def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None
     def section(key: str) -> DescriptionSection:
         return sections.setdefault(key, DescriptionSection(data, key, path, assumed))
 
-    kinds, key = list_kinds(), data.get("kind")
+    kinds = list_kinds()
+    key = data.get("kind")
     if not isinstance(key, str) or key not in kinds:
-        raise CalibrationError(f"kind must be {' or '.join(map(repr, sorted(kinds)))}, got {key!r}: '{path}'")
+        raise CalibrationError(
+            f"kind must be {' or '.join(map(repr, sorted(kinds)))}, got {key!r}: '{path}'"
+        )
     kind = kinds[key]
-    image, lens, align = section("image"), section("camera"), section("alignment")
+    image = section("image")
+    lens = section("camera")
+    align = section("alignment")
     rows, cols = (int(image.read_number(k, "px", *_SIDES_PX)) for k in ("rows", "cols"))
     least_px = max(rows, cols) / WIDEST_VIEW
     fx_px, fy_px = (lens.read_number(k, "px", least_px, MOST_FOCAL_PX) for k in ("fx", "fy"))
@@ -138,7 +169,9 @@ def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None
     parts = kind.parse_parts(section, data, path)
     if surface is None:
         surface = kind.parse_membrane(section, camera, parts)
-    shift_mm = align.read_vector("translation", "mm", -rigid.MAX_TRANSLATION_MM, rigid.MAX_TRANSLATION_MM)
+    shift_mm = align.read_vector(
+        "translation", "mm", -rigid.MAX_TRANSLATION_MM, rigid.MAX_TRANSLATION_MM
+    )
     pose = rigid.from_parts(shift_mm, align.read_vector("rotation_vector", "deg", -360.0, 360.0))
     limits = parse_limits(section("limits"), kind.change_unit)
     markers = parse_part(Markers, section("markers")) if "markers" in data else None
@@ -182,7 +215,8 @@ _membranes: Memo[tuple[Path, str, str, float], Membrane] = Memo(8)
 def load_rest_membrane(data: Mapping[str, Any], path: Path) -> Membrane | None:
     """The membrane of `[rest] kind = "mesh"`; None where the section gives numbers.
 
-    Raises CalibrationError or FileProblem for an invalid section or file, MeshProblem for the mesh in it.
+    Raises CalibrationError or FileProblem for an invalid section or file, MeshProblem for the mesh
+    in it.
     """
     section: Any = data.get("rest")
     if not isinstance(section, dict) or "kind" not in section:

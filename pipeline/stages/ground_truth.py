@@ -1,6 +1,7 @@
 """The true value of each stage, from what a recording knows about a frame.
 
-Used for truth views, and put in place of computed values to attribute errors (`translation.error_attribution`).
+Used for truth views, and put in place of computed values to attribute errors
+(`translation.error_attribution`).
 """
 
 import numpy as np
@@ -21,15 +22,22 @@ from pipeline.stages.stage import GroundTruth, SensorRole
 _NOTE = "ground truth of the recording"
 
 
-def build_depth_map(ground_truth: GroundTruth, sensor_role: SensorRole, sensor: SensorSpec) -> DepthMap | None:
-    """True membrane of the sensor in `sensor_role`; None unless indentation and contact are known at its image size."""
+def build_depth_map(
+    ground_truth: GroundTruth, sensor_role: SensorRole, sensor: SensorSpec
+) -> DepthMap | None:
+    """True membrane of the sensor in `sensor_role`.
+
+    None unless indentation and contact are known at its image size.
+    """
     truth = ground_truth.source_truth if sensor_role == "source" else ground_truth.target_truth
     shape = sensor.camera.shape
     if truth is None or truth.indentation_mm is None or truth.contact is None:
         return None
     if truth.indentation_mm.shape != shape or truth.contact.shape != shape:
         return None
-    return make_depth_map(sensor.rest_depth_mm, truth.indentation_mm, truth.contact, sensor.camera, notes=(_NOTE,))
+    return make_depth_map(
+        sensor.rest_depth_mm, truth.indentation_mm, truth.contact, sensor.camera, notes=(_NOTE,)
+    )
 
 
 def build_target_depth(ground_truth: GroundTruth, target: SensorSpec) -> TargetDepth | None:
@@ -41,7 +49,9 @@ def build_target_depth(ground_truth: GroundTruth, target: SensorSpec) -> TargetD
     return TargetDepth(
         depth_mm=freeze(np.where(depth.contact, depth.depth_mm, np.float32(np.nan))),
         contact=depth.contact,
-        indentation_mm=freeze(np.where(depth.contact, np.maximum(depth.indentation_mm, 0.0), 0.0).astype(np.float32)),
+        indentation_mm=freeze(
+            np.where(depth.contact, np.maximum(depth.indentation_mm, 0.0), 0.0).astype(np.float32)
+        ),
         camera=depth.camera,
         source_index=freeze(np.full(shape, -1, np.int32)),
         in_view=freeze(np.ones(shape, np.bool_)),
@@ -56,21 +66,39 @@ def build_touch(ground_truth: GroundTruth, target: SensorSpec) -> GeneratedTouch
         return None
     depth = build_depth_map(ground_truth, "target", target)
     return GeneratedTouch(
-        image=frame.image, camera=frame.camera or target.camera, source_index=make_pixel_index(target.camera.shape),
-        in_view=freeze(np.ones(target.camera.shape, np.bool_)), membrane=depth, notes=(_NOTE,),
-        reference=np.asarray(frame.reference, np.float32) if frame.is_depth and frame.reference is not None else None,
-    )  # fmt: skip
+        image=frame.image,
+        camera=frame.camera or target.camera,
+        source_index=make_pixel_index(target.camera.shape),
+        in_view=freeze(np.ones(target.camera.shape, np.bool_)),
+        membrane=depth,
+        notes=(_NOTE,),
+        reference=np.asarray(frame.reference, np.float32)
+        if frame.is_depth and frame.reference is not None
+        else None,
+    )
 
 
 def build_pose(ground_truth: GroundTruth, target: SensorSpec) -> ObjectPose | None:
-    """True object pose; its points are those of the true contact, empty where the contact is unknown."""
+    """True object pose; its points are those of the true contact, empty where the contact is
+    unknown.
+    """
     truth: Truth | None = ground_truth.target_truth
     if truth is None or truth.sensor_from_object is None:
         return None
     depth = build_depth_map(ground_truth, "target", target)
-    pixels = np.zeros(0, np.int32) if depth is None else np.flatnonzero(depth.contact).astype(np.int32)
-    points = np.zeros((0, 3)) if depth is None else depth.camera.back_project(depth.depth_mm).reshape(-1, 3)[pixels]
+    pixels = (
+        np.zeros(0, np.int32) if depth is None else np.flatnonzero(depth.contact).astype(np.int32)
+    )
+    points = (
+        np.zeros((0, 3))
+        if depth is None
+        else depth.camera.back_project(depth.depth_mm).reshape(-1, 3)[pixels]
+    )
     return ObjectPose(
-        sensor_from_object=truth.sensor_from_object, rmse_mm=0.0,
-        fitness=1.0, scene_mm=freeze(points.astype(np.float32)), source_index=freeze(pixels), notes=(_NOTE,),
-    )  # fmt: skip
+        sensor_from_object=truth.sensor_from_object,
+        rmse_mm=0.0,
+        fitness=1.0,
+        scene_mm=freeze(points.astype(np.float32)),
+        source_index=freeze(pixels),
+        notes=(_NOTE,),
+    )

@@ -1,4 +1,6 @@
-"""Fallback of methods by network: another method computes the value where weights are missing, with the reason."""
+"""Fallback of methods by network: another method computes the value where weights are missing,
+with the reason.
+"""
 
 from collections.abc import Callable
 from typing import Any, TypeVar, TypeVarTuple, Unpack
@@ -15,15 +17,21 @@ Reads = TypeVarTuple("Reads")
 
 
 def fall_back_without_weights(
-    run: Callable[[Unpack[Reads], Any, Params, Progress], Output | Skipped[Output] | Fallback[Output]],
+    run: Callable[
+        [Unpack[Reads], Any, Params, Progress], Output | Skipped[Output] | Fallback[Output]
+    ],
     fallback: Method[Any, Output, *Reads],
     reason: str = "physics: no network for this pair",
-) -> Callable[[Unpack[Reads], Weights | NoWeights, Params, Progress], Output | Skipped[Output] | Fallback[Output]]:
-    """Wrap `run` (*reads, network, params, progress) as a method's function whose last input is weights.
+) -> Callable[
+    [Unpack[Reads], Weights | NoWeights, Params, Progress],
+    Output | Skipped[Output] | Fallback[Output],
+]:
+    """Wrap `run` (*reads, network, params, progress) as a method's function whose last input is
+    weights.
 
-    Where the weights are missing or do not fit, `fallback`, which has the same inputs without weights, computes the
-    value, and the result states `reason` and what is missing. Parameters of another class are replaced by the defaults
-    of `fallback`.
+    Where the weights are missing or do not fit, `fallback`, which has the same inputs without
+    weights, computes the value, and the result states `reason` and what is missing. Parameters of
+    another class are replaced by the defaults of `fallback`.
     """
 
     def run_or_fall_back(

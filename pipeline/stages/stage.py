@@ -1,8 +1,8 @@
 """A stage: one value of the pipeline, the methods that compute it, its metrics and its truth.
 
-Columns, metrics, options and cache keys are derived from these entries; how a value is shown is in `previews.views`. A
-new method is one module and one line in the table of its stage; a new stage is one folder, one line in the catalogue
-and one in the table of views.
+Columns, metrics, options and cache keys are derived from these entries; how a value is shown is in
+`previews.views`. A new method is one module and one line in the table of its stage; a new stage is
+one folder, one line in the catalogue and one in the table of views.
 """
 
 from collections.abc import Callable, Mapping
@@ -23,7 +23,8 @@ class GroundTruth:
     """What is exactly known about a frame of source and target; None where it is unknown."""
 
     source_truth: Truth | None = None
-    target_observation: TactileFrame | None = None  # what the target sensor recorded of the same touch
+    # what the target sensor recorded of the same touch
+    target_observation: TactileFrame | None = None
     target_truth: Truth | None = None
     mesh: Mesh | None = None  # of the object whose pose is known
     symmetry: Symmetry | None = None  # of that object; None = unknown, treated as none
@@ -41,8 +42,10 @@ class Stage:
     title: str
     sensor_role: SensorRole  # sensor whose frame positions are in
     methods: tuple[Method, ...]  # the first is the default
-    compute_metrics: Callable[[Any, GroundTruth], Mapping[str, float]] = lambda _v, _f: {}  # name in METRICS -> value
-    make_ground_truth: Callable[[GroundTruth, SensorSpec], Any | None] = _no_ground_truth  # value of this stage
+    # name in METRICS -> value
+    compute_metrics: Callable[[Any, GroundTruth], Mapping[str, float]] = lambda _v, _f: {}
+    # value of this stage
+    make_ground_truth: Callable[[GroundTruth, SensorSpec], Any | None] = _no_ground_truth
     has_steps: bool = False  # whether values may keep `steps`
 
     @property

@@ -1,7 +1,7 @@
 """The catalogue of stages, their methods, and the routes through them.
 
-Columns, options, sheets, metrics and traces are derived from it. A route is data: it names a method for each of its
-stages and leaves out the others.
+Columns, options, sheets, metrics and traces are derived from it. A route is data: it names a method
+for each of its stages and leaves out the others.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ class Catalogue:
 
     stages: tuple[Stage, ...]
     routes: tuple[Route, ...]
-    views: Mapping[str, View] = field(default_factory=lambda: VIEWS)  # stage -> how its value is shown
+    # stage -> how its value is shown
+    views: Mapping[str, View] = field(default_factory=lambda: VIEWS)
 
     def stage(self, name: str) -> Stage:
         """The stage of that name; raises SettingProblem."""
@@ -64,21 +65,35 @@ class Catalogue:
         return _find_by_name(self.routes, name, f"route {name!r}")
 
     def method(self, stage: str, name: str) -> Method:
-        """A method of a stage, or its truth; raises SettingProblem that lists the stage's methods."""
-        return _find_by_name(self.list_choices(stage), name, f"method {name!r} for the stage {stage!r}")
+        """A method of a stage, or its truth.
+
+        Raises SettingProblem that lists the stage's methods.
+        """
+        return _find_by_name(
+            self.list_choices(stage), name, f"method {name!r} for the stage {stage!r}"
+        )
 
     def list_choices(self, stage: str) -> tuple[Method, ...]:
-        """The methods of a stage, and the one that takes the truth of the recording where it can be known."""
+        """The methods of a stage, and the one that takes the truth of the recording where it can
+        be known.
+        """
         entry = self.stage(stage)
-        return (*entry.methods, make_truth_method(entry)) if entry.has_ground_truth else entry.methods
+        return (
+            (*entry.methods, make_truth_method(entry)) if entry.has_ground_truth else entry.methods
+        )
 
     def methods(
-        self, route: str, chosen: Mapping[str, str] | None = None, kinds: Mapping[SensorRole, str] | None = None
+        self,
+        route: str,
+        chosen: Mapping[str, str] | None = None,
+        kinds: Mapping[SensorRole, str] | None = None,
     ) -> tuple[Method, ...]:
-        """The methods of a route in running order, with those in `chosen` (stage -> method) in place of its own.
+        """The methods of a route in running order, with those in `chosen` (stage -> method) in
+        place of its own.
 
-        One that does not fit the kind of its stage's sensor (`kinds`, where known) makes way for the stage's first that
-        does. A choice for a stage that the route leaves out is ignored. Raises SettingProblem for an unknown name.
+        One that does not fit the kind of its stage's sensor (`kinds`, where known) makes way for
+        the stage's first that does. A choice for a stage that the route leaves out is ignored.
+        Raises SettingProblem for an unknown name.
         """
         names = dict(chosen or {})
         for stage, name in names.items():
@@ -89,12 +104,20 @@ class Catalogue:
         )
 
     def _find_fitting(self, stage: str, name: str, kinds: Mapping[SensorRole, str]) -> Method:
-        method, entry = self.method(stage, name), self.stage(stage)
+        method = self.method(stage, name)
+        entry = self.stage(stage)
         kind = kinds.get(entry.sensor_role, "")
-        return method if method.fits(kind) else next(other for other in entry.methods if other.fits(kind))
+        return (
+            method
+            if method.fits(kind)
+            else next(other for other in entry.methods if other.fits(kind))
+        )
 
     def add_methods(self, methods: Iterable[Method]) -> Catalogue:
-        """Return the catalogue with more methods, after the stages' own; unusable ones are left out with a warning."""
+        """Return the catalogue with more methods, after the stages' own.
+
+        Unusable ones are left out with a warning.
+        """
         catalogue = self
         for method in methods:
             try:
@@ -112,9 +135,14 @@ class Catalogue:
         if method in stage.methods:
             return self
         if any(method.name == known.name for known in stage.methods):
-            raise SettingProblem(f"the stage {stage.name!r} already has a method {method.name!r}; choose another name")
+            raise SettingProblem(
+                f"the stage {stage.name!r} already has a method {method.name!r}; choose another "
+                "name"
+            )
         extended = replace(stage, methods=(*stage.methods, method))
-        return replace(self, stages=tuple(extended if s.name == stage.name else s for s in self.stages))
+        return replace(
+            self, stages=tuple(extended if s.name == stage.name else s for s in self.stages)
+        )
 
 
 def _find_by_name(entries: Sequence[NamedEntry], name: str, what: str) -> NamedEntry:
@@ -159,7 +187,10 @@ def default_params(methods: tuple[Method, ...]) -> dict[str, object]:
 
 
 def with_setting(params: Mapping[str, object], assignment: str) -> dict[str, object]:
-    """`params` with one `stage.parameter=value` of the command line applied; raises SettingProblem."""
+    """`params` with one `stage.parameter=value` of the command line applied.
+
+    Raises SettingProblem.
+    """
     left, equals, value = assignment.partition("=")
     stage, dot, name = left.strip().partition(".")
     if not equals or not dot:
@@ -178,16 +209,20 @@ def with_settings(methods: tuple[Method, ...], assignments: Sequence[str]) -> di
 
 
 def with_weights(given: Mapping[str, Path], assignment: str) -> dict[str, Path]:
-    """`given` (stage -> file) with one `stage=file`, or one `file` for the first stage whose method takes weights.
+    """`given` (stage -> file) with one `stage=file`, or one `file` for the first stage whose method
+    takes weights.
 
-    Raises SettingProblem for a `word=file` whose word is no stage, unless a file of that whole name exists.
+    Raises SettingProblem for a `word=file` whose word is no stage, unless a file of that whole name
+    exists.
     """
     stage, equals, name = (part.strip() for part in assignment.partition("="))
     stages = [entry.name for entry in BUILT_IN.stages]
     if equals and stage in stages:
         return {**given, stage: Path(name)}
     if equals and not Path(assignment).exists() and "/" not in stage:
-        raise SettingProblem(f"weights are given by stage=FILE, got {assignment!r}; stages are {', '.join(stages)}")
+        raise SettingProblem(
+            f"weights are given by stage=FILE, got {assignment!r}; stages are {', '.join(stages)}"
+        )
     return {**given, "": Path(assignment)}
 
 

@@ -1,7 +1,7 @@
 """Section: the heights of every stage along one line, in millimetres on the source's gel.
 
-The line lies on the source's rest surface, taken as flat. It is transferred to the target as the touch is, and a camera
-sees a straight line as a straight line.
+The line lies on the source's rest surface, taken as flat. It is transferred to the target as the
+touch is, and a camera sees a straight line as a straight line.
 """
 
 import math
@@ -56,7 +56,8 @@ class SectionPlane:
 
     camera: Camera
     plane_z_mm: float  # z of the plane in the source frame
-    camera_from_source: Doubles | None = None  # (4, 4) camera frame from source frame; None = the source's own camera
+    # (4, 4) camera frame from source frame; None = the source's own camera
+    camera_from_source: Doubles | None = None
 
     def project_to_px(self, points_mm: ArrayLike) -> Doubles:
         """Return the pixels (n, 2) x, y of points (n, 2) of the plane; NaN behind the lens."""
@@ -70,13 +71,19 @@ class SectionPlane:
         return found
 
     def backproject_to_mm(self, x_px: float, y_px: float) -> tuple[float, float]:
-        """Return the point of the plane at an image position; NaN where the plane is seen edge on."""
+        """Return the point of the plane at an image position.
+
+        NaN where the plane is seen edge on.
+        """
         camera = self.camera
-        ray = np.array([(x_px - camera.cx_px) / camera.fx_px, (y_px - camera.cy_px) / camera.fy_px, 1.0])
+        ray = np.array(
+            [(x_px - camera.cx_px) / camera.fx_px, (y_px - camera.cy_px) / camera.fy_px, 1.0]
+        )
         eye = np.zeros(3)
         if self.camera_from_source is not None:
             back = rigid.invert(self.camera_from_source)
-            eye, ray = back[:3, 3], back[:3, :3] @ ray
+            eye = back[:3, 3]
+            ray = back[:3, :3] @ ray
         if abs(ray[2]) < 1e-9:
             return math.nan, math.nan
         x, y, _ = eye + (self.plane_z_mm - eye[2]) / ray[2] * ray
@@ -121,11 +128,15 @@ def sample_bilinear(values: NDArray[np.floating], px: Doubles) -> Doubles:
     NaN outside the image, and where one of the four neighbours has no value.
     """
     rows, cols = values.shape
-    x, y = px[:, 0], px[:, 1]
+    x = px[:, 0]
+    y = px[:, 1]
     inside = (x >= 0) & (x <= cols - 1) & (y >= 0) & (y <= rows - 1)  # False for NaN coordinates
-    x, y = np.where(inside, x, 0.0), np.where(inside, y, 0.0)
-    left, top = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
-    over, down = x - left, y - top
+    x = np.where(inside, x, 0.0)
+    y = np.where(inside, y, 0.0)
+    left = np.floor(x).astype(np.intp)
+    top = np.floor(y).astype(np.intp)
+    over = x - left
+    down = y - top
     found = np.zeros(len(px))
     for row, tall in ((top, 1.0 - down), (np.minimum(top + 1, rows - 1), down)):
         for col, wide in ((left, 1.0 - over), (np.minimum(left + 1, cols - 1), over)):
@@ -134,34 +145,50 @@ def sample_bilinear(values: NDArray[np.floating], px: Doubles) -> Doubles:
     return np.where(inside, found, np.nan)
 
 
-def cut_section(line: SectionLine, fields: Sequence[HeightMap], count: int = N_SAMPLES) -> CrossSection:
+def cut_section(
+    line: SectionLine, fields: Sequence[HeightMap], count: int = N_SAMPLES
+) -> CrossSection:
     """Return every height map along the line, at `count` points."""
     points = line.points_mm(count)
     along = np.linspace(0.0, line.length_mm, count)
-    return CrossSection(line=line, along_mm=freeze(along), profiles=tuple(_profile(f, points, along) for f in fields))
+    return CrossSection(
+        line=line,
+        along_mm=freeze(along),
+        profiles=tuple(_profile(f, points, along) for f in fields),
+    )
 
 
 def _profile(field: HeightMap, points_mm: Doubles, along_mm: Doubles) -> HeightProfile:
     px = field.plane.project_to_px(points_mm)
     edges: tuple[float, ...] = ()
     if field.contact is not None:
-        turns = np.flatnonzero(np.diff(np.nan_to_num(sample_bilinear(field.contact.astype(np.float32), px)) >= 0.5))
+        turns = np.flatnonzero(
+            np.diff(np.nan_to_num(sample_bilinear(field.contact.astype(np.float32), px)) >= 0.5)
+        )
         edges = tuple(float(mm) for mm in 0.5 * (along_mm[turns] + along_mm[turns + 1]))
     return HeightProfile(
-        name=field.name, title=field.title, place=field.place, contact_edges_mm=edges,
+        name=field.name,
+        title=field.title,
+        place=field.place,
+        contact_edges_mm=edges,
         heights_mm=freeze(sample_bilinear(field.heights_mm, px)),
-    )  # fmt: skip
+    )
 
 
 def build_plane(
     translation: Translation, place: SensorRole, camera: Camera, moved: Offsets = NO_OFFSETS
 ) -> SectionPlane:
-    """Return the plane of the line as the source's or target's camera sees it, the alignment offset by `moved`."""
+    """Return the plane of the line as the source's or target's camera sees it, the alignment
+    offset by `moved`.
+    """
     rest = translation.source.rest_depth_mm
     return SectionPlane(
-        camera=camera, plane_z_mm=float(rest[rest.shape[0] // 2, rest.shape[1] // 2]),
-        camera_from_source=None if place == "source" else moved.apply_to(translation.alignment).target_from_source,
-    )  # fmt: skip
+        camera=camera,
+        plane_z_mm=float(rest[rest.shape[0] // 2, rest.shape[1] // 2]),
+        camera_from_source=None
+        if place == "source"
+        else moved.apply_to(translation.alignment).target_from_source,
+    )
 
 
 def find_image_camera(picture: Preview, sensor: SensorSpec) -> Camera:
@@ -179,12 +206,18 @@ def build_height_map(
     membrane = getattr(value, "membrane", None)
     if isinstance(membrane, DepthMap):
         beneath = SectionPlane(
-            camera=membrane.camera, plane_z_mm=sheet.plane_z_mm, camera_from_source=sheet.camera_from_source
+            camera=membrane.camera,
+            plane_z_mm=sheet.plane_z_mm,
+            camera_from_source=sheet.camera_from_source,
         )
         return HeightMap(
-            name=name, title=title, place=place, heights_mm=membrane.indentation_mm, plane=beneath,
+            name=name,
+            title=title,
+            place=place,
+            heights_mm=membrane.indentation_mm,
+            plane=beneath,
             contact=membrane.contact,
-        )  # fmt: skip
+        )
     if picture.values is None or picture.scale is None or picture.scale.unit != "mm":
         return None
     if not picture.scale.quantity.endswith(_HEIGHTS):
@@ -192,7 +225,9 @@ def build_height_map(
     contact: Mask | None = getattr(value, "contact", None)
     if contact is not None and contact.shape != picture.values.shape:
         contact = None
-    return HeightMap(name=name, title=title, place=place, heights_mm=picture.values, plane=sheet, contact=contact)
+    return HeightMap(
+        name=name, title=title, place=place, heights_mm=picture.values, plane=sheet, contact=contact
+    )
 
 
 def collect_height_maps(
@@ -206,9 +241,13 @@ def collect_height_maps(
     for name, picture, value in shown:
         stage = None if name == SOURCE else translation.catalogue.stage(name)
         place: SensorRole = "source" if stage is None else stage.sensor_role
-        camera = find_image_camera(picture, translation.source if place == "source" else translation.target)
+        camera = find_image_camera(
+            picture, translation.source if place == "source" else translation.target
+        )
         title = "Source" if stage is None else stage.title
-        field = build_height_map(name, title, place, value, picture, build_plane(translation, place, camera, moved))
+        field = build_height_map(
+            name, title, place, value, picture, build_plane(translation, place, camera, moved)
+        )
         found += [] if field is None else [field]
     return tuple(found)
 
@@ -219,8 +258,9 @@ def build_true_height_maps(
     """Return the true heights on either side, where known."""
     found: list[HeightMap] = []
     sides: tuple[tuple[SensorRole, Truth | None, SensorSpec], ...] = (
-        ("source", facts.source_truth, translation.source), ("target", facts.target_truth, translation.target),
-    )  # fmt: skip
+        ("source", facts.source_truth, translation.source),
+        ("target", facts.target_truth, translation.target),
+    )
     for place, truth, sensor in sides:
         if truth is None or truth.indentation_mm is None:
             continue
@@ -240,10 +280,14 @@ def build_true_height_maps(
 
 
 def format_csv(section: CrossSection) -> str:
-    """Return the section as CSV: a row per point, a column per profile, empty where there is no value."""
+    """Return the section as CSV: a row per point, a column per profile, empty where there is no
+    value.
+    """
     titles = ",".join(f"{profile.name}_mm" for profile in section.profiles)
     rows = [f"along_mm,{titles}".rstrip(",")]
     for k, along in enumerate(section.along_mm):
         values = (float(profile.heights_mm[k]) for profile in section.profiles)
-        rows.append(",".join([f"{along:.4f}", *("" if math.isnan(v) else f"{v:.5f}" for v in values)]))
+        rows.append(
+            ",".join([f"{along:.4f}", *("" if math.isnan(v) else f"{v:.5f}" for v in values)])
+        )
     return "\n".join([*rows, ""])

@@ -1,8 +1,9 @@
-"""Attribution of an error to stages: ground truth replaces one stage after the other, and the error is measured again.
+"""Attribution of an error to stages: ground truth replaces one stage after the other, and the error
+is measured again.
 
-The decrease when the source's depth is replaced is the share of depth, and so on along the route. The target depth is
-replaced twice, first only where it is visible to the source: the rest was outside the source's view, and no method that
-knows only the touch can recover it.
+The decrease when the source's depth is replaced is the share of depth, and so on along the route.
+The target depth is replaced twice, first only where it is visible to the source: the rest was
+outside the source's view, and no method that knows only the touch can recover it.
 """
 
 from collections.abc import Iterator, Mapping
@@ -25,7 +26,10 @@ _VISIBLE_TITLE = "reprojected"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ErrorShare:
-    """Decrease of an error when one more stage is replaced by ground truth; negative if it increases."""
+    """Decrease of an error when one more stage is replaced by ground truth.
+
+    Negative if it increases.
+    """
 
     stage: str
     title: str
@@ -53,7 +57,10 @@ class ErrorAttribution:
 
     @property
     def main_cause(self) -> str:
-        """Title of the stage with the largest share; the metric's own stage if more remains with all truth."""
+        """Title of the stage with the largest share.
+
+        The metric's own stage if more remains with all truth.
+        """
         worst = self._largest_share
         return self.metric.partition(".")[0].replace("_", " ") if worst is None else worst.title
 
@@ -70,14 +77,18 @@ def attribute_error(
     figure: str = DEFAULT_METRIC,
     progress: Progress = SILENT,
 ) -> ErrorAttribution | None:
-    """Return the shares of a frame's error by `figure`; None where that metric is unknown for this frame.
+    """Return the shares of a frame's error by `figure`.
+
+    None where that metric is unknown for this frame.
 
     Raises SettingProblem for an unknown metric, or one without a better direction.
     """
     stage, _, name = figure.partition(".")
     if name not in METRICS or stage not in translation.stages:
         known = sorted(f"{s}.*" for s in translation.stages)
-        raise SettingProblem(f"no metric {figure!r} on this route; a metric is stage.name, as {', '.join(known)}")
+        raise SettingProblem(
+            f"no metric {figure!r} on this route; a metric is stage.name, as {', '.join(known)}"
+        )
     if METRICS[name].better != "lower":
         raise SettingProblem(f"{figure} is not an error; choose a metric of which lower is better")
 
@@ -85,14 +96,19 @@ def attribute_error(
         results = translation.evaluate(at_hand, [stage], part, given=given)
         return results, translation.compute_metrics(results, frame).get(figure)
 
-    at_hand, given = translation.stream.frame(translation.check_index(frame)), dict[str, object]()
+    at_hand = translation.stream.frame(translation.check_index(frame))
+    given = dict[str, object]()
     truths = translation.read_true_outputs(frame)
     before = translation.stages[: translation.stages.index(stage)]
     each = 1.0 / (2 + len(before))
     results, total = evaluate_metric(SubProgress(progress, 0.0, each))
     if total is None:
         return None
-    steps = tuple(list_substitutions(translation, {name: truths[name] for name in before if name in truths}, results))
+    steps = tuple(
+        list_substitutions(
+            translation, {name: truths[name] for name in before if name in truths}, results
+        )
+    )
     parts: list[ErrorShare] = []
     left = total
     for index, (of, title, value) in enumerate(steps, start=1):
@@ -103,14 +119,22 @@ def attribute_error(
         parts.append(ErrorShare(stage=of, title=title, share=left - now, remaining=now))
         left = now
     return ErrorAttribution(
-        frame=frame, metric=figure, unit=METRICS[name].unit, total=total, shares=tuple(parts), remainder=left
+        frame=frame,
+        metric=figure,
+        unit=METRICS[name].unit,
+        total=total,
+        shares=tuple(parts),
+        remainder=left,
     )
 
 
 def list_substitutions(
     translation: Translation, truths: Mapping[str, object], results: Mapping[str, StageResult]
 ) -> Iterator[tuple[str, str, object]]:
-    """Yield (stage, title, truth) in running order; the target depth first where the source sees it, then whole."""
+    """Yield (stage, title, truth) in running order.
+
+    The target depth first where the source sees it, then whole.
+    """
     for name, value in truths.items():
         made = results[name].output if name in results else None
         if isinstance(value, TargetDepth) and isinstance(made, TargetDepth):

@@ -1,4 +1,6 @@
-"""Frames of a recording to look at first: one with contact, and those that determine its illumination."""
+"""Frames of a recording to look at first: one with contact, and those that determine its
+illumination.
+"""
 
 from collections.abc import Iterator
 
@@ -17,29 +19,36 @@ _BLOCKS_ALONG = 24  # along the longer side: large enough to average noise out
 
 
 def find_contact_frame(stream: Stream) -> int:
-    """Return the frame that differs most from its reference, among some spread evenly over the recording.
+    """Return the frame that differs most from its reference, among some spread evenly over the
+    recording.
 
     0 where none differs, or where no frame has a reference. Unreadable frames are skipped.
     """
-    best, most = 0, 0.0
+    best = 0
+    most = 0.0
     for frame, change_of in _compare_with_reference(stream):
         change = float(change_of.max())
         if change > most:
-            best, most = frame.index, change
+            best = frame.index
+            most = change
     return best
 
 
 def select_context_frames(stream: Stream) -> tuple[TactileFrame, ...]:
-    """Return the frames of one sensor instance that determine its illumination best, the best first; none of a bubble.
+    """Return the frames of one sensor instance that determine its illumination best, the best
+    first; none of a bubble.
 
-    Of some frames spread evenly over the recording, those that change most of the image strongly and in other places
-    than the frames before. They share one reference image, so that all are of one sensor instance and session.
+    Of some frames spread evenly over the recording, those that change most of the image strongly
+    and in other places than the frames before. They share one reference image, so that all are of
+    one sensor instance and session.
     """
     found: list[tuple[TactileFrame, Floats]] = []
     for frame, change in _compare_with_reference(stream):
         if frame.is_depth or frame.image.dtype != np.uint8:
             return ()
-        if not found or compute_cached_digest(frame.reference) == compute_cached_digest(found[0][0].reference):
+        if not found or compute_cached_digest(frame.reference) == compute_cached_digest(
+            found[0][0].reference
+        ):
             found.append((frame, change))
     chosen: list[TactileFrame] = []
     while found and len(chosen) < _MOST_TELLING:
@@ -54,11 +63,13 @@ def select_context_frames(stream: Stream) -> tuple[TactileFrame, ...]:
 
 
 def _compare_with_reference(stream: Stream) -> Iterator[tuple[TactileFrame, Floats]]:
-    """Yield frames spread over the recording that have a reference of their shape, and how much they differ from it.
+    """Yield frames spread over the recording that have a reference of their shape, and how much
+    they differ from it.
 
     The difference is of block means, in the frame's own unit; missing values count as unchanged.
     """
-    reference, at_rest = None, None
+    reference = None
+    at_rest = None
     for index in _spread(stream):
         try:
             frame = stream.frame(index)
@@ -67,8 +78,12 @@ def _compare_with_reference(stream: Stream) -> Iterator[tuple[TactileFrame, Floa
         if frame.reference is None or frame.reference.shape != frame.image.shape:
             continue
         if at_rest is None or frame.reference is not reference:
-            reference, at_rest = frame.reference, _blocks(frame.reference)
-        yield frame, np.abs(np.nan_to_num(_blocks(frame.image) - at_rest, nan=0.0, posinf=0.0, neginf=0.0))
+            reference = frame.reference
+            at_rest = _blocks(frame.reference)
+        yield (
+            frame,
+            np.abs(np.nan_to_num(_blocks(frame.image) - at_rest, nan=0.0, posinf=0.0, neginf=0.0)),
+        )
 
 
 def _spread(stream: Stream) -> list[int]:
@@ -77,7 +92,8 @@ def _spread(stream: Stream) -> list[int]:
     try:
         rows, cols = stream.frame(0).image.shape[:2]
     except TouchError:
-        rows, cols = 320, 427
+        rows = 320
+        cols = 427
     count = min(_MOST_FRAMES, stream.n_frames, max(3, _MOST_PIXELS // (rows * cols)))
     return [round(i) for i in np.linspace(0, stream.n_frames - 1, count)]
 
@@ -87,4 +103,6 @@ def _blocks(image: NDArray[np.generic]) -> Floats:
 
     rows, cols = image.shape[:2]
     size = tuple(max(1, round(_BLOCKS_ALONG * n / max(rows, cols))) for n in (cols, rows))
-    return np.asarray(cv2.resize(np.asarray(image, np.float32), size, interpolation=cv2.INTER_AREA), np.float32)
+    return np.asarray(
+        cv2.resize(np.asarray(image, np.float32), size, interpolation=cv2.INTER_AREA), np.float32
+    )

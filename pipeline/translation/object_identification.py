@@ -1,4 +1,6 @@
-"""The likeliest object of a folder of meshes: its registered mesh, pressed into the source, explains the touch best."""
+"""The likeliest object of a folder of meshes: its registered mesh, pressed into the source,
+explains the touch best.
+"""
 
 from __future__ import annotations
 
@@ -27,15 +29,22 @@ class IdentifiedObject:
 
 
 def identify_object(
-    depth: DepthMap, source: SensorSpec, folder: Path, mesh_unit: str = "auto", progress: Progress = SILENT
+    depth: DepthMap,
+    source: SensorSpec,
+    folder: Path,
+    mesh_unit: str = "auto",
+    progress: Progress = SILENT,
 ) -> IdentifiedObject:
-    """Register every mesh of `folder` on the source's depth and compare what is left of the membrane.
+    """Register every mesh of `folder` on the source's depth and compare what is left of the
+    membrane.
 
     Raises SettingProblem for a folder without meshes, or of which none fits the touch.
     """
     files = sorted(path for path in folder.glob("*") if path.suffix.lower() in MESH_SUFFIXES)
     if not files:
-        raise SettingProblem(f"--meshes needs a folder of meshes ({', '.join(MESH_SUFFIXES)}), got '{folder}'")
+        raise SettingProblem(
+            f"--meshes needs a folder of meshes ({', '.join(MESH_SUFFIXES)}), got '{folder}'"
+        )
     residuals_mm: dict[Path, float] = {}
     problems: list[str] = []
     for k, path in enumerate(files):
@@ -54,7 +63,10 @@ def identify_object(
         raise SettingProblem(f"none of the {len(files)} meshes fits the touch{why}")
     best, *others = sorted(residuals_mm, key=lambda path: residuals_mm[path])
     left_out = f"; {len(problems)} were left out: {problems[0]}" if problems else ""
-    text = f"the likeliest of {len(files)} objects is {best.stem}, {1e3 * residuals_mm[best]:.3g} um off"
+    text = (
+        f"the likeliest of {len(files)} objects is {best.stem}, "
+        f"{1e3 * residuals_mm[best]:.3g} um off"
+    )
     if not others:
         return IdentifiedObject(path=best, note=text + left_out)
     text += f"; the next is {others[0].stem}, {1e3 * residuals_mm[others[0]]:.3g} um off{left_out}"
@@ -70,6 +82,9 @@ def take_likeliest_mesh(
     unit = translation.request.mesh_unit
     found = identify_object(depth, translation.source, folder, unit, progress)
     return replace(
-        translation, mesh=load_mesh(found.path, unit=unit), symmetry=None, notes=(*translation.notes, found.note),
+        translation,
+        mesh=load_mesh(found.path, unit=unit),
+        symmetry=None,
+        notes=(*translation.notes, found.note),
         request=replace(translation.request, mesh=found.path),
-    )  # fmt: skip
+    )

@@ -11,10 +11,20 @@ SOURCE = "source"
 
 
 def trace_forward(
-    results: Mapping[str, StageResult], row: int, col: int, cols: int, catalogue: Catalogue = BUILT_IN
+    results: Mapping[str, StageResult],
+    row: int,
+    col: int,
+    cols: int,
+    catalogue: Catalogue = BUILT_IN,
 ) -> tuple[ProbePoint, ...]:
-    """Return the points of source pixel (row, col) of an image `cols` wide, in every evaluated stage."""
-    marks = {SOURCE: ProbePoint(stage=SOURCE, index=row * cols + col, row=row, col=col, text=f"({col}, {row})")}
+    """Return the points of source pixel (row, col) of an image `cols` wide, in every evaluated
+    stage.
+    """
+    marks = {
+        SOURCE: ProbePoint(
+            stage=SOURCE, index=row * cols + col, row=row, col=col, text=f"({col}, {row})"
+        )
+    }
     for name, result in results.items():
         before = marks.get(_made_from(result, catalogue.stage(name)))
         if before is not None and before.index >= 0:
@@ -22,8 +32,13 @@ def trace_forward(
     return tuple(marks.values())
 
 
-def trace_to_source(results: Mapping[str, StageResult], name: str, index: int, catalogue: Catalogue = BUILT_IN) -> int:
-    """Return the source pixel (flat index) that element `index` of a stage was made from; -1 if none."""
+def trace_to_source(
+    results: Mapping[str, StageResult], name: str, index: int, catalogue: Catalogue = BUILT_IN
+) -> int:
+    """Return the source pixel (flat index) that element `index` of a stage was made from.
+
+    -1 if none.
+    """
     while index >= 0 and name != SOURCE:
         result = results.get(name)
         if result is None:
@@ -34,7 +49,9 @@ def trace_to_source(results: Mapping[str, StageResult], name: str, index: int, c
     return index
 
 
-def describe_truth(column: str, row: int, col: int, facts: GroundTruth, catalogue: Catalogue = BUILT_IN) -> str:
+def describe_truth(
+    column: str, row: int, col: int, facts: GroundTruth, catalogue: Catalogue = BUILT_IN
+) -> str:
     """Return the truth at a pixel of a column as text; "" where unknown."""
     at_source = column == SOURCE or catalogue.stage(column).sensor_role == "source"
     truth = facts.source_truth if at_source else facts.target_truth
@@ -48,6 +65,9 @@ def describe_truth(column: str, row: int, col: int, facts: GroundTruth, catalogu
 
 
 def _made_from(result: StageResult, stage: Stage) -> str:
-    """Return the stage, or the source, whose elements `source_index` refers to; truth refers to the first method's."""
+    """Return the stage, or the source, whose elements `source_index` refers to.
+
+    Truth refers to the first method's.
+    """
     first = (result.method if result.method in stage.methods else stage.methods[0]).reads[0]
     return SOURCE if first == "frame" else first

@@ -1,4 +1,6 @@
-"""One translation as a user requests it: a recording, two sensors, and what goes with them, opened and checked once."""
+"""One translation as a user requests it: a recording, two sensors, and what goes with them,
+opened and checked once.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,13 @@ from pipeline.calibration.force_scale import ForceScale, load_force_scale
 from pipeline.core.arrays import Floats, Image
 from pipeline.core.cache import DEFAULT_MAX_BYTES, Cache
 from pipeline.core.digests import compute_cached_digest
-from pipeline.core.errors import CalibrationError, SettingProblem, ShapeError, StageWarning, UnknownSensor
+from pipeline.core.errors import (
+    CalibrationError,
+    SettingProblem,
+    ShapeError,
+    StageWarning,
+    UnknownSensor,
+)
 from pipeline.core.frame_lists import check_frame_index
 from pipeline.core.geometry.meshes import Mesh, load_mesh
 from pipeline.core.graph import Graph, Method, StageResult
@@ -60,14 +68,17 @@ class Request:
     route: str = "t2d2"
     methods: tuple[tuple[str, str], ...] = ()  # (stage, method) in place of the route's own
     reference: Path | None = None
-    reference_frames: str = ""  # of the recording to make the reference of: "median", "untouched" or a number
+    # of the recording to make the reference of: "median", "untouched" or a number
+    reference_frames: str = ""
     calibration: Path | None = None
     mesh: Path | None = None
     mesh_unit: str = "auto"
     depth_unit: DepthUnit = "auto"
     alignment: Path | None = None  # TOML with T_S->A and T_A->T
-    weights: tuple[tuple[str, Path], ...] = ()  # (stage, file); stage "" = the first whose method takes weights
-    refuses_unusable_weights: bool = False  # raise, where False lets the method fall back and say so
+    # (stage, file); stage "" = the first whose method takes weights
+    weights: tuple[tuple[str, Path], ...] = ()
+    # raise, where False lets the method fall back and say so
+    refuses_unusable_weights: bool = False
     offsets: Offsets = field(default_factory=Offsets)  # offsets from that alignment
 
 
@@ -82,11 +93,12 @@ def load_nothing(_reference: Image | Floats | None) -> tuple[Image, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Translation:
-    """An opened recording, its target, and the methods between: a sequence of frames that are translated when asked.
+    """An opened recording, its target, and the methods between: a sequence of frames that are
+    translated when asked.
 
-    `len()` is the number of frames, `[i]` the `TranslatedFrame` with that number (negative: from the end), and a loop
-    goes through all. Use it in a `with` statement, or `close()` it. Results are cached by content: what `with_` returns
-    computes only what differs.
+    `len()` is the number of frames, `[i]` the `TranslatedFrame` with that number (negative: from
+    the end), and a loop goes through all. Use it in a `with` statement, or `close()` it. Results
+    are cached by content: what `with_` returns computes only what differs.
     """
 
     request: Request
@@ -101,9 +113,12 @@ class Translation:
     symmetry: Symmetry | None = None  # of `mesh`; None = not known
     force_scale: ForceScale | None = None  # of the source; None = not weighed
     catalogue: Catalogue = BUILT_IN
-    load_context_images: ContextLoader = load_nothing  # of the source's sensor instance, by a frame's reference
-    params: Mapping[str, object] = field(default_factory=dict[str, object])  # stage -> parameters; missing = defaults
-    graph: Graph = field(default_factory=lambda: Graph(()))  # its cache holds the results; its methods are not read
+    # of the source's sensor instance, by a frame's reference
+    load_context_images: ContextLoader = load_nothing
+    # stage -> parameters; missing = defaults
+    params: Mapping[str, object] = field(default_factory=dict[str, object])
+    # its cache holds the results; its methods are not read
+    graph: Graph = field(default_factory=lambda: Graph(()))
 
     def __len__(self) -> int:
         return self.n_frames
@@ -113,7 +128,9 @@ class Translation:
 
     def __getitem__(self, index: int) -> TranslatedFrame:
         number = operator.index(index)
-        return TranslatedFrame(self, self.check_index(number + self.n_frames if number < 0 else number))
+        return TranslatedFrame(
+            self, self.check_index(number + self.n_frames if number < 0 else number)
+        )
 
     def __iter__(self) -> Iterator[TranslatedFrame]:
         return (TranslatedFrame(self, index) for index in range(self.n_frames))
@@ -124,19 +141,23 @@ class Translation:
     def __exit__(self, *_error: object) -> None:
         self.close()
 
-    def with_(self, *, stage: str = "touch", method: str | Method = "", **settings: Value) -> Translation:
+    def with_(
+        self, *, stage: str = "touch", method: str | Method = "", **settings: Value
+    ) -> Translation:
         """Return the translation with another method of a stage, or other parameters of it.
 
         It shares the cache and the open recording: close only one of the two.
 
         Args:
-            stage: Stage that `method` and `settings` are about: `depth`, `cloud`, `target_depth`, `touch`,
+            stage: Stage that `method` and `settings` are about: `depth`, `cloud`, `target_depth`,
+            `touch`,
                 `touch_depth` or `pose`.
             method: Name of one of its methods (`list_methods`), or a `Method` of your own.
             settings: Parameters of the stage's method, such as `steps=8` or `guidance=2.0`.
 
         Raises:
-            SettingProblem: There is no such stage, method or parameter, or a value is out of its range.
+            SettingProblem: There is no such stage, method or parameter, or a value is out of its
+            range.
         """
         changed = self
         if method:
@@ -159,30 +180,41 @@ class Translation:
         return replace(self, calibration=calibration, load_context_images=load_nothing)
 
     def _with_method(self, stage: str, method: str | Method) -> Translation:
-        catalogue, name = self.catalogue, method if isinstance(method, str) else method.name
+        catalogue = self.catalogue
+        name = method if isinstance(method, str) else method.name
         if isinstance(method, Method):
             catalogue = catalogue.add_method(method)
         catalogue.method(stage, name)  # raises SettingProblem
         methods = {**dict(self.request.methods), stage: name}
         request = replace(self.request, methods=tuple(methods.items()))
-        unused = (*_about_methods(request, self.methods), *_about_kinds(request, self.source, self.target, catalogue))
+        unused = (
+            *_about_methods(request, self.methods),
+            *_about_kinds(request, self.source, self.target, catalogue),
+        )
         notes = tuple(dict.fromkeys((*self.notes, *unused)))
         # A function at hand may have been changed under the same name, so it shares no results.
         graph = self.graph if isinstance(method, str) else Graph(())
         return replace(self, request=request, catalogue=catalogue, notes=notes, graph=graph)
 
     def get_method(self, stage: str) -> Method:
-        """Return the method that computes a stage; raises SettingProblem where the route has no such stage."""
+        """Return the method that computes a stage.
+
+        Raises SettingProblem where the route has no such stage.
+        """
         return Graph(self.methods).select_methods([stage])[-1]
 
     def list_methods(self, stage: str = "touch") -> tuple[str, ...]:
         """Return the names of a stage's methods that can answer for these two sensors.
 
-        They are for the kind of the stage's sensor, and have weights where they are networks. Raises SettingProblem for
-        an unknown stage.
+        They are for the kind of the stage's sensor, and have weights where they are networks.
+        Raises SettingProblem for an unknown stage.
         """
         kind = self.get_sensor(stage).kind
-        return tuple(m.name for m in self.catalogue.stage(stage).methods if m.fits(kind) and self._has_weights(m))
+        return tuple(
+            m.name
+            for m in self.catalogue.stage(stage).methods
+            if m.fits(kind) and self._has_weights(m)
+        )
 
     def _has_weights(self, method: Method) -> bool:
         file = dict(self.request.weights).get(method.stage)
@@ -197,7 +229,9 @@ class Translation:
     @property
     def methods(self) -> tuple[Method, ...]:
         """The methods of the route, one per stage, in running order."""
-        return self.catalogue.methods(self.request.route, dict(self.request.methods), self.sensor_kinds)
+        return self.catalogue.methods(
+            self.request.route, dict(self.request.methods), self.sensor_kinds
+        )
 
     @property
     def sensor_kinds(self) -> dict[SensorRole, str]:
@@ -211,8 +245,13 @@ class Translation:
 
     @property
     def truth_label(self) -> str:
-        """Title of the truths in place of computed stages, such as "with true depth"; "" without."""
-        pinned = [self.catalogue.stage(m.stage).title.lower() for m in self.methods if m.name == TRUTH]
+        """Title of the truths in place of computed stages, such as "with true depth".
+
+        "" without.
+        """
+        pinned = [
+            self.catalogue.stage(m.stage).title.lower() for m in self.methods if m.name == TRUTH
+        ]
         return f"with true {' and '.join(pinned)}" if pinned else ""
 
     def get_role(self, column: str) -> SensorRole:
@@ -230,7 +269,7 @@ class Translation:
         outputs = {name: result.output for name, result in results.items()}
         return PreviewContext(
             outputs=outputs, source=self.source, target=self.target, mesh=self.mesh, display=display
-        )  # fmt: skip
+        )
 
     def reload_frames(self) -> Translation:
         """Return the translation with the frames that a growing recording has gained."""
@@ -240,14 +279,22 @@ class Translation:
         return replace(self, recording=recording, stream=recording.stream(self.stream.name))
 
     def with_target_as_source(self) -> Translation:
-        """Return the translation that reads the target's own recording as a source, frame by frame of this one."""
+        """Return the translation that reads the target's own recording as a source, frame by
+        frame of this one.
+        """
         own = self.target_stream
         assert own is not None
-        load_context_images = _context_image_loader(self.calibration, self.recording, own, self.target)
+        load_context_images = _context_image_loader(
+            self.calibration, self.recording, own, self.target
+        )
         return replace(
-            self, stream=own, source=self.target, target=self.source, load_context_images=load_context_images,
+            self,
+            stream=own,
+            source=self.target,
+            target=self.source,
+            load_context_images=load_context_images,
             force_scale=None,
-        )  # fmt: skip
+        )
 
     def evaluate(
         self,
@@ -262,26 +309,33 @@ class Translation:
         """Return the results of some stages and of those that they depend on, in running order.
 
         Args:
-            frame: Number of a frame, or a frame at hand.
-            stages: Names of the stages; None = all of the route.
-            progress: Shows how far it is, and may cancel.
-            given: Values in place of stages or inputs: the truth of a stage there attributes the error.
-            previous: Pose of the frame before, where a sequence is followed.
-            on_stage: Receives each result as soon as it is there.
+            frame: Number of a frame, or a frame at hand. stages: Names of the stages; None = all of
+            the route. progress: Shows how far it is, and may cancel. given: Values in place of
+            stages or inputs: the truth of a stage there attributes the error. previous: Pose of the
+            frame before, where a sequence is followed. on_stage: Receives each result as soon as it
+            is there.
 
         Raises:
             TouchError: A frame is damaged, a name unknown, or a stage cannot be computed.
         """
         inputs = {**self.read_inputs(frame, previous, progress), **given}
         names = self.stages if stages is None else stages
-        return self.graph.with_methods(self.methods).evaluate(names, inputs, self.params, progress, on_stage)
+        return self.graph.with_methods(self.methods).evaluate(
+            names, inputs, self.params, progress, on_stage
+        )
 
     def read_inputs(
-        self, frame: int | TactileFrame, previous: ObjectPose | None = None, progress: Progress = SILENT
+        self,
+        frame: int | TactileFrame,
+        previous: ObjectPose | None = None,
+        progress: Progress = SILENT,
     ) -> Mapping[str, object]:
-        """Return the graph's inputs for a frame by number or at hand; raises FileProblem if it is damaged.
+        """Return the graph's inputs for a frame by number or at hand.
 
-        `previous` is the pose of the frame before, where a sequence is followed. `progress` shows how weights are read.
+        Raises FileProblem if it is damaged.
+
+        `previous` is the pose of the frame before, where a sequence is followed. `progress` shows
+        how weights are read.
         """
         if not isinstance(frame, TactileFrame):
             frame = self.stream.frame(self.check_index(frame))
@@ -293,7 +347,9 @@ class Translation:
             "target": self.target,
             "calibration": self.calibration,
             "alignment": shift_alignment_along_z(
-                self.alignment, source_shift_mm=estimate_camera_shift_mm(frame, self.source), target_shift_mm=0.0
+                self.alignment,
+                source_shift_mm=estimate_camera_shift_mm(frame, self.source),
+                target_shift_mm=0.0,
             ),
             "mesh": self.mesh,
             "previous": previous,
@@ -302,13 +358,18 @@ class Translation:
         }
 
     def _read_truth_inputs(self, index: int) -> dict[str, object]:
-        """Return the inputs of the stages that take the truth of frame `index`; None where it is not known."""
+        """Return the inputs of the stages that take the truth of frame `index`.
+
+        None where it is not known.
+        """
         pinned = [method.stage for method in self.methods if method.name == TRUTH]
         truths = self.read_true_outputs(index, tuple(pinned)) if pinned else {}
         return {get_input_name(stage): truths.get(stage) for stage in pinned}
 
     def knows_truth(self, stage: Stage) -> bool:
-        """Whether the recording holds the truth of any frame that a stage's true value is made from."""
+        """Whether the recording holds the truth of any frame that a stage's true value is made
+        from.
+        """
         if stage.sensor_role == "source":
             return self.stream.has_truth
         return self.target_stream is not None and self.target_stream.has_truth
@@ -317,7 +378,9 @@ class Translation:
     def target_stream(self) -> Stream | None:
         """The target's own stream by this translation's frame numbers; None if it took no part."""
         other = self.recording.find_partner(self.stream.name, self.target.name)
-        return None if other is None or other.name == self.stream.name else follow(self.stream, other)
+        return (
+            None if other is None or other.name == self.stream.name else follow(self.stream, other)
+        )
 
     def select_paired(self, indices: Iterable[int]) -> list[int]:
         """Return those of some frames at whose time the target recorded one as well."""
@@ -326,7 +389,10 @@ class Translation:
         return [index for index in indices if index in paired]
 
     def check_given_weights(self) -> None:
-        """Check that the methods can use the files that the request names; raises SettingProblem with the reason."""
+        """Check that the methods can use the files that the request names.
+
+        Raises SettingProblem with the reason.
+        """
         for method, file in self._select_weights_files():
             read = self.weights[method.weights_name]
             if file is not None and isinstance(read, NoWeights):
@@ -334,7 +400,9 @@ class Translation:
 
     @property
     def weights(self) -> dict[str, object]:
-        """`Method.weights_name` -> its `Weights` (the request's file, or else the shipped ones) or `NoWeights`."""
+        """`Method.weights_name` -> its `Weights` (the request's file, or else the shipped ones)
+        or `NoWeights`.
+        """
         return {
             method.weights_name: method.weights(self.source, self.target, file)
             for method, file in self._select_weights_files()
@@ -342,8 +410,12 @@ class Translation:
         }
 
     def _select_weights_files(self) -> list[tuple[Method, Path | None]]:
-        """Return each method that reads weights with its file of the request; None: the shipped weights."""
-        methods, given = Graph(self.methods).list_methods(self.source.kind), dict(self.request.weights)
+        """Return each method that reads weights with its file of the request.
+
+        None: the shipped weights.
+        """
+        methods = Graph(self.methods).list_methods(self.source.kind)
+        given = dict(self.request.weights)
         first = next((m for m in self.methods if m.weights is not None), None)
         learned = [m for m in methods if m.weights is not None]
         return [(m, given.get(m.stage, given.get("") if m is first else None)) for m in learned]
@@ -353,7 +425,10 @@ class Translation:
         return self.stream.truth(index)
 
     def read_target_observation(self, index: int) -> tuple[TactileFrame, Truth | None] | None:
-        """Return what the target sensor recorded of the same touch; None if it recorded none at that time."""
+        """Return what the target sensor recorded of the same touch.
+
+        None if it recorded none at that time.
+        """
         other = self.target_stream
         if other is None or not self.select_paired([index]):
             return None
@@ -363,9 +438,12 @@ class Translation:
         """Return all ground truth of frame `index`."""
         other = self.read_target_observation(index)
         return GroundTruth(
-            source_truth=self.read_source_truth(index), mesh=self.mesh, symmetry=self.symmetry,
-            target_observation=None if other is None else other[0], target_truth=None if other is None else other[1],
-        )  # fmt: skip
+            source_truth=self.read_source_truth(index),
+            mesh=self.mesh,
+            symmetry=self.symmetry,
+            target_observation=None if other is None else other[0],
+            target_truth=None if other is None else other[1],
+        )
 
     def read_true_outputs(self, index: int, shown: tuple[str, ...] = ()) -> dict[str, object]:
         """Return stage -> true value on frame `index`; stages without known truth are absent.
@@ -378,21 +456,30 @@ class Translation:
         needed = {*shown, *(other for view in views for other in view.preview_stages)}
         stages = [stage for stage in stages if not shown or stage.name in needed]
         values = {
-            s.name: s.make_ground_truth(facts, self.source if s.sensor_role == "source" else self.target)
+            s.name: s.make_ground_truth(
+                facts, self.source if s.sensor_role == "source" else self.target
+            )
             for s in stages
         }
         return {name: value for name, value in values.items() if value is not None}
 
     def compute_metrics(self, results: Mapping[str, StageResult], index: int) -> dict[str, float]:
-        """Return all metrics against the truth of frame `index`, as stage.metric; see `METRICS` for units."""
+        """Return all metrics against the truth of frame `index`, as stage.metric.
+
+        See `METRICS` for units.
+        """
         return self.compute_metrics_against(results, self.read_ground_truth(index))
 
-    def compute_metrics_against(self, results: Mapping[str, StageResult], facts: GroundTruth) -> dict[str, float]:
+    def compute_metrics_against(
+        self, results: Mapping[str, StageResult], facts: GroundTruth
+    ) -> dict[str, float]:
         """Return all metrics against the given ground truth."""
         return {
             f"{name}.{figure}": value
             for name, result in results.items()
-            for figure, value in self.catalogue.stage(name).compute_metrics(result.output, facts).items()
+            for figure, value in self.catalogue.stage(name)
+            .compute_metrics(result.output, facts)
+            .items()
         }
 
     def close(self) -> None:
@@ -414,15 +501,20 @@ def open_translation(
 ) -> Translation:
     """Open and check all that `request` names; raises TouchError with what is wrong and where.
 
-    `recording` is one at hand, in place of the file. `settings` are `stage.parameter=value`. `cache_bytes` bounds the
-    results that are held.
+    `recording` is one at hand, in place of the file. `settings` are `stage.parameter=value`.
+    `cache_bytes` bounds the results that are held.
     """
-    methods = catalogue.methods(request.route, dict(request.methods))  # report a wrong name before anything is read
+    # report a wrong name before anything is read
+    methods = catalogue.methods(request.route, dict(request.methods))
     target = load_sensor(request.target)
     recording = recording or open_recording(
-        request.recording, sensor=request.source, stream=request.stream, reference=request.reference,
-        reference_frames=request.reference_frames, depth_unit=request.depth_unit,
-    )  # fmt: skip
+        request.recording,
+        sensor=request.source,
+        stream=request.stream,
+        reference=request.reference,
+        reference_frames=request.reference_frames,
+        depth_unit=request.depth_unit,
+    )
     try:
         opened = _open_with(recording, request, target, methods, catalogue)
         params = with_settings(opened.methods, settings)
@@ -433,14 +525,19 @@ def open_translation(
 
 
 def _open_with(
-    recording: Recording, request: Request, target: SensorSpec, methods: tuple[Method, ...], catalogue: Catalogue
+    recording: Recording,
+    request: Request,
+    target: SensorSpec,
+    methods: tuple[Method, ...],
+    catalogue: Catalogue,
 ) -> Translation:
     """Open and check what `request` names beside its recording."""
     said = load_sensor(request.source) if request.source else None
     stream = recording.stream(request.stream or (said.name if said else ""))
     if not stream.sensor:
         unknown = UnknownSensor(
-            f"the recording does not say which sensor made it; choose one (--sensor): '{request.recording}'"
+            "the recording does not say which sensor made it; choose one (--sensor): "
+            f"'{request.recording}'"
         )
         unknown.alternatives = recording.alternatives
         raise unknown
@@ -480,10 +577,11 @@ def _open_with(
 def _context_image_loader(
     calibration: Calibration | None, recording: Recording, stream: Stream, source: SensorSpec
 ) -> ContextLoader:
-    """Return a loader of the context images that determine the illumination, chosen when a frame is first read.
+    """Return a loader of the context images that determine the illumination, chosen when a frame is
+    first read.
 
-    They are of the frame's own reference, and so of its sensor instance. A calibration table contains the illumination.
-    A growing recording has no fixed context.
+    They are of the frame's own reference, and so of its sensor instance. A calibration table
+    contains the illumination. A growing recording has no fixed context.
     """
     if source.optics is None or calibration is not None or recording.refresh is not None:
         return load_nothing
@@ -498,22 +596,37 @@ def _context_image_loader(
 
 
 def _load_force_scale(path: Path | None, source: SensorSpec) -> ForceScale | None:
-    """Return the force scale of a calibration file; raises CalibrationError for one of another sensor."""
+    """Return the force scale of a calibration file.
+
+    Raises CalibrationError for one of another sensor.
+    """
     scale = None if path is None else load_force_scale(path)
     if scale is not None and scale.sensor != source.name:
-        raise CalibrationError(f"the weighings are of {scale.sensor}, not of {source.name}: '{path}'")
+        raise CalibrationError(
+            f"the weighings are of {scale.sensor}, not of {source.name}: '{path}'"
+        )
     return scale
 
 
-def _about_source(request: Request, recording: Recording, stream: Stream, target: SensorSpec) -> tuple[str, ...]:
-    """Return a note where nobody chose the stream: one of several of a sensor, or the target's own sensor."""
+def _about_source(
+    request: Request, recording: Recording, stream: Stream, target: SensorSpec
+) -> tuple[str, ...]:
+    """Return a note where nobody chose the stream: one of several of a sensor, or the target's
+    own sensor.
+    """
     alike = [other.name for other in recording.streams if other.sensor == stream.sensor]
     if not request.stream and len(alike) > 1:
-        return (f"{len(alike)} streams are of {stream.sensor} ({', '.join(alike)}); {stream.name} is read (--stream)",)
+        return (
+            f"{len(alike)} streams are of {stream.sensor} ({', '.join(alike)}); {stream.name} is "
+            "read (--stream)",
+        )
     others = [other.name for other in recording.streams if other.sensor not in ("", target.name)]
     if request.stream or request.source or stream.sensor != target.name or not others:
         return ()
-    return (f"source and target are both {target.name}; choose the source {' or '.join(others)} (--stream)",)
+    return (
+        f"source and target are both {target.name}; choose the source {' or '.join(others)} "
+        "(--stream)",
+    )
 
 
 def _about_pairs(recording: Recording, stream: Stream, target: SensorSpec) -> tuple[str, ...]:
@@ -525,15 +638,25 @@ def _about_pairs(recording: Recording, stream: Stream, target: SensorSpec) -> tu
 
 def _about_symmetry(recording: Recording, stream: Stream, mesh: Mesh | None) -> tuple[str, ...]:
     """Return a note on pose errors where the object's symmetry is unknown."""
-    if mesh is None or not stream.has_truth or (mesh is recording.object_mesh and recording.symmetry is not None):
+    if (
+        mesh is None
+        or not stream.has_truth
+        or (mesh is recording.object_mesh and recording.symmetry is not None)
+    ):
         return ()
     return ("the object's symmetry is not known; pose errors count every turn as one",)
 
 
-def _about_weights(request: Request, methods: tuple[Method, ...], catalogue: Catalogue) -> tuple[str, ...]:
+def _about_weights(
+    request: Request, methods: tuple[Method, ...], catalogue: Catalogue
+) -> tuple[str, ...]:
     """Return a warning about weights that no method reads."""
     learned = {method.stage for method in methods if method.weights is not None}
-    unread = [(stage, file) for stage, file in request.weights if (stage not in learned if stage else not learned)]
+    unread = [
+        (stage, file)
+        for stage, file in request.weights
+        if (stage not in learned if stage else not learned)
+    ]
     return tuple(
         f"the weights {file.name!r} count for nothing: "
         f"{f'the method of {stage} reads none' if stage else 'no method reads any'}; "
@@ -552,18 +675,24 @@ def _about_methods(request: Request, methods: tuple[Method, ...]) -> tuple[str, 
     )
 
 
-def _about_kinds(request: Request, source: SensorSpec, target: SensorSpec, catalogue: Catalogue) -> tuple[str, ...]:
-    """Return a warning about each chosen method that is for another kind of sensor, and names the one that answers."""
+def _about_kinds(
+    request: Request, source: SensorSpec, target: SensorSpec, catalogue: Catalogue
+) -> tuple[str, ...]:
+    """Return a warning about each chosen method that is for another kind of sensor, and names
+    the one that answers.
+    """
     notes: list[str] = []
     kinds: dict[SensorRole, str] = {"source": source.kind, "target": target.kind}
     answering = {m.stage: m for m in catalogue.methods(request.route, dict(request.methods), kinds)}
     for stage, name in request.methods:
-        chosen, answer = catalogue.method(stage, name), answering.get(stage)
+        chosen = catalogue.method(stage, name)
+        answer = answering.get(stage)
         if answer is not None and answer is not chosen:
             sensor = source if catalogue.stage(stage).sensor_role == "source" else target
             notes.append(
                 StageWarning(
-                    f"{stage}: {chosen.title!r} is for sensors of kind {' or '.join(chosen.kinds)}, and {sensor.title} "
+                    f"{stage}: {chosen.title!r} is for sensors of kind "
+                    f"{' or '.join(chosen.kinds)}, and {sensor.title} "
                     f"is a {sensor.kind}; {answer.title!r} answers instead ({stage}={answer.name})"
                 )
             )
@@ -572,7 +701,13 @@ def _about_kinds(request: Request, source: SensorSpec, target: SensorSpec, catal
 
 def _suggest_methods(stage: str, catalogue: Catalogue) -> str:
     """Return which methods of a stage, or of all for "", read weights."""
-    methods = [m for entry in catalogue.stages if stage in ("", entry.name) for m in entry.methods if m.weights]
+    methods = [
+        m
+        for entry in catalogue.stages
+        if stage in ("", entry.name)
+        for m in entry.methods
+        if m.weights
+    ]
     names = ", ".join(f"{method.stage}={method.name}" for method in methods)
     return f"choose one that does with --method: {names}" if names else "none of its methods does"
 
@@ -589,10 +724,13 @@ def _alignment(
 
 
 def estimate_camera_shift_mm(frame: TactileFrame, spec: SensorSpec) -> float:
-    """Return how much smaller z is in this frame's own camera than in the description's; 0 if that is unknown.
+    """Return how much smaller z is in this frame's own camera than in the description's.
 
-    The camera of a depth recording may be nearer or farther than described; the alignment is about the membrane, so the
-    two rest membranes are brought together along the optical axis. Raises ShapeError where they differ by a unit.
+    0 if that is unknown.
+
+    The camera of a depth recording may be nearer or farther than described; the alignment is about
+    the membrane, so the two rest membranes are brought together along the optical axis. Raises
+    ShapeError where they differ by a unit.
     """
     if not frame.is_depth or frame.reference is None or frame.camera is None:
         return 0.0

@@ -13,7 +13,13 @@ if TYPE_CHECKING:
     from pipeline.core.arrays import Floats, Image
     from pipeline.core.graph import StageResult
     from pipeline.core.values.frames import TactileFrame
-    from pipeline.core.values.results import Cloud, DepthMap, GeneratedTouch, ObjectPose, TargetDepth
+    from pipeline.core.values.results import (
+        Cloud,
+        DepthMap,
+        GeneratedTouch,
+        ObjectPose,
+        TargetDepth,
+    )
     from pipeline.stages.stage import GroundTruth
     from pipeline.translation.translate import Translation
     from pipeline.views.preview import Preview
@@ -25,10 +31,11 @@ _SIDE_BY_SIDE = "display: inline-block; margin: 4px"
 class TranslatedFrame:
     """One touch of the source, and what each stage makes of it.
 
-    `depth`, `cloud`, `target_depth`, `touch`, `touch_depth` and `pose` are the values of the stages; the first use of
-    one computes it and what it depends on. All lengths are in mm, in the frame of the sensor that the stage names
-    (x right, y down, z out along the optical axis). Arrays are read-only. A property raises `TouchError` where its
-    stage cannot be computed, or is not on the route. In a notebook a frame shows its stages as images.
+    `depth`, `cloud`, `target_depth`, `touch`, `touch_depth` and `pose` are the values of the
+    stages; the first use of one computes it and what it depends on. All lengths are in mm, in the
+    frame of the sensor that the stage names (x right, y down, z out along the optical axis). Arrays
+    are read-only. A property raises `TouchError` where its stage cannot be computed, or is not on
+    the route. In a notebook a frame shows its stages as images.
     """
 
     def __init__(self, translation: Translation, index: int) -> None:
@@ -48,12 +55,16 @@ class TranslatedFrame:
 
     @property
     def image(self) -> Image | Floats:
-        """The recorded image: (rows, cols, 3) uint8 RGB of a gel, or (rows, cols) float32 depth in mm of a bubble."""
+        """The recorded image: (rows, cols, 3) uint8 RGB of a gel, or (rows, cols) float32 depth
+        in mm of a bubble.
+        """
         return self.source.image
 
     @property
     def depth(self) -> DepthMap:
-        """The source's membrane, in the source's frame: `indentation_mm`, `depth_mm` and `contact` (rows, cols)."""
+        """The source's membrane, in the source's frame: `indentation_mm`, `depth_mm` and
+        `contact` (rows, cols).
+        """
         return self.result("depth").output
 
     @property
@@ -63,12 +74,16 @@ class TranslatedFrame:
 
     @property
     def target_depth(self) -> TargetDepth:
-        """What the target's camera would see: `depth_mm`, `indentation_mm` and `contact` (rows, cols)."""
+        """What the target's camera would see: `depth_mm`, `indentation_mm` and `contact` (rows,
+        cols).
+        """
         return self.result("target_depth").output
 
     @property
     def touch(self) -> GeneratedTouch:
-        """The generated touch: `image` (rows, cols, 3) uint8 RGB of a gel, or (rows, cols) float32 mm of a bubble."""
+        """The generated touch: `image` (rows, cols, 3) uint8 RGB of a gel, or (rows, cols)
+        float32 mm of a bubble.
+        """
         return self.result("touch").output
 
     @property
@@ -78,38 +93,56 @@ class TranslatedFrame:
 
     @property
     def pose(self) -> ObjectPose:
-        """The object in the target's frame: `matrix` (4, 4) in mm, None where it cannot be estimated."""
+        """The object in the target's frame: `matrix` (4, 4) in mm, None where it cannot be
+        estimated.
+        """
         return self.result("pose").output
 
     @property
     def truth(self) -> GroundTruth:
-        """What the recording knows exactly of this touch, and what the target's own sensor recorded of it."""
+        """What the recording knows exactly of this touch, and what the target's own sensor
+        recorded of it.
+        """
         return self.translation.read_ground_truth(self.index)
 
     @property
     def results(self) -> Mapping[str, StageResult]:
-        """Stage -> result of every stage of the route: `output`, `state`, `ms`, `notes`, `answered_by`."""
+        """Stage -> result of every stage of the route: `output`, `state`, `ms`, `notes`,
+        `answered_by`.
+        """
         self._evaluate(self.translation.stages)
         return {name: self._results[name] for name in self.translation.stages}
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences about this frame, each with its stage: warnings, fallbacks, and why a stage was skipped."""
-        return tuple(f"{name}: {note}" for name, result in self.results.items() for note in result.notes)
+        """Sentences about this frame, each with its stage: warnings, fallbacks, and why a stage
+        was skipped.
+        """
+        return tuple(
+            f"{name}: {note}" for name, result in self.results.items() for note in result.notes
+        )
 
     @property
     def metrics(self) -> Mapping[str, float]:
-        """`stage.metric` -> error against the truth, in the unit that the name ends in; {} without any truth."""
+        """`stage.metric` -> error against the truth, in the unit that the name ends in.
+
+        {} without any truth.
+        """
         values = self.translation.compute_metrics(self.results, self.index)
         return {name: float(value) for name, value in values.items()}
 
     def result(self, stage: str) -> StageResult:
-        """Return one stage's result with its time, state and notes; raises SettingProblem for an unknown stage."""
+        """Return one stage's result with its time, state and notes.
+
+        Raises SettingProblem for an unknown stage.
+        """
         self._evaluate([stage])
         return self._results[stage]
 
     def preview(self, stage: str = "touch") -> Preview:
-        """Return a stage as it is drawn: `pixels` (rows, cols, 3) uint8 RGB, `caption`, and the values behind them."""
+        """Return a stage as it is drawn: `pixels` (rows, cols, 3) uint8 RGB, `caption`, and the
+        values behind them.
+        """
         self._evaluate([stage])
         context = self.translation.make_preview_context(self._results)
         return self.translation.catalogue.views[stage].make_preview(context.outputs[stage], context)
@@ -128,8 +161,15 @@ class TranslatedFrame:
         cells: list[str] = []
         for name, result in self.results.items():
             preview = self.preview(name)
-            png = base64.b64encode(cv2.imencode(".png", preview.pixels[..., ::-1])[1].tobytes()).decode()
+            png = base64.b64encode(
+                cv2.imencode(".png", preview.pixels[..., ::-1])[1].tobytes()
+            ).decode()
             caption = html.escape(f"{name} by {result.answered_by}")
-            image = f'<img src="data:image/png;base64,{png}" width="{_SHOWN_WIDTH_PX}" alt="{caption}">'
-            cells.append(f'<figure style="{_SIDE_BY_SIDE}">{image}<figcaption>{caption}</figcaption></figure>')
+            image = (
+                f'<img src="data:image/png;base64,{png}" width="{_SHOWN_WIDTH_PX}" alt="{caption}">'
+            )
+            cells.append(
+                f'<figure style="{_SIDE_BY_SIDE}">{image}'
+                f"<figcaption>{caption}</figcaption></figure>"
+            )
         return "".join(cells)

@@ -34,32 +34,47 @@ def build_observation_view(
 ) -> TruthView:
     """The target's own measured depth, and the difference of a reprojected preview to it."""
     recorded = make_indentation_preview(
-        observed.indentation_mm, observed.depth_mm, observed.contact, observed.camera, target, display
+        observed.indentation_mm,
+        observed.depth_mm,
+        observed.contact,
+        observed.camera,
+        target,
+        display,
     )
     difference = compute_difference(preview, recorded, label="reprojected less recorded")
-    return TruthView(truth=replace(recorded, caption=f"recorded by {target.name}"), difference_to_truth=difference)
+    return TruthView(
+        truth=replace(recorded, caption=f"recorded by {target.name}"),
+        difference_to_truth=difference,
+    )
 
 
 def build_truth_view(
     name: str, view: View, preview: Preview, truths: Mapping[str, Any], context: PreviewContext
 ) -> TruthView | None:
-    """Ground truth of the stage `name`, drawn as its value is; None if the recording does not hold it."""
+    """Ground truth of the stage `name`, drawn as its value is.
+
+    None if the recording does not hold it.
+    """
     if name not in truths:
         return None
     true_context = replace(context, outputs={**context.outputs, **truths})
     true = view.make_preview(truths[name], true_context)
     return TruthView(
-        truth=replace(true, caption=f"truth: {true.caption}"), difference_to_truth=compute_difference(preview, true),
+        truth=replace(true, caption=f"truth: {true.caption}"),
+        difference_to_truth=compute_difference(preview, true),
         layers=view.make_layers(truths[name], true_context, true),
-    )  # fmt: skip
+    )
 
 
 _MAX_VISIBLE_SHARE = 0.9  # of the target's contact; above this only its rim is missing
 
 
 def add_truth_warnings(result: StageResult, facts: GroundTruth) -> StageResult:
-    """The result, with a warning on a target depth of which only a part is visible to the source."""
-    target_depth, truth = result.output, facts.target_truth
+    """The result, with a warning on a target depth of which only a part is visible to the
+    source.
+    """
+    target_depth = result.output
+    truth = facts.target_truth
     if not isinstance(target_depth, TargetDepth) or truth is None or truth.contact is None:
         return result
     n_contact = int(np.count_nonzero(truth.contact))
@@ -68,5 +83,7 @@ def add_truth_warnings(result: StageResult, facts: GroundTruth) -> StageResult:
     share = np.count_nonzero(truth.contact & target_depth.in_view) / n_contact
     if share >= _MAX_VISIBLE_SHARE:
         return result
-    warning = StageWarning(f"the source saw {share:.0%} of the target's contact: the rest is missing")
+    warning = StageWarning(
+        f"the source saw {share:.0%} of the target's contact: the rest is missing"
+    )
     return replace(result, notes=(warning, *result.notes))

@@ -1,6 +1,7 @@
 """Colours of quantities: the same in previews, 3D, sheets and colour bars.
 
-Depth is viridis, signed differences use a diverging map with a neutral centre, categories are Okabe-Ito. No rainbow.
+Depth is viridis, signed differences use a diverging map with a neutral centre, categories are
+Okabe-Ito. No rainbow.
 """
 
 from dataclasses import dataclass
@@ -21,15 +22,20 @@ UNMATCHED_POINT_COLOUR: Rgb = (128, 130, 136)  # such a point beyond the distanc
 OBJECT_COLOUR: Rgb = (86, 140, 190)
 MEMBRANE_COLOUR: Rgb = (150, 160, 175)
 
-# Every 16th colour of the perceptually uniform map D1 (Kovesi, "Good colour maps", arXiv:1509.03700).
+# Every 16th colour of the perceptually uniform map D1 (Kovesi, "Good colour maps",
+# arXiv:1509.03700).
 _DIVERGING = (
-    (33, 81, 219), (82, 98, 222), (112, 117, 226), (138, 136, 229), (160, 156, 232), (182, 177, 234),
-    (202, 197, 237), (221, 219, 239), (238, 231, 233), (242, 215, 208), (240, 190, 178), (237, 165, 148),
+    (33, 81, 219), (82, 98, 222), (112, 117, 226),
+    (138, 136, 229), (160, 156, 232), (182, 177, 234),
+    (202, 197, 237), (221, 219, 239), (238, 231, 233),
+    (242, 215, 208), (240, 190, 178), (237, 165, 148),
     (231, 140, 119), (224, 115, 91), (215, 88, 63), (204, 57, 36), (192, 2, 6),
 )  # fmt: skip
-# The same around a dark centre, for dark windows: lightness falls in equal steps from 77 to 12 and rises again.
+# The same around a dark centre, for dark windows: lightness falls in equal steps from 77 to 12 and
+# rises again.
 _DIVERGING_DARK = (
-    (150, 190, 255), (104, 156, 250), (68, 118, 226), (48, 84, 172), (36, 56, 108), (30, 31, 36), (92, 34, 52),
+    (150, 190, 255), (104, 156, 250), (68, 118, 226),
+    (48, 84, 172), (36, 56, 108), (30, 31, 36), (92, 34, 52),
     (146, 48, 76), (196, 72, 104), (236, 116, 142), (255, 172, 186),
 )  # fmt: skip
 
@@ -44,7 +50,8 @@ class ColourScale:
     unit: str
     quantity: str  # what is shown and its sign, such as "indentation, + toward camera"
     low_setting: str = ""  # display setting of the lower limit, "" = none
-    high_setting: str = ""  # display setting of the upper limit; the same name for both means symmetric limits
+    # display setting of the upper limit; the same name for both means symmetric limits
+    high_setting: str = ""
     is_subtractable: bool = True  # whether the difference of two such values has a meaning
     is_fitted: bool = False  # limits fitted to this image
 
@@ -59,13 +66,17 @@ def get_colour_table(name: ColourMapName) -> Image:
         drawn = np.asarray(cv2.applyColorMap(levels[:, None], cv2.COLORMAP_VIRIDIS), np.uint8)
         return freeze(np.ascontiguousarray(drawn[:, 0, ::-1]))
     colours = _DIVERGING if name == "diverging" else _DIVERGING_DARK
-    at, anchors = np.linspace(0.0, 255.0, len(colours)), np.array(colours, np.float64)
+    at = np.linspace(0.0, 255.0, len(colours))
+    anchors = np.array(colours, np.float64)
     mixed = np.stack([np.interp(levels, at, anchors[:, k]) for k in range(3)], axis=-1)
     return freeze(np.rint(mixed).astype(np.uint8))
 
 
 def apply_colour_map(values: Floats, scale: ColourScale) -> Image:
-    """Return the colours (..., 3) uint8 of values (...), clipped to the limits; NaN becomes `NO_VALUE_COLOUR`."""
+    """Return the colours (..., 3) uint8 of values (...), clipped to the limits.
+
+    NaN becomes `NO_VALUE_COLOUR`.
+    """
     known = np.isfinite(values)
     share = (np.where(known, values, scale.low) - scale.low) * (255.0 / (scale.high - scale.low))
     out = get_colour_table(scale.colour_map)[np.clip(share, 0.0, 255.0).astype(np.uint8)]
@@ -75,7 +86,9 @@ def apply_colour_map(values: Floats, scale: ColourScale) -> Image:
 
 def darken_diverging(pixels: Image) -> Image:
     """Return colours (..., 3) of the diverging map as those of the dark one; other colours stay."""
-    light, dark, index = get_colour_table("diverging"), get_colour_table("diverging_dark"), _index_diverging()
+    light = get_colour_table("diverging")
+    dark = get_colour_table("diverging_dark")
+    index = _index_diverging()
     at = index[(pixels[..., 0].astype(np.uint16) << 8) | pixels[..., 2]]
     known = (at >= 0) & (pixels[..., 1] == light[at, 1])
     return freeze(np.where(known[..., None], dark[at], pixels))
@@ -83,7 +96,9 @@ def darken_diverging(pixels: Image) -> Image:
 
 @derive_once
 def _index_diverging() -> NDArray[np.int16]:
-    """Return the place in the diverging map of each red and blue, which no two of its colours share; -1 = none."""
+    """Return the place in the diverging map of each red and blue, which no two of its colours
+    share; -1 = none.
+    """
     colours = get_colour_table("diverging").astype(np.uint16)
     index = np.full(1 << 16, -1, np.int16)
     index[(colours[:, 0] << 8) | colours[:, 2]] = np.arange(len(colours), dtype=np.int16)

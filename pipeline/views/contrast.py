@@ -1,4 +1,6 @@
-"""Colour limits fitted to a touch, for a presentation: they only widen, so that colours do not flicker."""
+"""Colour limits fitted to a touch, for a presentation: they only widen, so that colours do not
+flicker.
+"""
 
 import math
 from dataclasses import replace
@@ -20,7 +22,10 @@ class FittedContrast:
         self._limits: dict[str, float] = {}
 
     def fit(self, *previews: Preview) -> tuple[Preview, ...]:
-        """Return the images with limits that hold all of them; one in true colours stays as it is."""
+        """Return the images with limits that hold all of them.
+
+        One in true colours stays as it is.
+        """
         for preview in previews:
             if preview.scale is not None and preview.values is not None:
                 limit = max(abs(preview.scale.low), abs(preview.scale.high))
@@ -41,11 +46,20 @@ class FittedContrast:
 
 
 def share_scale(first: Preview, second: Preview) -> tuple[Preview, Preview]:
-    """Return two images with limits that hold both, where they show one quantity on scales of other limits."""
-    a, b = first.scale, second.scale
-    if a is None or b is None or a == b or (a.quantity, a.unit, a.colour_map) != (b.quantity, b.unit, b.colour_map):
+    """Return two images with limits that hold both, where they show one quantity on scales of
+    other limits.
+    """
+    a = first.scale
+    b = second.scale
+    if (
+        a is None
+        or b is None
+        or a == b
+        or (a.quantity, a.unit, a.colour_map) != (b.quantity, b.unit, b.colour_map)
+    ):
         return first, second
-    low, high = min(a.low, b.low), max(a.high, b.high)
+    low = min(a.low, b.low)
+    high = max(a.high, b.high)
     return _set_limits(first, low, high), _set_limits(second, low, high)
 
 

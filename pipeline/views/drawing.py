@@ -1,4 +1,6 @@
-"""What is drawn over the pixels of a preview, in the window and in files alike: outlines and a scale bar, as values."""
+"""What is drawn over the pixels of a preview, in the window and in files alike: outlines and a
+scale bar, as values.
+"""
 
 import math
 from collections.abc import Callable
@@ -11,11 +13,17 @@ from pipeline.views.colours import Rgb
 from pipeline.views.preview import Preview
 
 CONTACT_COLOUR: Rgb = (230, 85, 13)  # outline of the contact mask
-OBSERVED_CONTACT_COLOUR: Rgb = (255, 255, 255)  # outline of a contact to compare with, over a dark casing
+# outline of a contact to compare with, over a dark casing
+OBSERVED_CONTACT_COLOUR: Rgb = (255, 255, 255)
 CASING_COLOUR: Rgb = (20, 24, 30)
-_LIGHT, _DARK = (255, 255, 255), (30, 32, 36)  # the scale bar on dark pixels and on light ones
+# the scale bar on dark pixels and on light ones
+_LIGHT = (255, 255, 255)
+_DARK = (30, 32, 36)
 _BAR_LENGTHS_MM = (50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1)
-_LONGEST_BAR, _BAR_RIGHT, _BAR_UP = 0.3, 0.05, 0.04  # shares of what is visible: length, and distance from its corner
+# shares of what is visible: length, and distance from its corner
+_LONGEST_BAR = 0.3
+_BAR_RIGHT = 0.05
+_BAR_UP = 0.04
 _DARK_GREY = 130.0
 
 
@@ -38,8 +46,11 @@ class ScaleBar:
 
 
 def list_outlines(preview: Preview) -> tuple[Line, ...]:
-    """The contact's outlines, the lowest first: the observed one and its casing, then the preview's own."""
-    observed, own = preview.observed_outline_px, preview.outline_px
+    """The contact's outlines, the lowest first: the observed one and its casing, then the
+    preview's own.
+    """
+    observed = preview.observed_outline_px
+    own = preview.outline_px
     pens = (
         (observed, CASING_COLOUR, 3.4, 0.75),
         (observed, OBSERVED_CONTACT_COLOUR, 1.6, 1.0),
@@ -53,9 +64,13 @@ def list_outlines(preview: Preview) -> tuple[Line, ...]:
 
 
 def make_scale_bar(
-    preview: Preview, visible_px: tuple[float, float, float, float], recolour: Callable[[Image], Image] = np.asarray
+    preview: Preview,
+    visible_px: tuple[float, float, float, float],
+    recolour: Callable[[Image], Image] = np.asarray,
 ) -> ScaleBar | None:
-    """The scale bar of the visible part (left, top, right, bottom) of an image; None where its scale is not known.
+    """The scale bar of the visible part (left, top, right, bottom) of an image.
+
+    None where its scale is not known.
 
     The bar is light on dark pixels, as `recolour` shows them.
     """
@@ -67,6 +82,7 @@ def make_scale_bar(
     rows, cols = preview.pixels.shape[:2]
     corner = recolour(preview.pixels[-(rows // 6) :: 3, -(cols // 3) :: 3])
     rgb = _LIGHT if corner.mean() < _DARK_GREY else _DARK
-    end, y = right - _BAR_RIGHT * (right - left), bottom - _BAR_UP * (bottom - top)
+    end = right - _BAR_RIGHT * (right - left)
+    y = bottom - _BAR_UP * (bottom - top)
     points = np.array([(end - length_mm / preview.pixel_mm, y), (end, y)])
     return ScaleBar(line=Line(points_px=points, rgb=rgb, width=3.0), text=f"{length_mm:g} mm")

@@ -1,4 +1,6 @@
-"""How values are shown that are images of a sensor: source and touch depth, target depth, generated touch."""
+"""How values are shown that are images of a sensor: source and touch depth, target depth,
+generated touch.
+"""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -9,7 +11,13 @@ import numpy as np
 from pipeline.core.arrays import Floats, freeze
 from pipeline.core.values.results import SAME_SURFACE_MM, DepthMap, GeneratedTouch, TargetDepth
 from pipeline.sensors.spec import SensorSpec
-from pipeline.views.layers import Layer, make_frame_layer, make_grid_layer, make_membrane_layer, make_surface_layer
+from pipeline.views.layers import (
+    Layer,
+    make_frame_layer,
+    make_grid_layer,
+    make_membrane_layer,
+    make_surface_layer,
+)
 from pipeline.views.preview import (
     INDENTATION_LABEL,
     Preview,
@@ -17,24 +25,46 @@ from pipeline.views.preview import (
     make_frame_preview,
     make_indentation_preview,
 )
-from pipeline.views.view import PreviewContext, ProbePoint, StepCurve, StepHistory, View, look_up_element
+from pipeline.views.view import (
+    PreviewContext,
+    ProbePoint,
+    StepCurve,
+    StepHistory,
+    View,
+    look_up_element,
+)
 
 
 def make_depth_view(name: str, legend: str, sensor_role: Literal["source", "target"]) -> View:
-    """The view of the stage `name`, which holds the indentation of the membrane of the sensor in `sensor_role`."""
+    """The view of the stage `name`, which holds the indentation of the membrane of the sensor in
+    `sensor_role`.
+    """
 
     def select_sensor(context: PreviewContext) -> SensorSpec:
         return context.source if sensor_role == "source" else context.target
 
     def make_preview(depth: DepthMap, context: PreviewContext) -> Preview:
         return make_indentation_preview(
-            depth.indentation_mm, depth.depth_mm, depth.contact, depth.camera, select_sensor(context), context.display
+            depth.indentation_mm,
+            depth.depth_mm,
+            depth.contact,
+            depth.camera,
+            select_sensor(context),
+            context.display,
         )
 
-    def make_layers(depth: DepthMap, context: PreviewContext, preview: Preview) -> tuple[Layer, ...]:
+    def make_layers(
+        depth: DepthMap, context: PreviewContext, preview: Preview
+    ) -> tuple[Layer, ...]:
         stretch = context.display.get_depth_stretch(select_sensor(context))
-        surface = make_surface_layer(name, depth.depth_mm, depth.indentation_mm, depth.camera, preview, stretch)
-        return (surface,) if sensor_role == "source" else (surface, make_membrane_layer(context.target))
+        surface = make_surface_layer(
+            name, depth.depth_mm, depth.indentation_mm, depth.camera, preview, stretch
+        )
+        return (
+            (surface,)
+            if sensor_role == "source"
+            else (surface, make_membrane_layer(context.target))
+        )
 
     def trace_point(depth: DepthMap, before: ProbePoint) -> ProbePoint:
         index = look_up_element(depth.source_index, before.index)
@@ -44,13 +74,16 @@ def make_depth_view(name: str, legend: str, sensor_role: Literal["source", "targ
             else ProbePoint(stage=name, index=-1, text="outside the depth map")
         )
 
-    return View(legend=legend, make_preview=make_preview, make_layers=make_layers, trace_point=trace_point)
+    return View(
+        legend=legend, make_preview=make_preview, make_layers=make_layers, trace_point=trace_point
+    )
 
 
 def _make_probe_point(stage: str, depth: DepthMap, index: int) -> ProbePoint:
     """Position and value of one pixel on the membrane."""
     row, col = divmod(index, depth.camera.cols)
-    value, z = float(depth.indentation_mm[row, col]), float(depth.depth_mm[row, col])
+    value = float(depth.indentation_mm[row, col])
+    z = float(depth.depth_mm[row, col])
     ray_x, ray_y = depth.camera.rays()
     if not np.isfinite(value):
         text = "no depth measured here"
@@ -63,15 +96,23 @@ def _make_probe_point(stage: str, depth: DepthMap, index: int) -> ProbePoint:
 
 
 def _draw_target_depth(depth: TargetDepth, context: PreviewContext) -> Preview:
-    """Indentation of the target's rest surface wherever there is depth, with the contact outline."""
-    shown = freeze(np.asarray(compute_rest_depth_mm(context.target, depth.camera) - depth.depth_mm, dtype=np.float32))
+    """Indentation of the target's rest surface wherever there is depth, with the contact
+    outline.
+    """
+    shown = freeze(
+        np.asarray(
+            compute_rest_depth_mm(context.target, depth.camera) - depth.depth_mm, dtype=np.float32
+        )
+    )
     caption = f"{INDENTATION_LABEL}; mask outlined"
     return make_indentation_preview(
         shown, depth.depth_mm, depth.contact, depth.camera, context.target, context.display, caption
     )
 
 
-def _layer_target_depth(depth: TargetDepth, context: PreviewContext, preview: Preview) -> tuple[Layer, ...]:
+def _layer_target_depth(
+    depth: TargetDepth, context: PreviewContext, preview: Preview
+) -> tuple[Layer, ...]:
     """The surface seen by the target, over its faint rest surface."""
     rest = compute_rest_depth_mm(context.target, depth.camera)
     shown = rest - context.display.get_depth_stretch(context.target) * (rest - depth.depth_mm)
@@ -91,11 +132,16 @@ def _trace_target_depth(depth: TargetDepth, before: ProbePoint) -> ProbePoint:
         out_x = max(-x_px, x_px - depth.camera.cols + 1, 0.0)
         out_y = max(-y_px, y_px - depth.camera.rows + 1, 0.0)
         return ProbePoint(
-            stage="target_depth", index=-1, point_mm=point, text=f"outside the image by {max(out_x, out_y):.0f} px"
+            stage="target_depth",
+            index=-1,
+            point_mm=point,
+            text=f"outside the image by {max(out_x, out_y):.0f} px",
         )
-    row, col = int(np.floor(y_px + 0.5)), int(np.floor(x_px + 0.5))
+    row = int(np.floor(y_px + 0.5))
+    col = int(np.floor(x_px + 0.5))
     seen_mm = float(depth.depth_mm[row, col])
-    index, pixel_text = -1, f"({col}, {row})"
+    index = -1
+    pixel_text = f"({col}, {row})"
     if not np.isfinite(seen_mm):
         text = f"{pixel_text}, omitted at a depth jump"
     elif point[2] > seen_mm + SAME_SURFACE_MM:
@@ -106,7 +152,9 @@ def _trace_target_depth(depth: TargetDepth, before: ProbePoint) -> ProbePoint:
         text = f"{pixel_text}, " + (
             f"{pushed_mm:.3f} mm in" if depth.contact[row, col] else "does not reach the membrane"
         )
-    return ProbePoint(stage="target_depth", index=index, row=row, col=col, point_mm=point, text=text)
+    return ProbePoint(
+        stage="target_depth", index=index, row=row, col=col, point_mm=point, text=text
+    )
 
 
 TARGET_DEPTH = View(
@@ -120,33 +168,51 @@ TARGET_DEPTH = View(
 def _draw_touch(touch: GeneratedTouch, context: PreviewContext) -> Preview:
     membrane = touch.membrane
     return make_frame_preview(
-        touch.image, touch.camera, context.target, context.display,
+        touch.image,
+        touch.camera,
+        context.target,
+        context.display,
         depth_mm=None if membrane is None else membrane.depth_mm,
-        contact=None if membrane is None else membrane.contact, reference=touch.reference, is_recorded=False,
-    )  # fmt: skip
+        contact=None if membrane is None else membrane.contact,
+        reference=touch.reference,
+        is_recorded=False,
+    )
 
 
-def _layer_touch(touch: GeneratedTouch, context: PreviewContext, preview: Preview) -> tuple[Layer, ...]:
+def _layer_touch(
+    touch: GeneratedTouch, context: PreviewContext, preview: Preview
+) -> tuple[Layer, ...]:
     """The target's membrane, textured with the generated image."""
     at = touch.membrane
     if at is None:
         return (make_frame_layer("touch", touch.image, touch.camera, preview, context.target),)
     times = context.display.get_depth_stretch(context.target)
-    return (make_surface_layer("touch", at.depth_mm, at.indentation_mm, touch.camera, preview, times),)
+    return (
+        make_surface_layer("touch", at.depth_mm, at.indentation_mm, touch.camera, preview, times),
+    )
 
 
 def _trace_touch(touch: GeneratedTouch, before: ProbePoint) -> ProbePoint:
     index = look_up_element(touch.source_index, before.index)
     if index < 0:
         has_no_contact = touch.membrane is not None and not touch.membrane.contact.any()
-        text = "generated without contact" if has_no_contact else "source pixel unknown for this method"
+        text = (
+            "generated without contact"
+            if has_no_contact
+            else "source pixel unknown for this method"
+        )
         return ProbePoint(stage="touch", index=-1, text=text)
     row, col = divmod(index, touch.camera.cols)
     if touch.image.ndim == 2:
-        text = f"{_describe_displacement(touch, row, col)}{float(touch.image[row, col]):.2f} mm from the camera"
+        text = (
+            f"{_describe_displacement(touch, row, col)}{float(touch.image[row, col]):.2f} mm "
+            "from the camera"
+        )
     else:
         text = "generated rgb {} {} {}".format(*(int(v) for v in touch.image[row, col]))
-    return ProbePoint(stage="touch", index=index, row=row, col=col, point_mm=before.point_mm, text=text)
+    return ProbePoint(
+        stage="touch", index=index, row=row, col=col, point_mm=before.point_mm, text=text
+    )
 
 
 def _describe_displacement(touch: GeneratedTouch, row: int, col: int) -> str:
@@ -158,7 +224,9 @@ def _describe_displacement(touch: GeneratedTouch, row: int, col: int) -> str:
 
 
 def _split_steps(touch: GeneratedTouch) -> tuple[GeneratedTouch, ...]:
-    return tuple(replace(touch, image=step.image, membrane=step.membrane, steps=()) for step in touch.steps)
+    return tuple(
+        replace(touch, image=step.image, membrane=step.membrane, steps=()) for step in touch.steps
+    )
 
 
 def _summarise_steps(touch: GeneratedTouch) -> StepHistory | None:
@@ -171,17 +239,24 @@ def _summarise_steps(touch: GeneratedTouch) -> StepHistory | None:
     changes = [heights[0] * 0, *(b - a for a, b in pairwise(heights))]
     last_mm = tuple(_rms_mm(h - heights[-1]) for h in heights)
     span_mm = max(float(np.ptp(heights[-1])), 1e-9)
-    settled = next(k for k, h in enumerate(heights) if np.percentile(np.abs(h - heights[-1]), 99.0) <= span_mm / 255)
+    settled = next(
+        k
+        for k, h in enumerate(heights)
+        if np.percentile(np.abs(h - heights[-1]), 99.0) <= span_mm / 255
+    )
     return StepHistory(
         curves=(
             StepCurve(name="changed", unit="mm", values=tuple(_rms_mm(o) for o in changes)),
             StepCurve(name="from the last", unit="mm", values=last_mm),
         ),
-        stop_reason=f"converged at step {settled + 1} of {len(heights)}: after it 99 % of the pixels "
+        stop_reason=f"converged at step {settled + 1} of {len(heights)}: after it 99 % of the "
+        "pixels "
         "change by less than 1/255 of the indentation range",
-        descriptions=tuple(f"noise level {s.sigma:.3g}, {d:.3g} mm (rms) from the last step"
-                    for s, d in zip(touch.steps, last_mm, strict=True)),
-    )  # fmt: skip
+        descriptions=tuple(
+            f"noise level {s.sigma:.3g}, {d:.3g} mm (rms) from the last step"
+            for s, d in zip(touch.steps, last_mm, strict=True)
+        ),
+    )
 
 
 def _summarise_poses(touch: GeneratedTouch) -> StepHistory:
@@ -190,8 +265,11 @@ def _summarise_poses(touch: GeneratedTouch) -> StepHistory:
     off_mm = tuple(_rms_mm(step.membrane.indentation_mm - best) for step in touch.steps)
     return StepHistory(
         curves=(StepCurve(name="from the best pose", unit="mm", values=off_mm),),
-        stop_reason=f"{len(off_mm)} poses of the object that explain the source, each pressed into the target",
-        descriptions=tuple(f"pose {k + 1}, {mm:.3g} mm (rms) from the best one" for k, mm in enumerate(off_mm)),
+        stop_reason=f"{len(off_mm)} poses of the object that explain the source, each pressed "
+        "into the target",
+        descriptions=tuple(
+            f"pose {k + 1}, {mm:.3g} mm (rms) from the best one" for k, mm in enumerate(off_mm)
+        ),
     )
 
 

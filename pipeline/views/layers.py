@@ -17,9 +17,11 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.views.colours import MEMBRANE_COLOUR, OBJECT_COLOUR, ColourMapName, Rgb, repeat_colour
 from pipeline.views.preview import Preview, compute_rest_depth_mm
 
-MAX_POINTS = 16_000  # of one surface: more are not visible in a view this small and slow rendering down
+# of one surface: more are not visible in a view this small and slow rendering down
+MAX_POINTS = 16_000
 _MEMBRANE_COLS = 64.0  # a faint smooth surface needs no more
-_Surface = tuple[Floats, NDArray[np.int32], Floats]  # points (n, 3) in mm, triangles (m, 3), normals (n, 3)
+# points (n, 3) in mm, with triangles (m, 3) and normals (n, 3)
+_Surface = tuple[Floats, NDArray[np.int32], Floats]
 
 
 @dataclass(frozen=True, slots=True, weakref_slot=True, kw_only=True)
@@ -29,7 +31,8 @@ class Layer:
     name: str  # unique in its sub-view: the same name is updated in place
     points_mm: Floats  # (n, 3)
     rgb: NDArray[np.uint8]  # (n, 3)
-    colour_map: ColourMapName | None = None  # that the colours are of; None = true colours or one colour
+    # that the colours are of; None = true colours or one colour
+    colour_map: ColourMapName | None = None
     triangles: Indices | None = None  # (m, 3); None = a point cloud
     segments: Indices | None = None  # or lines (m, 2)
     normals: Floats | None = None  # (n, 3) for smooth shading
@@ -50,18 +53,33 @@ class ViewBounds:
 
 
 def make_surface_layer(
-    name: str, depth_mm: Floats, indentation_mm: Floats, camera: Camera, preview: Preview, times: float
+    name: str,
+    depth_mm: Floats,
+    indentation_mm: Floats,
+    camera: Camera,
+    preview: Preview,
+    times: float,
 ) -> Layer:
     """Return a membrane (rows, cols) textured with its preview, its indentation stretched."""
-    return make_grid_layer(name, camera.back_project(depth_mm + (1.0 - times) * indentation_mm), preview)
+    return make_grid_layer(
+        name, camera.back_project(depth_mm + (1.0 - times) * indentation_mm), preview
+    )
 
 
-def make_frame_layer(name: str, image: Image | Floats, camera: Camera, preview: Preview, sensor: SensorSpec) -> Layer:
-    """Return a 3D layer of a frame's pixels, on the rest surface of a gel or on the measured membrane of a bubble."""
+def make_frame_layer(
+    name: str, image: Image | Floats, camera: Camera, preview: Preview, sensor: SensorSpec
+) -> Layer:
+    """Return a 3D layer of a frame's pixels, on the rest surface of a gel or on the measured
+    membrane of a bubble.
+    """
     if image.ndim == 2:
-        return make_grid_layer(name, camera.back_project(np.asarray(image, dtype=np.float32)), preview)
+        return make_grid_layer(
+            name, camera.back_project(np.asarray(image, dtype=np.float32)), preview
+        )
     stride = _choose_stride(*camera.shape)
-    return _texture_surface(name, _rest_surface(sensor, camera, stride), preview.pixels[::stride, ::stride], preview)
+    return _texture_surface(
+        name, _rest_surface(sensor, camera, stride), preview.pixels[::stride, ::stride], preview
+    )
 
 
 @derive_once
@@ -70,12 +88,18 @@ def _rest_surface(sensor: SensorSpec, camera: Camera, stride: int) -> _Surface:
 
 
 def make_cloud_layer(
-    name: str, points_mm: Floats, colours: NDArray[np.uint8], point_px: float, colour_map: ColourMapName | None = None
+    name: str,
+    points_mm: Floats,
+    colours: NDArray[np.uint8],
+    point_px: float,
+    colour_map: ColourMapName | None = None,
 ) -> Layer:
     """Return points, thinned to what is visible."""
     keep = slice(None, None, max(1, math.ceil(len(points_mm) / MAX_POINTS)))
     points = freeze(np.asarray(points_mm[keep], dtype=np.float32))
-    return Layer(name=name, points_mm=points, rgb=colours[keep], point_px=point_px, colour_map=colour_map)
+    return Layer(
+        name=name, points_mm=points, rgb=colours[keep], point_px=point_px, colour_map=colour_map
+    )
 
 
 def make_lines_layer(
@@ -83,7 +107,8 @@ def make_lines_layer(
 ) -> Layer:
     """Return lines between pairs of points (n, 2, 3), each in one colour (n, 3)."""
     points = freeze(np.ascontiguousarray(ends_mm, dtype=np.float32).reshape(-1, 3))
-    rgb, segments = freeze(np.repeat(colours, 2, axis=0)), _pairs(len(ends_mm))
+    rgb = freeze(np.repeat(colours, 2, axis=0))
+    segments = _pairs(len(ends_mm))
     return Layer(name=name, points_mm=points, rgb=rgb, segments=segments, colour_map=colour_map)
 
 
@@ -96,7 +121,9 @@ def _pairs(count: int) -> Indices:
 def make_membrane_layer(sensor: SensorSpec) -> Layer:
     """Return the rest surface within the image, faint; one object, so that it is rendered once."""
     camera = sensor.camera.scale(min(1.0, _MEMBRANE_COLS / sensor.camera.cols))
-    points, triangles, normals = _surface(camera.back_project(compute_rest_depth_mm(sensor, camera)), 1)
+    points, triangles, normals = _surface(
+        camera.back_project(compute_rest_depth_mm(sensor, camera)), 1
+    )
     return Layer(
         name="membrane",
         points_mm=points,
@@ -117,9 +144,13 @@ def make_mesh_layer(name: str, mesh: Mesh, colour: Rgb, *, opacity: float = 1.0)
     """Return a mesh in its own frame."""
     points, triangles, normals = _mesh_arrays(mesh)
     return Layer(
-        name=name, points_mm=points, rgb=repeat_colour(colour, len(points)), triangles=triangles, normals=normals,
+        name=name,
+        points_mm=points,
+        rgb=repeat_colour(colour, len(points)),
+        triangles=triangles,
+        normals=normals,
         opacity=opacity,
-    )  # fmt: skip
+    )
 
 
 def stretch_depth(points_mm: Floats, sensor: SensorSpec, times: float) -> Doubles:
@@ -132,9 +163,12 @@ def stretch_depth(points_mm: Floats, sensor: SensorSpec, times: float) -> Double
 
 
 def make_grid_layer(name: str, points: NDArray[np.floating], preview: Preview) -> Layer:
-    """Return a grid of points (rows, cols, 3) as a surface textured with its preview, thinned to what is visible."""
+    """Return a grid of points (rows, cols, 3) as a surface textured with its preview, thinned to
+    what is visible.
+    """
     here = _seen_part(points)
-    points, pixels = points[here], preview.pixels[here]
+    points = points[here]
+    pixels = preview.pixels[here]
     stride = _choose_stride(*points.shape[:2])
     return _texture_surface(name, _surface(points, stride), pixels[::stride, ::stride], preview)
 
@@ -147,9 +181,13 @@ def _texture_surface(name: str, surface: _Surface, pixels: Image, preview: Previ
     xyz, triangles, normals = surface
     colour_map = None if preview.scale is None else preview.scale.colour_map
     return Layer(
-        name=name, points_mm=xyz, rgb=freeze(pixels.reshape(-1, 3).copy()), triangles=triangles, normals=normals,
+        name=name,
+        points_mm=xyz,
+        rgb=freeze(pixels.reshape(-1, 3).copy()),
+        triangles=triangles,
+        normals=normals,
         colour_map=colour_map,
-    )  # fmt: skip
+    )
 
 
 @derive_once
@@ -166,16 +204,21 @@ def _mesh_arrays(mesh: Mesh) -> tuple[Floats, NDArray[np.int32], Floats]:
 
 
 def _seen_part(points: NDArray[np.floating]) -> tuple[slice, slice]:
-    """Return the box of rows and columns that have a point: a small touch in a large image is not thinned."""
+    """Return the box of rows and columns that have a point: a small touch in a large image is
+    not thinned.
+    """
     seen = np.isfinite(points[..., 2])
-    row, col = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
+    row = np.flatnonzero(seen.any(axis=1))
+    col = np.flatnonzero(seen.any(axis=0))
     if row.size < 2 or col.size < 2:
         return slice(None), slice(None)
     return slice(int(row[0]), int(row[-1]) + 1), slice(int(col[0]), int(col[-1]) + 1)
 
 
 def _surface(points: NDArray[np.floating], stride: int) -> _Surface:
-    """Return points (n, 3), triangles and normals of every `stride`-th point, without triangles with a NaN corner."""
+    """Return points (n, 3), triangles and normals of every `stride`-th point, without triangles
+    with a NaN corner.
+    """
     grid = np.asarray(points[::stride, ::stride], dtype=np.float32)
     rows, cols = grid.shape[:2]
     finite: Mask = np.asarray(np.isfinite(grid).all(axis=-1), dtype=np.bool_)
@@ -186,6 +229,8 @@ def _surface(points: NDArray[np.floating], stride: int) -> _Surface:
     normals = np.where(length > 0, across / np.maximum(length, 1e-12), (0.0, 0.0, -1.0))
     if not finite.all():
         triangles = freeze(triangles[finite.ravel()[triangles].all(axis=1)])
-        grid = np.where(finite[..., None], grid, np.float32(np.nanmean(grid) if finite.any() else 0.0))
+        grid = np.where(
+            finite[..., None], grid, np.float32(np.nanmean(grid) if finite.any() else 0.0)
+        )
     flat = normals.reshape(-1, 3).astype(np.float32)
     return freeze(np.ascontiguousarray(grid.reshape(-1, 3))), triangles, freeze(flat)

@@ -1,4 +1,6 @@
-"""How values are shown that are points: the cloud, and the object's pose with the steps of its registration."""
+"""How values are shown that are points: the cloud, and the object's pose with the steps of its
+registration.
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -37,7 +39,15 @@ from pipeline.views.preview import (
     make_deviation_scale,
     trace_outline,
 )
-from pipeline.views.view import PreviewContext, ProbePoint, StepCurve, StepHistory, View, look_up_element, to_xyz
+from pipeline.views.view import (
+    PreviewContext,
+    ProbePoint,
+    StepCurve,
+    StepHistory,
+    View,
+    look_up_element,
+    to_xyz,
+)
 
 _REACH_LABEL = "past rest surface, + toward camera"
 _PREVIEW_SCALE = 0.5  # of the target's resolution, so that neighbouring points leave no holes
@@ -55,16 +65,23 @@ def _draw_cloud(cloud: Cloud, context: PreviewContext) -> Preview:
         reach[drawn] = -target.membrane.signed_distance_mm(cloud.points_mm[index[drawn]])
     scale = make_deviation_scale(context.target, context.display, _REACH_LABEL)
     return Preview(
-        pixels=apply_colour_map(reach, scale), values=freeze(reach), scale=scale, frame_name=f"{target.name} frame",
-        positions_mm=PointPositions(cloud.points_mm, index), element_index=index, camera=camera,
+        pixels=apply_colour_map(reach, scale),
+        values=freeze(reach),
+        scale=scale,
+        frame_name=f"{target.name} frame",
+        positions_mm=PointPositions(cloud.points_mm, index),
+        element_index=index,
+        camera=camera,
         pixel_mm=compute_pixel_mm(camera, target),
         caption=f"{len(cloud.points_mm)} points; {_REACH_LABEL}",
-    )  # fmt: skip
+    )
 
 
 def _layer_cloud(cloud: Cloud, context: PreviewContext, _preview: Preview) -> tuple[Layer, ...]:
     """The points over the faint rest surface."""
-    points = stretch_depth(cloud.points_mm, context.target, context.display.get_depth_stretch(context.target))
+    points = stretch_depth(
+        cloud.points_mm, context.target, context.display.get_depth_stretch(context.target)
+    )
     reach = -context.target.membrane.signed_distance_mm(cloud.points_mm).astype(np.float32)
     scale = make_deviation_scale(context.target, context.display, _REACH_LABEL)
     colours = apply_colour_map(reach, scale)
@@ -78,22 +95,29 @@ def _trace_cloud(cloud: Cloud, before: ProbePoint) -> ProbePoint:
         why = "skipped by the stride" if cloud.stride > 1 else "not in the cloud"
         return ProbePoint(stage="cloud", index=-1, text=why)
     x, y, z = to_xyz(cloud.points_mm[point])
-    return ProbePoint(stage="cloud", index=point, point_mm=(x, y, z), text=f"({x:.2f}, {y:.2f}, {z:.2f}) mm")
+    return ProbePoint(
+        stage="cloud", index=point, point_mm=(x, y, z), text=f"({x:.2f}, {y:.2f}, {z:.2f}) mm"
+    )
 
 
 def _splat(cloud: Cloud, camera: Camera) -> Indices:
     index = np.full(camera.shape, -1, dtype=np.int32)
     if len(cloud.points_mm):
         x_px, y_px, visible = camera.project(cloud.points_mm)
-        rows, cols = np.rint(y_px[visible]).astype(np.intp), np.rint(x_px[visible]).astype(np.intp)
+        rows = np.rint(y_px[visible]).astype(np.intp)
+        cols = np.rint(x_px[visible]).astype(np.intp)
         which = np.flatnonzero(visible)
-        nearest_last = np.argsort(-cloud.points_mm[which, 2], kind="stable")  # the nearest wins its pixel
+        # the nearest wins its pixel
+        nearest_last = np.argsort(-cloud.points_mm[which, 2], kind="stable")
         index[rows[nearest_last], cols[nearest_last]] = which[nearest_last]
     return freeze(index)
 
 
 CLOUD = View(
-    legend="points, target at rest", make_preview=_draw_cloud, make_layers=_layer_cloud, trace_point=_trace_cloud
+    legend="points, target at rest",
+    make_preview=_draw_cloud,
+    make_layers=_layer_cloud,
+    trace_point=_trace_cloud,
 )
 
 
@@ -107,7 +131,10 @@ class Correspondences:
 
 
 def compute_correspondences(pose: ObjectPose, grid: DistanceGrid) -> Correspondences:
-    """Nearest points on the object of a pose's registered points; `grid` holds the object's signed distances."""
+    """Nearest points on the object of a pose's registered points.
+
+    `grid` holds the object's signed distances.
+    """
     assert pose.sensor_from_object is not None
     in_object = rigid.apply(rigid.invert(pose.sensor_from_object), pose.scene_mm)
     distance_mm, gradients = grid.at(in_object)
@@ -115,7 +142,9 @@ def compute_correspondences(pose: ObjectPose, grid: DistanceGrid) -> Corresponde
     foot = in_object - distance_mm[:, None] * gradients / np.maximum(size, 1e-12)
     inliers = np.abs(distance_mm) <= (pose.steps[0].max_correspondence_mm if pose.steps else np.inf)
     return Correspondences(
-        nearest_mm=rigid.apply(pose.sensor_from_object, foot), distance_mm=distance_mm, is_inlier=inliers
+        nearest_mm=rigid.apply(pose.sensor_from_object, foot),
+        distance_mm=distance_mm,
+        is_inlier=inliers,
     )
 
 
@@ -123,10 +152,14 @@ def split_steps(pose: ObjectPose) -> tuple[ObjectPose, ...]:
     """The pose at each kept step, with that step only."""
     return tuple(
         replace(
-            pose, sensor_from_object=step.sensor_from_object, rmse_mm=step.rmse_mm, fitness=step.fitness, steps=(step,)
+            pose,
+            sensor_from_object=step.sensor_from_object,
+            rmse_mm=step.rmse_mm,
+            fitness=step.fitness,
+            steps=(step,),
         )
         for step in pose.steps
-    )  # fmt: skip
+    )
 
 
 def summarise_steps(pose: ObjectPose) -> StepHistory | None:
@@ -135,23 +168,33 @@ def summarise_steps(pose: ObjectPose) -> StepHistory | None:
         return None
     steps = pose.steps
     motion_mm = (0.0, *(_measure_motion_mm(a, b, pose.scene_mm) for a, b in pairwise(steps)))
-    start = f"from one of {pose.starts_tried} starts" if pose.starts_tried else "from the pose of the previous touch"
+    start = (
+        f"from one of {pose.starts_tried} starts"
+        if pose.starts_tried
+        else "from the pose of the previous touch"
+    )
     words = tuple(
         f"rms {s.rmse_mm:.3g} mm, {100 * s.fitness:.0f} % of the points with a correspondence"
-        f"{'' if s.max_correspondence_mm == np.inf else f' within {s.max_correspondence_mm:g} mm'}, "
-        f"moved by {motion:.2g} mm"
+        + ("" if s.max_correspondence_mm == np.inf else f" within {s.max_correspondence_mm:g} mm")
+        + f", moved by {motion:.2g} mm"
         for s, motion in zip(steps, motion_mm, strict=True)
     )
     return StepHistory(
         curves=(
             StepCurve(name="rms", unit="mm", values=tuple(s.rmse_mm for s in steps)),
-            StepCurve(name="with a correspondence", unit="%", values=tuple(100 * s.fitness for s in steps)),
+            StepCurve(
+                name="with a correspondence", unit="%", values=tuple(100 * s.fitness for s in steps)
+            ),
             StepCurve(name="motion", unit="mm", values=motion_mm),
         ),
-        stop_reason=f"{start} in {len(steps) - 1} steps; {pose.stop_reason}", descriptions=words,
-        phase_starts=tuple(k for k in range(1,
-        len(steps)) if steps[k].max_correspondence_mm != steps[k - 1].max_correspondence_mm),
-    )  # fmt: skip
+        stop_reason=f"{start} in {len(steps) - 1} steps; {pose.stop_reason}",
+        descriptions=words,
+        phase_starts=tuple(
+            k
+            for k in range(1, len(steps))
+            if steps[k].max_correspondence_mm != steps[k - 1].max_correspondence_mm
+        ),
+    )
 
 
 def _measure_motion_mm(a: PoseStep, b: PoseStep, points_mm: Floats) -> float:
@@ -168,7 +211,8 @@ def _draw_pose(pose: ObjectPose, context: PreviewContext) -> Preview:
     element = np.full(depth.camera.shape, -1, dtype=np.int32)
     at = np.flatnonzero(pose.source_index >= 0)
     scale = make_residual_scale(context.display)
-    pixels, caption = _make_faded_background(context, depth), f"no pose: {pose.notes[0]}" if pose.notes else "no pose"
+    pixels = _make_faded_background(context, depth)
+    caption = f"no pose: {pose.notes[0]}" if pose.notes else "no pose"
     element.flat[pose.source_index[at]] = at
     if pose.sensor_from_object is not None and context.mesh is not None and at.size:
         in_object = rigid.apply(rigid.invert(pose.sensor_from_object), pose.scene_mm[at])
@@ -178,27 +222,40 @@ def _draw_pose(pose: ObjectPose, context: PreviewContext) -> Preview:
         share = f"{100 * pose.fitness:.0f} % of {at.size} points"
         caption = f"distance to object, + outside; rms {pose.rmse_mm:.2f} mm, {share}"
     return Preview(
-        pixels=freeze(np.ascontiguousarray(pixels, dtype=np.uint8)), values=freeze(values), scale=scale,
-        frame_name=f"{context.target.name} frame", positions_mm=PixelPositions(depth.camera, depth.depth_mm),
-        outline_px=trace_outline(depth.contact), pixel_mm=compute_pixel_mm(depth.camera, context.target),
+        pixels=freeze(np.ascontiguousarray(pixels, dtype=np.uint8)),
+        values=freeze(values),
+        scale=scale,
+        frame_name=f"{context.target.name} frame",
+        positions_mm=PixelPositions(depth.camera, depth.depth_mm),
+        outline_px=trace_outline(depth.contact),
+        pixel_mm=compute_pixel_mm(depth.camera, context.target),
         caption=caption,
-        element_index=freeze(element), camera=depth.camera,
-    )  # fmt: skip
+        element_index=freeze(element),
+        camera=depth.camera,
+    )
 
 
 def make_residual_scale(display: DisplayParams) -> ColourScale:
     """Colour scale of the distance to the posed object."""
-    limit, setting = display.residual_limit_mm, "residual_limit_mm"
+    limit = display.residual_limit_mm
+    setting = "residual_limit_mm"
     return ColourScale(
-        colour_map="diverging", low=-limit, high=limit, unit="mm", quantity="distance to object, + outside it",
+        colour_map="diverging",
+        low=-limit,
+        high=limit,
+        unit="mm",
+        quantity="distance to object, + outside it",
         low_setting=setting,
-        high_setting=setting, is_subtractable=False,
-    )  # fmt: skip
+        high_setting=setting,
+        is_subtractable=False,
+    )
 
 
 def _layer_pose(pose: ObjectPose, context: PreviewContext, _preview: Preview) -> tuple[Layer, ...]:
     """Registered points, posed object and rest surface."""
-    scene = make_cloud_layer("scene", pose.scene_mm, repeat_colour(REGISTERED_POINT_COLOUR, len(pose.scene_mm)), 4.0)
+    scene = make_cloud_layer(
+        "scene", pose.scene_mm, repeat_colour(REGISTERED_POINT_COLOUR, len(pose.scene_mm)), 4.0
+    )
     layers = (scene, make_membrane_layer(context.target))
     if context.mesh is None or pose.sensor_from_object is None:
         return layers
@@ -206,7 +263,9 @@ def _layer_pose(pose: ObjectPose, context: PreviewContext, _preview: Preview) ->
 
 
 def _layer_step(pose: ObjectPose, context: PreviewContext, preview: Preview) -> tuple[Layer, ...]:
-    """The object at one step, with a line from each registered point to its nearest surface point."""
+    """The object at one step, with a line from each registered point to its nearest surface
+    point.
+    """
     if context.mesh is None or pose.sensor_from_object is None:
         return _layer_pose(pose, context, preview)
     correspondences = compute_correspondences(pose, load_distance_grid(context.mesh))
@@ -220,7 +279,9 @@ def _layer_step(pose: ObjectPose, context: PreviewContext, preview: Preview) -> 
     ends = np.stack([pose.scene_mm, correspondences.nearest_mm.astype(np.float32)], axis=1)
     return (
         make_cloud_layer("scene", pose.scene_mm, colours.astype(np.uint8), 4.0, scale.colour_map),
-        make_lines_layer("correspondences", ends[every], colours[every].astype(np.uint8), scale.colour_map),
+        make_lines_layer(
+            "correspondences", ends[every], colours[every].astype(np.uint8), scale.colour_map
+        ),
         *_layer_pose(pose, context, preview)[1:],
     )
 
@@ -229,11 +290,17 @@ def _trace_pose(pose: ObjectPose, before: ProbePoint) -> ProbePoint:
     point = look_up_element(pose.source_index, before.index)
     if point < 0:
         return ProbePoint(
-            stage="pose", index=-1, row=before.row, col=before.col, text="not among the registered points"
+            stage="pose",
+            index=-1,
+            row=before.row,
+            col=before.col,
+            text="not among the registered points",
         )
     x, y, z = to_xyz(pose.scene_mm[point])
     text = f"registered at ({x:.2f}, {y:.2f}, {z:.2f}) mm"
-    return ProbePoint(stage="pose", index=point, row=before.row, col=before.col, point_mm=(x, y, z), text=text)
+    return ProbePoint(
+        stage="pose", index=point, row=before.row, col=before.col, point_mm=(x, y, z), text=text
+    )
 
 
 def _make_faded_background(context: PreviewContext, touch_depth: DepthMap) -> Image:
@@ -248,7 +315,9 @@ def _dilate_points(values: Floats, n_points: int, contact: Mask) -> Floats:
     """Points dilated to the area they stand for, so that sparse points are visible."""
     import cv2
 
-    side = max(3, min(9, 2 * round(0.5 * math.sqrt(max(1, int(contact.sum())) / max(1, n_points))) + 1))
+    side = max(
+        3, min(9, 2 * round(0.5 * math.sqrt(max(1, int(contact.sum())) / max(1, n_points))) + 1)
+    )
     kernel = np.ones((side, side), dtype=np.uint8)
     high = cv2.dilate(np.where(np.isfinite(values), values, -1e3).astype(np.float32), kernel)
     return np.where(high > -1e2, high, np.nan).astype(np.float32)

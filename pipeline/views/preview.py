@@ -20,7 +20,9 @@ _SHORTEST_PIECE = 6  # border pixels; a shorter outline would hide its own pixel
 
 
 class PixelPositions(NamedTuple):
-    """Positions of pixels along the rays of a camera, computed on demand: all of them cost half a preview."""
+    """Positions of pixels along the rays of a camera, computed on demand: all of them cost half
+    a preview.
+    """
 
     camera: Camera
     depth_mm: Floats  # (rows, cols), NaN = no value
@@ -63,7 +65,8 @@ class Preview:
     pixels: Image  # (rows, cols, 3) uint8
     frame_name: str  # frame of `positions_mm`
     values: Floats | None = None  # (rows, cols) shown by the probe; None = the colour itself
-    distance_mm: Floats | None = None  # (rows, cols) measured distance from the camera, where `values` follow from it
+    # (rows, cols) measured distance from the camera, where `values` follow from it
+    distance_mm: Floats | None = None
     scale: ColourScale | None = None  # None = true colours
     # of each pixel; as an array (rows, cols, 3), NaN = none
     positions_mm: PixelPositions | PointPositions | Floats | None = None
@@ -79,7 +82,12 @@ class Preview:
     def get_value(self, row: int, col: int) -> float | None:
         """Return the value of a pixel, NaN for none; None of a colour image and outside."""
         rows, cols = self.pixels.shape[:2]
-        is_value = self.values is not None and self.scale is not None and 0 <= row < rows and 0 <= col < cols
+        is_value = (
+            self.values is not None
+            and self.scale is not None
+            and 0 <= row < rows
+            and 0 <= col < cols
+        )
         return float(self.values[row, col]) if is_value and self.values is not None else None
 
     def format_value(self, row: int, col: int) -> str:
@@ -103,8 +111,14 @@ class Preview:
         else:
             value = float(self.values[row, col])
             quantity = self.scale.quantity.split(",")[0]
-            parts.append(f"{quantity} {value:.3f} {self.scale.unit}" if math.isfinite(value) else f"{quantity}: none")
-        if self.distance_mm is not None and math.isfinite(distance_mm := float(self.distance_mm[row, col])):
+            parts.append(
+                f"{quantity} {value:.3f} {self.scale.unit}"
+                if math.isfinite(value)
+                else f"{quantity}: none"
+            )
+        if self.distance_mm is not None and math.isfinite(
+            distance_mm := float(self.distance_mm[row, col])
+        ):
             parts.append(f"distance {distance_mm:.2f} mm")
         if self.positions_mm is not None:
             places = self.positions_mm
@@ -118,9 +132,14 @@ class Preview:
         return " · ".join(parts)
 
     def compute_positions_mm(self) -> Floats | None:
-        """Return the position (rows, cols, 3) of each pixel, NaN = none; None where no position is known."""
+        """Return the position (rows, cols, 3) of each pixel, NaN = none.
+
+        None where no position is known.
+        """
         places = self.positions_mm
-        return places if places is None or isinstance(places, np.ndarray) else places.compute_all_mm()
+        return (
+            places if places is None or isinstance(places, np.ndarray) else places.compute_all_mm()
+        )
 
 
 def make_indentation_preview(
@@ -132,7 +151,9 @@ def make_indentation_preview(
     display: DisplayParams,
     caption: str = INDENTATION_LABEL,
 ) -> Preview:
-    """Return the preview of indentation (rows, cols) on its absolute scale, with the contact outline."""
+    """Return the preview of indentation (rows, cols) on its absolute scale, with the contact
+    outline.
+    """
     scale = make_indentation_scale(sensor, display)
     return Preview(
         pixels=apply_colour_map(heights_mm, scale),
@@ -157,38 +178,55 @@ def make_frame_preview(
     reference: NDArray[np.generic] | None = None,
     is_recorded: bool = True,
 ) -> Preview:
-    """A reading: true colours of a gel, how far a bubble's membrane is from its rest, or its distance if so displayed.
+    """A reading: true colours of a gel, how far a bubble's membrane is from its rest, or its
+    distance if so displayed.
 
-    `depth_mm` is where the membrane lies, if that is known in addition to a gel's image. The rest is the untouched
-    `reference` of the very unit, where there is one, else the described shape, which a reading that was `recorded`
-    need not have had.
+    `depth_mm` is where the membrane lies, if that is known in addition to a gel's image. The rest
+    is the untouched `reference` of the very unit, where there is one, else the described shape,
+    which a reading that was `recorded` need not have had.
     """
-    place, border = f"{sensor.name} frame", None if contact is None else trace_outline(contact)
+    place = f"{sensor.name} frame"
+    border = None if contact is None else trace_outline(contact)
     if image.ndim == 2:
         depth = np.asarray(image, dtype=np.float32)
         if display.bubble_quantity == "distance":
-            values, scale = depth, make_distance_scale(sensor, display, reference)
+            values = depth
+            scale = make_distance_scale(sensor, display, reference)
             caption = f"{scale.quantity}, {place}"
         else:
             rest, whose = _rest_of(sensor, camera, reference, depth.shape, recorded=is_recorded)
-            values, scale = freeze((rest - depth).astype(np.float32)), make_deviation_scale(sensor, display)
+            values = freeze((rest - depth).astype(np.float32))
+            scale = make_deviation_scale(sensor, display)
             caption = f"{scale.quantity}{whose}"
         return Preview(
-            pixels=apply_colour_map(values, scale), values=values, scale=scale, frame_name=place, outline_px=border,
-            pixel_mm=compute_pixel_mm(camera, sensor), positions_mm=PixelPositions(camera, depth), caption=caption,
+            pixels=apply_colour_map(values, scale),
+            values=values,
+            scale=scale,
+            frame_name=place,
+            outline_px=border,
+            pixel_mm=compute_pixel_mm(camera, sensor),
+            positions_mm=PixelPositions(camera, depth),
+            caption=caption,
             distance_mm=None if values is depth else depth,
-        )  # fmt: skip
+        )
     return Preview(
-        pixels=np.asarray(image, dtype=np.uint8), frame_name=place, pixel_mm=compute_pixel_mm(camera, sensor),
-        positions_mm=None if depth_mm is None else PixelPositions(camera, depth_mm), outline_px=border,
+        pixels=np.asarray(image, dtype=np.uint8),
+        frame_name=place,
+        pixel_mm=compute_pixel_mm(camera, sensor),
+        positions_mm=None if depth_mm is None else PixelPositions(camera, depth_mm),
+        outline_px=border,
         caption=f"rgb image, {camera.cols} x {camera.rows} px",
-    )  # fmt: skip
+    )
 
 
-def make_recorded_preview(frame: TactileFrame, sensor: SensorSpec, display: DisplayParams) -> tuple[Preview, Camera]:
+def make_recorded_preview(
+    frame: TactileFrame, sensor: SensorSpec, display: DisplayParams
+) -> tuple[Preview, Camera]:
     """The preview of a recorded frame of a sensor, and the camera that took it."""
     camera = match_camera(frame.camera or sensor.camera, frame.image.shape)
-    return make_frame_preview(frame.shown_image, camera, sensor, display, reference=frame.reference), camera
+    return make_frame_preview(
+        frame.shown_image, camera, sensor, display, reference=frame.reference
+    ), camera
 
 
 def add_observed_outline(picture: Preview, observed_outline_px: Floats | None) -> Preview:
@@ -217,12 +255,14 @@ def enlarge_preview(picture: Preview, shape: tuple[int, int]) -> Preview:
     times = np.array([cols / old_cols, rows / old_rows], dtype=np.float32)
     places = picture.compute_positions_mm()
     return replace(
-        picture, pixels=enlarge_array(picture.pixels), pixel_mm=picture.pixel_mm / float(times[0]),
+        picture,
+        pixels=enlarge_array(picture.pixels),
+        pixel_mm=picture.pixel_mm / float(times[0]),
         values=None if picture.values is None else enlarge_array(picture.values),
         positions_mm=None if places is None else enlarge_array(places),
         outline_px=None if picture.outline_px is None else freeze(picture.outline_px * times),
         distance_mm=None if picture.distance_mm is None else enlarge_array(picture.distance_mm),
-    )  # fmt: skip
+    )
 
 
 def make_indentation_scale(sensor: SensorSpec, display: DisplayParams) -> ColourScale:
@@ -239,9 +279,14 @@ def make_indentation_scale(sensor: SensorSpec, display: DisplayParams) -> Colour
     )
 
 
-def make_deviation_scale(sensor: SensorSpec, display: DisplayParams, quantity: str = DEVIATION_LABEL) -> ColourScale:
-    """The scale of a distance from rest: either way as far as indentations of this kind of sensor go."""
-    limit, sets = display.get_limit_mm(sensor), f"{sensor.sensor_kind.display_group}_limit_mm"
+def make_deviation_scale(
+    sensor: SensorSpec, display: DisplayParams, quantity: str = DEVIATION_LABEL
+) -> ColourScale:
+    """The scale of a distance from rest: either way as far as indentations of this kind of
+    sensor go.
+    """
+    limit = display.get_limit_mm(sensor)
+    sets = f"{sensor.sensor_kind.display_group}_limit_mm"
     return ColourScale(
         colour_map="diverging",
         low=-limit,
@@ -254,9 +299,16 @@ def make_deviation_scale(sensor: SensorSpec, display: DisplayParams, quantity: s
 
 
 def _rest_of(
-    sensor: SensorSpec, camera: Camera, reference: NDArray[np.generic] | None, shape: tuple[int, ...], *, recorded: bool
+    sensor: SensorSpec,
+    camera: Camera,
+    reference: NDArray[np.generic] | None,
+    shape: tuple[int, ...],
+    *,
+    recorded: bool,
 ) -> tuple[NDArray[np.floating], str]:
-    """Return the rest surface (rows, cols) of a depth image, and its name if it is not the image's own reference."""
+    """Return the rest surface (rows, cols) of a depth image, and its name if it is not the
+    image's own reference.
+    """
     if reference is not None and reference.shape == shape:
         return np.asarray(reference, dtype=np.float32), ""
     return sensor.with_camera(
@@ -267,7 +319,9 @@ def _rest_of(
 def make_distance_scale(
     sensor: SensorSpec, display: DisplayParams, reference: NDArray[np.generic] | None = None
 ) -> ColourScale:
-    """The scale of distances that a bubble's camera can see, wider where the recorded unit is built longer."""
+    """The scale of distances that a bubble's camera can see, wider where the recorded unit is
+    built longer.
+    """
     low = 10.0 * math.floor((float(sensor.rest_depth_mm.min()) - 10.0) / 10.0)
     farthest = float(sensor.rest_depth_mm.max())
     if reference is not None and np.isfinite(reference).any():
@@ -306,7 +360,9 @@ def compute_pixel_mm(camera: Camera, sensor: SensorSpec) -> float:
 
 def compute_rest_depth_mm(sensor: SensorSpec, camera: Camera) -> NDArray[np.float64]:
     """Return the rest surface (rows, cols) as `camera` sees it."""
-    return sensor.rest_depth_mm if camera == sensor.camera else sensor.membrane.rest_depth_mm(camera)
+    return (
+        sensor.rest_depth_mm if camera == sensor.camera else sensor.membrane.rest_depth_mm(camera)
+    )
 
 
 def match_camera(camera: Camera, shape: tuple[int, ...]) -> Camera:

@@ -12,7 +12,8 @@ class Tile:
 
     title: str
     subtitle: str = ""  # metrics, under the title
-    metrics: Mapping[str, float] = field(default_factory=dict[str, float])  # metrics that another run has too
+    # metrics that another run has too
+    metrics: Mapping[str, float] = field(default_factory=dict[str, float])
     preview: Preview | None = None
     truth: Preview | None = None
     difference: Preview | None = None  # the preview minus the truth

@@ -1,4 +1,6 @@
-"""What a stage's value looks like: preview, 3D layers, legend, trace and steps, as one entry of the table `views`."""
+"""What a stage's value looks like: preview, 3D layers, legend, trace and steps, as one entry of
+the table `views`.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -64,10 +66,12 @@ class View:
     legend: str  # of the 3D view
     make_preview: Callable[[Any, PreviewContext], Preview]
     make_layers: Callable[[Any, PreviewContext, Preview], tuple[Layer, ...]]
-    trace_point: Callable[[Any, ProbePoint], ProbePoint]  # (value, point in its input) -> point here
+    # (value, point in its input) -> point here
+    trace_point: Callable[[Any, ProbePoint], ProbePoint]
     preview_stages: tuple[str, ...] = ()  # other stages that the preview shows
     exaggerates_indentation: bool = True  # whether the 3D view stretches indentation
-    split_steps: Callable[[Any], tuple[Any, ...]] = lambda _v: ()  # the kept steps as values of this stage
+    # the kept steps as values of this stage
+    split_steps: Callable[[Any], tuple[Any, ...]] = lambda _v: ()
     make_step_layers: Callable[[Any, PreviewContext, Preview], tuple[Layer, ...]] = (
         lambda _v, _c, _p: ()
     )  # none = as the value
@@ -77,7 +81,8 @@ class View:
 def look_up_element(source_index: Indices, source_element: int) -> int:
     """The first element (flat) made from `source_element` of the previous stage; -1 if none was."""
     flat = source_index.reshape(-1)
-    if 0 <= source_element < flat.size and flat[source_element] == source_element:  # most stages keep the grid
+    # most stages keep the grid
+    if 0 <= source_element < flat.size and flat[source_element] == source_element:
         return source_element
     matches = np.flatnonzero(flat == source_element)
     return int(matches[0]) if matches.size else -1

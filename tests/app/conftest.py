@@ -32,14 +32,22 @@ def bubble_frames() -> list[TactileFrame]:
     from_axis_mm = np.hypot(points[..., 0], points[..., 1])
     frames: list[TactileFrame] = []
     for index in range(N_FRAMES):
-        ball = float(rest.max()) - 4.0 * index + 15.0 - np.sqrt(np.maximum(15.0**2 - from_axis_mm**2, 0.0))
+        ball = (
+            float(rest.max())
+            - 4.0 * index
+            + 15.0
+            - np.sqrt(np.maximum(15.0**2 - from_axis_mm**2, 0.0))
+        )
         pressed = np.where(from_axis_mm < 15.0, np.minimum(rest, ball), rest) if index else rest
         frames.append(
             TactileFrame(
-                sensor="soft_bubble", image=freeze(pressed.astype(np.float32)), reference=freeze(rest.astype(np.float32)),
-                index=index, time_s=0.1 * index,
+                sensor="soft_bubble",
+                image=freeze(pressed.astype(np.float32)),
+                reference=freeze(rest.astype(np.float32)),
+                index=index,
+                time_s=0.1 * index,
             )
-        )  # fmt: skip
+        )
     return frames
 
 
@@ -55,7 +63,9 @@ def touch_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def ball_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A ball of 15 mm radius as .obj, in mm: a twenty-sided one is enough where its pose is not judged."""
+    """A ball of 15 mm radius as .obj, in mm: a twenty-sided one is enough where its pose is not
+    judged.
+    """
     import pyvista as pv
 
     path = tmp_path_factory.mktemp("mesh") / "ball.obj"
@@ -82,10 +92,13 @@ def open_window(qtbot) -> Iterator[Callable[..., SessionController]]:
     """Opens windows without 3D unless asked, and closes them."""
     made: list[SessionController] = []
 
-    def open_one(recording: Path | None = None, *, gl: bool = False, **session) -> SessionController:
+    def open_one(
+        recording: Path | None = None, *, gl: bool = False, **session
+    ) -> SessionController:
         controller = show_window(Session(recording=recording, **session), with_scene=gl)
         made.append(controller)
-        qtbot.addWidget(controller.window, before_close_func=lambda _: controller.close())  # asks about nothing then
+        # asks about nothing then
+        qtbot.addWidget(controller.window, before_close_func=lambda _: controller.close())
         return controller
 
     yield open_one

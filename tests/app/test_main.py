@@ -17,7 +17,12 @@ def test_a_recording_opens_on_a_touched_frame_whatever_comes_first(open_window, 
     controller = open_window(SAMPLE_RECORDING, frame=AUTO_FRAME)
     assert wait_until_shown(controller, 240), controller.window.banner.text
     assert controller.latest_frame.results["depth"].output.contact.any()
-    assert controller.window.timeline.frame == controller.session.frame == controller.latest_frame.index > 0
+    assert (
+        controller.window.timeline.frame
+        == controller.session.frame
+        == controller.latest_frame.index
+        > 0
+    )
     controller.open_path(touch_file)
     assert wait_until_shown(controller, 240), controller.window.banner.text
     assert controller.session.frame == 2  # pressed deepest
@@ -40,10 +45,20 @@ sys.exit(open_window(None))
 
 
 def test_the_process_exits_cleanly_after_its_window(tmp_path):
-    """A window that outlived its application was called in the application's end, and the process crashed."""
-    places = {"XDG_CONFIG_HOME": str(tmp_path), "XDG_STATE_HOME": str(tmp_path), "PYTHONPATH": str(Path.cwd())}
+    """A window that outlived its application was called in the application's end, and the
+    process crashed.
+    """
+    places = {
+        "XDG_CONFIG_HOME": str(tmp_path),
+        "XDG_STATE_HOME": str(tmp_path),
+        "PYTHONPATH": str(Path.cwd()),
+    }
     ended = subprocess.run(
-        [sys.executable, "-c", _QUITS], env={**os.environ, **places}, capture_output=True, text=True, check=False
+        [sys.executable, "-c", _QUITS],
+        env={**os.environ, **places},
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert ended.returncode == 0, ended.stderr[-2000:]
 
@@ -61,9 +76,18 @@ sys.exit(open_window(None))
 
 
 def test_a_window_that_is_closed_while_it_is_made_ends_the_process(tmp_path):
-    places = {"XDG_CONFIG_HOME": str(tmp_path), "XDG_STATE_HOME": str(tmp_path), "PYTHONPATH": str(Path.cwd())}
+    places = {
+        "XDG_CONFIG_HOME": str(tmp_path),
+        "XDG_STATE_HOME": str(tmp_path),
+        "PYTHONPATH": str(Path.cwd()),
+    }
     command = [sys.executable, "-c", _CLOSED_AT_ONCE]
     ended = subprocess.run(
-        command, env={**os.environ, **places}, capture_output=True, text=True, check=False, timeout=120
+        command,
+        env={**os.environ, **places},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
     )
     assert ended.returncode == 0, ended.stderr[-2000:]

@@ -75,10 +75,16 @@ sys.exit(main.open_window(Request(recording=Path(sys.argv[1]), target="gelslim")
 
 @contextmanager
 def _run(script: str, *words: object, home: Path) -> Iterator[subprocess.Popen[str]]:
-    places = {"XDG_CONFIG_HOME": str(home), "XDG_STATE_HOME": str(home), "PYTHONPATH": str(Path.cwd())}
+    places = {
+        "XDG_CONFIG_HOME": str(home),
+        "XDG_STATE_HOME": str(home),
+        "PYTHONPATH": str(Path.cwd()),
+    }
     command = [sys.executable, "-c", script, *map(str, words)]
     pipe = subprocess.PIPE
-    with subprocess.Popen(command, env={**os.environ, **places}, stdout=pipe, stderr=pipe, text=True) as running:
+    with subprocess.Popen(
+        command, env={**os.environ, **places}, stdout=pipe, stderr=pipe, text=True
+    ) as running:
         try:
             yield running
         finally:

@@ -1,4 +1,6 @@
-"""`tactoscope bench` over a folder of small benchmarks: what it prints, writes, and does when one of them fails."""
+"""`tactoscope bench` over a folder of small benchmarks: what it prints, writes, and does when
+one of them fails.
+"""
 
 from __future__ import annotations
 
@@ -108,15 +110,21 @@ def test_a_missed_bar_matters_to_strict_only(folder, capsys):
 
 
 def test_an_earlier_run_is_held_against_this_one(folder, tmp_path, capsys):
-    out, earlier = tmp_path / "now.json", tmp_path / "earlier.json"
+    out = tmp_path / "now.json"
+    earlier = tmp_path / "earlier.json"
     assert run_app(build_app(), ["bench", "first", "--json", str(out)]) == 0
     assert run_app(build_app(), ["bench", "first", "--against", str(out), "--strict"]) == 0
     assert "none worse" in capsys.readouterr().out
     earlier.write_text(out.read_text().replace('"ours_error": 0.1', '"ours_error": 0.05'))
     assert run_app(build_app(), ["bench", "first", "--against", str(earlier)]) == 0
-    assert "1 worse\n  first: first asks against peer: error 0.05 -> 0.1 um" in capsys.readouterr().out
+    assert (
+        "1 worse\n  first: first asks against peer: error 0.05 -> 0.1 um" in capsys.readouterr().out
+    )
     assert run_app(build_app(), ["bench", "first", "--against", str(earlier), "--strict"]) == 1
-    assert run_app(build_app(), ["bench", "first", "--against", str(tmp_path / "none.json")]) == EXIT_USER_ERROR
+    assert (
+        run_app(build_app(), ["bench", "first", "--against", str(tmp_path / "none.json")])
+        == EXIT_USER_ERROR
+    )
 
 
 def test_an_unknown_benchmark_lists_the_known_ones(folder, capsys):

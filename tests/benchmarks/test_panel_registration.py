@@ -12,7 +12,9 @@ SHAPE = (68, 90)
 
 def clip(lay, seed):
     """Touches of rectangles and their depths, which lie elsewhere: (pictures, depths)."""
-    rng, pictures, depths = np.random.default_rng(seed), [], []
+    rng = np.random.default_rng(seed)
+    pictures = []
+    depths = []
     for _ in range(6):
         depth = np.zeros(SHAPE, np.float32)
         x, y, wide, tall = (int(v) for v in rng.integers((22, 18, 12, 10), (50, 40, 30, 22)))
@@ -28,7 +30,9 @@ def clip(lay, seed):
 def test_a_depth_shown_larger_and_aside_is_laid_on_its_touch():
     true = panel_registration.PanelMap(scale_x=1.5, scale_y=1.3, shift_x_px=4.0, shift_y_px=-3.0)
     still = np.full((*SHAPE, 3), 100.0, np.float32)
-    found = panel_registration.fit_panel_map([panel_registration.edges(*clip(true, seed), still) for seed in (1, 2)])
+    found = panel_registration.fit_panel_map(
+        [panel_registration.edges(*clip(true, seed), still) for seed in (1, 2)]
+    )
     _, depths = clip(true, 3)
     for depth in depths:
         (there, known), (truth, _) = found.warp(depth), true.warp(depth)

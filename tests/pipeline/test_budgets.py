@@ -91,18 +91,24 @@ print(recording.streams[0].n_frames, peak() - before)
 
 
 def test_a_recording_that_was_cut_short_is_not_copied_into_memory(tmp_path):
-    path, rng = tmp_path / "cut.h5", np.random.default_rng(0)
+    path = tmp_path / "cut.h5"
+    rng = np.random.default_rng(0)
     reference = rng.integers(0, 255, (320, 240, 3), np.uint8)
     with RecordingWriter(path) as writer:
         for index in range(300):
             image = np.roll(reference, index)
             writer.append(
-                "a", TactileFrame(sensor="digit", image=image, reference=reference, index=index, time_s=index)
+                "a",
+                TactileFrame(
+                    sensor="digit", image=image, reference=reference, index=index, time_s=index
+                ),
             )
     n_bytes = path.stat().st_size
     assert n_bytes > 40e6
     os.truncate(path, n_bytes * 9 // 10)
-    done = subprocess.run([sys.executable, "-c", _PEAK_MB, path], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", _PEAK_MB, path], capture_output=True, text=True, check=True
+    )
     n_frames, grown_mb = done.stdout.split()
     assert int(n_frames) > 200
     assert float(grown_mb) < 30.0
@@ -129,7 +135,9 @@ DESCRIPTIONS = {
     "lists": b"\x80\x02" + b"]" * (20 << 20) + b".",
     "classes": b"\x80\x02" + b"".join(b"ca\nb%d\n0" % k for k in range(200_000)) + b"N.",
     "a number of an object": b"\x80\x02]r\xff\xff\xff\x7f.",
-    "a shared table": b"\x80\x02}q\x00" + b"".join(b"X\x06\0\0\0%06dh\x00s" % k for k in range(100_000)) + b".",
+    "a shared table": b"\x80\x02}q\x00"
+    + b"".join(b"X\x06\0\0\0%06dh\x00s" % k for k in range(100_000))
+    + b".",
     "many tables": b"\x80\x02}" + b"".join(b"X\x06\0\0\0%06d}s" % k for k in range(100_000)) + b".",
 }
 
@@ -139,7 +147,8 @@ def test_a_checkpoint_whose_description_unfolds_is_refused(tmp_path, kind):
     path = tmp_path / "w.pt"
     write_archive(path, DESCRIPTIONS[kind])
     assert "w.pt" in refuse(path, read_tensors)
-    path.write_bytes(b"\x80\x02}." * 3 + DESCRIPTIONS[kind] + b"\x80\x02].")  # as torch wrote them before 1.6
+    # as torch wrote them before 1.6
+    path.write_bytes(b"\x80\x02}." * 3 + DESCRIPTIONS[kind] + b"\x80\x02].")
     assert "w.pt" in refuse(path, read_tensors)
     path.rename(tmp_path / "w2.pt")
     assert "w2.pt" in refuse(tmp_path / "w2.pt", lambda p: open_recording(p, sensor="gelslim"))
@@ -152,7 +161,10 @@ def test_members_that_unfold_are_not_read(tmp_path):
 
 
 def test_a_tensor_beyond_the_budget_is_refused_by_its_table(tmp_path):
-    tensors = {name: torch.zeros(4) for name in ("inc.double_conv.0.weight", "outc.conv.weight", "up.0.up.weight")}
+    tensors = {
+        name: torch.zeros(4)
+        for name in ("inc.double_conv.0.weight", "outc.conv.weight", "up.0.up.weight")
+    }
     path = tmp_path / "w.pt"
     torch.save(tensors, path)
     table = {name: tensor.expand(1 << 31, 4) for name, tensor in load_torch_file(path).items()}
@@ -161,7 +173,8 @@ def test_a_tensor_beyond_the_budget_is_refused_by_its_table(tmp_path):
 
 
 def test_weights_that_state_more_than_they_may_hold_are_refused_by_their_head(tmp_path):
-    path, n = tmp_path / "w.safetensors", 1 << 31
+    path = tmp_path / "w.safetensors"
+    n = 1 << 31
     head = json.dumps({"a": {"dtype": "U8", "shape": [n], "data_offsets": [0, n]}}).encode()
     with path.open("wb") as file:
         file.write(len(head).to_bytes(8, "little") + head)
@@ -176,8 +189,13 @@ def test_tables_of_a_recording_that_unfold_are_refused(tmp_path):
     with h5py.File(path, "r+") as file:
         group = file.create_group("rollout")
         for key in ("time", "commanded"):
-            group.create_dataset(key, (9_000_000, *((4, 4) if key != "time" else ())), "f8", chunks=(4096, *((4, 4) if key != "time" else ())),
-                                 compression="gzip").attrs["unit"] = "s"  # fmt: skip
+            group.create_dataset(
+                key,
+                (9_000_000, *((4, 4) if key != "time" else ())),
+                "f8",
+                chunks=(4096, *((4, 4) if key != "time" else ())),
+                compression="gzip",
+            ).attrs["unit"] = "s"
     assert path.stat().st_size < 10 << 20
     assert "would take" in refuse(path, rollout_file.read_outcome)
     with h5py.File(path, "r+") as file:
@@ -191,10 +209,8 @@ def test_a_group_of_rows_is_read_row_by_row(tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     import pyarrow
 
-    blob, name = (
-        cv2.imencode(".png", np.full((320, 427, 3), 90, np.uint8))[1].tobytes() + bytes(8 << 20),
-        "observation.images.tactile",
-    )
+    blob = cv2.imencode(".png", np.full((320, 427, 3), 90, np.uint8))[1].tobytes() + bytes(8 << 20)
+    name = "observation.images.tactile"
     (tmp_path / "meta").mkdir()
     (tmp_path / "data").mkdir()
     info = {"fps": 10, "features": {name: {"dtype": "image"}}, "total_episodes": 1}
@@ -202,9 +218,15 @@ def test_a_group_of_rows_is_read_row_by_row(tmp_path):
     cells = pyarrow.DictionaryArray.from_arrays(
         pyarrow.array([0] * 300, pyarrow.int32()), pyarrow.array([blob], pyarrow.binary())
     )
-    parquet.write_table(pyarrow.table({name: cells}), tmp_path / "data" / "a.parquet", row_group_size=300)
+    parquet.write_table(
+        pyarrow.table({name: cells}), tmp_path / "data" / "a.parquet", row_group_size=300
+    )
     child = subprocess.run(
-        [sys.executable, "-c", _PEAK_MB, tmp_path], capture_output=True, text=True, check=True, timeout=100
+        [sys.executable, "-c", _PEAK_MB, tmp_path],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=100,
     )
     n_frames, peak_mb = child.stdout.split()
     assert int(n_frames) == 300

@@ -37,10 +37,14 @@ print(locale.setlocale(locale.LC_NUMERIC))
 """
 
 
-def run(folder: Path, code: str, *words: object, **environment: str) -> subprocess.CompletedProcess[str]:
+def run(
+    folder: Path, code: str, *words: object, **environment: str
+) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", code, *map(str, words)]
     variables = {"PYTHONPATH": str(ROOT), "PATH": os.environ["PATH"], **environment}
-    return subprocess.run(command, cwd=folder, env=variables, capture_output=True, text=True, timeout=240, check=False)
+    return subprocess.run(
+        command, cwd=folder, env=variables, capture_output=True, text=True, timeout=240, check=False
+    )
 
 
 def test_a_user_without_a_home_gets_results_and_doctor_says_what_is_missing(tmp_path):
@@ -86,6 +90,8 @@ def test_a_look_at_a_growing_folder_costs_nothing_for_the_images_before(tmp_path
     source.open()
     cv2.imwrite(str(tmp_path / "new.png"), np.full((320, 240, 3), 90, np.uint8))
     looked = []
-    monkeypatch.setattr("pipeline.io.image_files.is_image_file", lambda path: looked.append(path.name) or True)
+    monkeypatch.setattr(
+        "pipeline.io.image_files.is_image_file", lambda path: looked.append(path.name) or True
+    )
     assert source.read() is not None
     assert looked == ["new.png"]

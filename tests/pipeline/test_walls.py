@@ -79,7 +79,13 @@ def test_a_first_depth_loads_nothing_that_only_compiling_or_another_picture_need
     loaded = loaded_by(FIRST_DEPTH)
     assert {"numba.core.dispatcher", "scipy.fft"} <= loaded
     assert loaded.isdisjoint(
-        {"numba.np.arraymath", "numba.typed.typeddict", "scipy.linalg", "numpy.f2py.crackfortran", "unittest"}
+        {
+            "numba.np.arraymath",
+            "numba.typed.typeddict",
+            "scipy.linalg",
+            "numpy.f2py.crackfortran",
+            "unittest",
+        }
     )
 
 

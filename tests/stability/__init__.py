@@ -1,9 +1,12 @@
-"""The numerical stability matrix: what must hold for every input that a person, a file or a sensor can produce.
+"""The numerical stability matrix: what must hold for every input that a person, a file or a sensor
+can produce.
 
-Each test is a row, named by its property, and checks it for as many cases as `--cases` says. Left away it is the short
-form, which `make test` runs; `make stability` asks for 10,000 and leaves a table in out/stability.json. A row whose cases
-are slow takes the share that it states (5,000 for the chain without a pose, 20 to 3,000 where a membrane is pressed or
-light is read, 10 to 200 where a pose is registered), one over listed cases as many as there are. The table shows true numbers, and how often the answer was a refusal, which is bounded.
+Each test is a row, named by its property, and checks it for as many cases as `--cases` says. Left
+away it is the short form, which `make test` runs; `make stability` asks for 10,000 and leaves a
+table in out/stability.json. A row whose cases are slow takes the share that it states (5,000 for
+the chain without a pose, 20 to 3,000 where a membrane is pressed or light is read, 10 to 200 where
+a pose is registered), one over listed cases as many as there are. The table shows true numbers, and
+how often the answer was a refusal, which is bounded.
 
 | no. | property | module |
 |---|---|---|
@@ -22,6 +25,7 @@ light is read, 10 to 200 where a pose is registered), one over listed cases as m
 | 15 | the same input gives the same bytes, whatever the number of threads | test_determinism |
 | 16 | frame after frame through the whole chain | test_soak |
 
-Row 14 (SiLog loss) is tests/pipeline/lab/training/test_silog_loss.py. Contact against closed forms is in
-tests/pipeline/physics/test_closed_forms.py, random presses of the simulator are in test_random_presses.
+Row 14 (SiLog loss) is tests/pipeline/lab/training/test_silog_loss.py. Contact against closed forms
+is in tests/pipeline/physics/test_closed_forms.py, random presses of the simulator are in
+test_random_presses.
 """

@@ -13,9 +13,12 @@ from tests.stability.rows import count_answer
 
 
 def outcome(stage, *inputs):
-    """(result, "") or (None, the sentence of a TouchError); any other exception is a finding and goes on.
+    """(result, "") or (None, the sentence of a TouchError).
 
-    Sentences are counted, those of a fallback too: a row bounds their share. numpy's warnings are let pass, as in the app: what counts is what comes out.
+    Any other exception is a finding and goes on.
+
+    Sentences are counted, those of a fallback too: a row bounds their share. numpy's warnings are
+    let pass, as in the app: what counts is what comes out.
     """
     try:
         with warnings.catch_warnings():
@@ -47,7 +50,13 @@ def sound(result) -> None:
 
 def _depth_map(d) -> None:
     shape = d.camera.shape
-    assert d.indentation_mm.shape == d.depth_mm.shape == d.contact.shape == d.source_index.shape == shape
+    assert (
+        d.indentation_mm.shape
+        == d.depth_mm.shape
+        == d.contact.shape
+        == d.source_index.shape
+        == shape
+    )
     assert d.indentation_mm.dtype == d.depth_mm.dtype == np.float32
     known = np.isfinite(d.depth_mm)
     assert not np.isinf(d.depth_mm).any()
@@ -65,7 +74,9 @@ def _cloud(c) -> None:
     assert np.isfinite(c.field_of_view_mm).all(), "a window without corners"
     assert c.source_index.shape == (n,)
     assert (np.diff(c.source_index) > 0).all()
-    assert n == 0 or 0 <= c.source_index[0] <= c.source_index[-1] < c.grid_shape[0] * c.grid_shape[1]
+    assert (
+        n == 0 or 0 <= c.source_index[0] <= c.source_index[-1] < c.grid_shape[0] * c.grid_shape[1]
+    )
 
 
 def _view(v) -> None:
@@ -80,7 +91,9 @@ def _view(v) -> None:
     )
     assert v.depth_mm.dtype == v.indentation_mm.dtype == np.float32
     seen = v.source_index >= 0
-    assert np.array_equal(np.isfinite(v.depth_mm), seen), "depth where no source is, or none where one is"
+    assert np.array_equal(np.isfinite(v.depth_mm), seen), (
+        "depth where no source is, or none where one is"
+    )
     assert not np.isinf(v.depth_mm).any()
     assert (v.depth_mm[seen] > 0).all(), "something behind the camera"
     assert (seen[v.contact]).all(), "contact where nothing is seen"
@@ -90,9 +103,15 @@ def _view(v) -> None:
 
 
 def _touch(t) -> None:
-    shape, m = t.camera.shape, t.membrane
+    shape = t.camera.shape
+    m = t.membrane
     assert (
-        t.image.shape[:2] == m.indentation_mm.shape == m.depth_mm.shape == m.contact.shape == t.in_view.shape == shape
+        t.image.shape[:2]
+        == m.indentation_mm.shape
+        == m.depth_mm.shape
+        == m.contact.shape
+        == t.in_view.shape
+        == shape
     )
     assert np.isfinite(m.indentation_mm).all(), "a membrane without a place"
     assert np.isfinite(m.depth_mm).all()
@@ -113,6 +132,8 @@ def _pose(p) -> None:
         return
     assert np.isfinite(p.covariance).all()
     assert np.linalg.eigvalsh(0.5 * (p.covariance + p.covariance.T)).min() > 0
-    assert np.abs(p.observable @ p.observable - p.observable).max() < 1e-6 * (1 + np.abs(p.observable).max() ** 2)
+    assert np.abs(p.observable @ p.observable - p.observable).max() < 1e-6 * (
+        1 + np.abs(p.observable).max() ** 2
+    )
     assert 0 <= p.fitness <= 1
     assert np.isfinite(p.rmse_mm)

@@ -13,7 +13,10 @@ OUT = Path(__file__).resolve().parents[2] / "out" / "stability.json"
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
-        "--cases", type=int, default=None, help="cases a row of tests/stability; left away: the short form"
+        "--cases",
+        type=int,
+        default=None,
+        help="cases a row of tests/stability; left away: the short form",
     )
 
 

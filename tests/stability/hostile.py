@@ -9,9 +9,33 @@ from typing import Any
 import numpy as np
 
 JUNK: tuple[Any, ...] = (
-    None, True, -1, 0, 7, 10**12, 10**30, 1e308, float("inf"), float("nan"), "", "x" * 100_000, "a\0b", "\ud800", "\x1b[2J",
-    "../" * 40, "<img src=/dev/zero>", "[bold red]", [], {}, [[]], [None], {"": ""}, [1, 2, 3], {"a": {"a": []}}, [{}] * 50,
-)  # fmt: skip
+    None,
+    True,
+    -1,
+    0,
+    7,
+    10**12,
+    10**30,
+    1e308,
+    float("inf"),
+    float("nan"),
+    "",
+    "x" * 100_000,
+    "a\0b",
+    "\ud800",
+    "\x1b[2J",
+    "../" * 40,
+    "<img src=/dev/zero>",
+    "[bold red]",
+    [],
+    {},
+    [[]],
+    [None],
+    {"": ""},
+    [1, 2, 3],
+    {"a": {"a": []}},
+    [{}] * 50,
+)
 
 
 def spoil_value(value: Any, rng: np.random.Generator) -> Any:
@@ -31,7 +55,13 @@ def spoil_value(value: Any, rng: np.random.Generator) -> Any:
 
 
 def _walk(value: Any):
-    pairs = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    pairs = (
+        value.items()
+        if isinstance(value, dict)
+        else enumerate(value)
+        if isinstance(value, list)
+        else ()
+    )
     for key, inner in list(pairs):
         yield value, key
         yield from _walk(inner)
@@ -39,7 +69,8 @@ def _walk(value: Any):
 
 def spoil_bytes(content: bytes, rng: np.random.Generator, head: int = 1 << 30) -> bytes:
     """The bytes cut, zeroed, changed or repeated somewhere in their first `head`."""
-    spoilt, n = bytearray(content), min(len(content), head)
+    spoilt = bytearray(content)
+    n = min(len(content), head)
     at = int(rng.integers(n))
     match int(rng.integers(5)):
         case 0:
@@ -49,7 +80,9 @@ def spoil_bytes(content: bytes, rng: np.random.Generator, head: int = 1 << 30) -
         case 2:
             spoilt[at:at] = spoilt[max(0, at - 40) : at]
         case 3:
-            spoilt[at : at + 4] = rng.choice([b"\xff\xff\xff\xff", b"\0\0\0\x80", b"\xff\xff\xff\x7f"])
+            spoilt[at : at + 4] = rng.choice(
+                [b"\xff\xff\xff\xff", b"\0\0\0\x80", b"\xff\xff\xff\x7f"]
+            )
         case _:
             for place in rng.integers(0, n, 4):
                 spoilt[place] = int(rng.integers(256))
@@ -63,7 +96,13 @@ def to_toml(table: dict[str, Any]) -> str:
 
 def _to_toml(value: Any) -> str:
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{json.dumps(str(key))} = {_to_toml(inner)}" for key, inner in value.items()) + "}"
+        return (
+            "{"
+            + ", ".join(
+                f"{json.dumps(str(key))} = {_to_toml(inner)}" for key, inner in value.items()
+            )
+            + "}"
+        )
     if isinstance(value, list):
         return "[" + ", ".join(map(_to_toml, value)) + "]"
     if isinstance(value, bool):

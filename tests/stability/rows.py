@@ -47,17 +47,22 @@ def cases(share: float) -> int:
 
 
 def count_answer(*, refused: bool) -> None:
-    """Count one answer, or one refusal, for the row that is running; of no effect outside of a row."""
+    """Count one answer, or one refusal, for the row that is running.
+
+    Of no effect outside of a row.
+    """
     if _RUNNING:
         _RUNNING[-1].asked += 1
         _RUNNING[-1].refused += refused
 
 
 def row(number: int | str, name: str, *, share: float = 1.0, refused: float = 0.0):
-    """Count a test's cases under this name; with `@given` below it, draw as many as the size asks for.
+    """Count a test's cases under this name.
 
-    A row whose answers are sentences instead of results in more than the share `refused` of its calls fails: a stage
-    that refused everything would break no other promise.
+    With `@given` below it, draw as many as the size asks for.
+
+    A row whose answers are sentences instead of results in more than the share `refused` of its
+    calls fails: a stage that refused everything would break no other promise.
     """
 
     def counted(test):
@@ -66,7 +71,8 @@ def row(number: int | str, name: str, *, share: float = 1.0, refused: float = 0.
         if given is None:
             return _bounded(_counting(test, tally), tally, refused)
         given.inner_test = _counting(given.inner_test, tally)
-        # Building a scene may take longer than the check, and a slow failing case is not worth a search for a smaller.
+        # Building a scene may take longer than the check, and a slow failing case is not worth a
+        # search for a smaller.
         phases = [Phase.explicit, Phase.reuse, Phase.generate]
         drawn = settings(
             max_examples=cases(share),
@@ -83,9 +89,12 @@ def _bounded(test, tally: Tally, refused: float):
     @functools.wraps(test)
     def run(*args, **kwargs):
         answer = test(*args, **kwargs)
-        # Few cases scatter about their share by its standard deviation; four of them come by chance in no lifetime.
+        # Few cases scatter about their share by its standard deviation; four of them come by chance
+        # in no lifetime.
         most = refused * tally.asked + 4 * (refused * (1 - refused) * tally.asked) ** 0.5
-        assert tally.refused <= most, f"{tally.refused} of {tally.asked} were refused, where {refused:.0%} are usual"
+        assert tally.refused <= most, (
+            f"{tally.refused} of {tally.asked} were refused, where {refused:.0%} are usual"
+        )
         return answer
 
     return run
@@ -118,12 +127,15 @@ def _counting(test, tally: Tally):
 def table() -> list[str]:
     """The rows that ran, as lines of text."""
     done = [t for t in TALLIES.values() if t.cases]
-    lines = [f"{'no.':<5}{'row':<84}{'cases':>7}{'failures':>10}{'refused':>9}{'slowest':>12}{'all':>9}"]
+    lines = [
+        f"{'no.':<5}{'row':<84}{'cases':>7}{'failures':>10}{'refused':>9}{'slowest':>12}{'all':>9}"
+    ]
     for t in sorted(done, key=lambda t: (float(t.number.split(",")[0]), t.row)):
         lines.append(
             f"{t.number:<5}{t.row:<84}{t.cases:>7}{t.failures:>10}{_share(t):>9}{t.slowest_ms:>9.1f} ms{t.seconds:>7.1f} s"
         )
-    total, failed = sum(t.cases for t in done), sum(t.failures for t in done)
+    total = sum(t.cases for t in done)
+    failed = sum(t.failures for t in done)
     return [
         *lines,
         f"{'':<5}{f'{len(done)} rows':<84}{total:>7}{failed:>10}{'':>21}{sum(t.seconds for t in done):>7.1f} s",
@@ -137,5 +149,8 @@ def _share(t: Tally) -> str:
 def write(path: Path) -> None:
     """The table as JSON."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    report = {"cases_asked_for": SIZE.cases, "rows": [asdict(t) for t in TALLIES.values() if t.cases]}
+    report = {
+        "cases_asked_for": SIZE.cases,
+        "rows": [asdict(t) for t in TALLIES.values() if t.cases],
+    }
     path.write_text(json.dumps(report, indent=1) + "\n")

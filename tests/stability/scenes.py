@@ -18,9 +18,14 @@ from pipeline.physics.simulation import shapes
 from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors.alignment import Alignment, resolve_alignment
 from pipeline.sensors.spec import SensorSpec, load_sensor
-from pipeline.stages.target_depth.surface_projection import PointSplatParams, ProjectionParams, SurfaceProjectionParams
+from pipeline.stages.target_depth.surface_projection import (
+    PointSplatParams,
+    ProjectionParams,
+    SurfaceProjectionParams,
+)
 
-GELS, BUBBLES = ("digit", "gelslim"), ("soft_bubble",)
+GELS = ("digit", "gelslim")
+BUBBLES = ("soft_bubble",)
 _SHARE = {"digit": 0.2, "gelslim": 0.15, "gelsight_mini": 0.15, "soft_bubble": 0.25}
 KINDS = ("sphere", "rod", "plane", "flat", "ripple", "noise")  # of what is pressed in
 
@@ -117,7 +122,11 @@ def frame(name: str, seed: int = 0, share: float | None = None) -> TactileFrame:
     lowest_mm = float(thing.vertices_mm[:, 2].min())
     x, y = np.random.default_rng(seed).uniform(-1, 1, 2)
     pressed = simulate_press(thing, rigid.translation(x, y, -deep_mm - lowest_mm), spec, seed=seed)
-    still = optics.render_reference(spec) if spec.kind == "gel" else spec.rest_depth_mm.astype(np.float32)
+    still = (
+        optics.render_reference(spec)
+        if spec.kind == "gel"
+        else spec.rest_depth_mm.astype(np.float32)
+    )
     return TactileFrame(sensor=name, image=pressed.image, reference=still)
 
 
@@ -128,12 +137,25 @@ def mesh(kind: str) -> Mesh:
 
 
 def _ball(radius_mm: float, n: int = 48, m: int = 24) -> Mesh:
-    polar, around = np.linspace(0, np.pi, m + 1)[:, None], np.arange(n)[None, :] * 2 * np.pi / n
-    points = np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), -np.cos(polar) + 0 * around], -1)
+    polar = np.linspace(0, np.pi, m + 1)[:, None]
+    around = np.arange(n)[None, :] * 2 * np.pi / n
+    points = np.stack(
+        [
+            np.sin(polar) * np.cos(around),
+            np.sin(polar) * np.sin(around),
+            -np.cos(polar) + 0 * around,
+        ],
+        -1,
+    )
     k = np.arange(m)[:, None] * n + np.arange(n)[None, :]
     right = np.arange(m)[:, None] * n + (np.arange(n)[None, :] + 1) % n
-    faces = np.concatenate([np.stack([k, right, k + n], -1), np.stack([right, right + n, k + n], -1)])
-    return Mesh(vertices_mm=radius_mm * points.reshape(-1, 3), triangles=faces.reshape(-1, 3).astype(np.int32))
+    faces = np.concatenate(
+        [np.stack([k, right, k + n], -1), np.stack([right, right + n, k + n], -1)]
+    )
+    return Mesh(
+        vertices_mm=radius_mm * points.reshape(-1, 3),
+        triangles=faces.reshape(-1, 3).astype(np.int32),
+    )
 
 
 @st.composite

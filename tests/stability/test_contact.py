@@ -1,4 +1,5 @@
-"""Contact of gel and bubble: it pushes and never pulls, nothing overlaps, no force acts through a gap.
+"""Contact of gel and bubble: it pushes and never pulls, nothing overlaps, no force acts through a
+gap.
 
 Hertz, punch, cone and the clamped membrane are in tests/pipeline/test_physics_closed_forms.py.
 """
@@ -17,7 +18,12 @@ OVERLAP_MM = 2 * gel.TOLERANCE_MM  # what the solve may leave, on either side of
 
 
 @row(13, "a gel: p >= 0, no overlap left, and p only where the surfaces meet", share=0.1)
-@given(st.sampled_from(KINDS), st.sampled_from(["digit", "gelslim"]), st.floats(-3, 0).map(lambda e: 10**e), seeds)
+@given(
+    st.sampled_from(KINDS),
+    st.sampled_from(["digit", "gelslim"]),
+    st.floats(-3, 0).map(lambda e: 10**e),
+    seeds,
+)
 def test_gel_complementarity(kind, name, depth, seed):
     spec = small(name)
     overlap = indentation_mm(spec, kind, np.random.default_rng(seed)) * depth - 1e-3
@@ -33,13 +39,19 @@ def test_gel_complementarity(kind, name, depth, seed):
     assert (answer.force_n > 0) == bool(answer.contact.any())
 
 
-@row(13, "a gel: pressing deeper never lowers the force nor shrinks the contact of a ball", share=0.05)
+@row(
+    13,
+    "a gel: pressing deeper never lowers the force nor shrinks the contact of a ball",
+    share=0.05,
+)
 @given(st.floats(0.02, 0.5), st.floats(1.05, 2.0))
 def test_gel_monotone(depth_mm, factor):
     spec = small("digit")
     y, x = ((np.arange(n) - (n - 1) / 2) * spec.pixel_mm for n in spec.camera.shape)
     ball = -(x[None, :] ** 2 + y[:, None] ** 2) / 8.0
-    light, firm = (gel.press_gel(spec.gel, spec.pixel_mm, ball + d) for d in (depth_mm, depth_mm * factor))
+    light, firm = (
+        gel.press_gel(spec.gel, spec.pixel_mm, ball + d) for d in (depth_mm, depth_mm * factor)
+    )
     assert firm.force_n >= light.force_n
     assert (firm.contact >= light.contact).mean() >= 1 - 1e-3
     assert firm.pressure_kpa.max() >= light.pressure_kpa.max() * (1 - 1e-3)
@@ -48,7 +60,8 @@ def test_gel_monotone(depth_mm, factor):
 def ceiling_of(spec, on, rng):
     """A ball or a slanting plane that reaches below the dome."""
     apex = float(bubble.compute_rest_height_mm(spec.bubble, on).max())
-    x, y = on.x_mm()[None, :] - rng.uniform(-10, 10), on.y_mm()[:, None] - rng.uniform(-8, 8)
+    x = on.x_mm()[None, :] - rng.uniform(-10, 10)
+    y = on.y_mm()[:, None] - rng.uniform(-8, 8)
     ball = (x * x + y * y) / (2 * rng.uniform(3, 40))
     plane = np.abs(x) * rng.uniform(0, 0.5) + 0 * y
     return apex - rng.uniform(0.1, 5.0) + (ball if rng.random() < 0.5 else plane)
@@ -69,8 +82,16 @@ def test_bubble_complementarity(step_mm, seed):
     assert (ceiling - height)[free].min() >= -2 * bubble.TOLERANCE_MM
     held = answer.contact & free
     assert np.abs(ceiling - height)[held].max(initial=0.0) <= 2 * bubble.TOLERANCE_MM
-    # The air does the work: what holds the membrane down is never more than the pressure over the whole rim.
-    assert answer.force_n <= 2e-3 * answer.pressure_kpa * np.pi * spec.bubble.half_width_mm * spec.bubble.half_height_mm
+    # The air does the work: what holds the membrane down is never more than the pressure over the
+    # whole rim.
+    assert (
+        answer.force_n
+        <= 2e-3
+        * answer.pressure_kpa
+        * np.pi
+        * spec.bubble.half_width_mm
+        * spec.bubble.half_height_mm
+    )
 
 
 @row(13, "a bubble: mirrored objects leave mirrored shapes", share=0.02)

@@ -52,8 +52,12 @@ ALIGNMENT = ROOT / "sample_data" / "alignments" / "digit_to_gelslim.toml"
 LONGEST_SENTENCE = 600  # letters, and the path
 
 
-def try_all(read: Callable[[], object], make: Callable[[np.random.Generator], None], share: float) -> None:
-    """Read as many spoilt files as the size asks for: each is read or refused in a short sentence."""
+def try_all(
+    read: Callable[[], object], make: Callable[[np.random.Generator], None], share: float
+) -> None:
+    """Read as many spoilt files as the size asks for: each is read or refused in a short
+    sentence.
+    """
     for seed in range(cases(share)):
         rng = np.random.default_rng(seed)
         make(rng)
@@ -73,12 +77,20 @@ def rich_session(folder: Path) -> Session:
     recording = folder / "a.h5"
     shutil.copyfile(ROOT / "sample_data" / "recordings" / "no_contact.h5", recording)
     one = Session(
-        recording=recording, source="digit", target="gelslim", reference=recording, alignment=ALIGNMENT,
-        methods={"target_depth": "paper"}, weights={"touch": folder / "w.safetensors"}, params={"display": DisplayParams()},
+        recording=recording,
+        source="digit",
+        target="gelslim",
+        reference=recording,
+        alignment=ALIGNMENT,
+        methods={"target_depth": "paper"},
+        weights={"touch": folder / "w.safetensors"},
+        params={"display": DisplayParams()},
         layout=Layout(name="inspect", panes=(("depth", "2D"),)),
-        notes={1: "slipped"}, comparison=ComparisonSettings(tab="grid"), cameras={"depth": (1.0,) * 10},
+        notes={1: "slipped"},
+        comparison=ComparisonSettings(tab="grid"),
+        cameras={"depth": (1.0,) * 10},
         section=SectionLine(begin_mm=(0.0, 0.0), end_mm=(1.0, 1.0)),
-    )  # fmt: skip
+    )
     return dataclasses.replace(one, variant=dataclasses.replace(one, frame=2))
 
 
@@ -91,7 +103,9 @@ def test_sessions(tmp_path):
 
     def make(rng: np.random.Generator) -> None:
         path.write_bytes(
-            spoil_bytes(content, rng) if rng.random() < 0.2 else json.dumps(spoil_value(plain, rng)).encode()
+            spoil_bytes(content, rng)
+            if rng.random() < 0.2
+            else json.dumps(spoil_value(plain, rng)).encode()
         )
 
     def read() -> None:
@@ -104,26 +118,50 @@ def test_repro_bundles(tmp_path, monkeypatch):
     folder = tmp_path / "bundle"
     folder.mkdir()
     shutil.copyfile(ROOT / "sample_data" / "recordings" / "no_contact.h5", folder / "frame.h5")
-    arrays = {"depth.indentation_mm": np.zeros((3, 4), np.float32), "depth.contact": np.zeros((3, 4), bool)}
+    arrays = {
+        "depth.indentation_mm": np.zeros((3, 4), np.float32),
+        "depth.contact": np.zeros((3, 4), bool),
+    }
     np.savez(folder / "expected.npz", **arrays)
     whole = (folder / "expected.npz").read_bytes()
     plain = {
-        "tactoscope bundle": 1, "note": "it slips", "frame": 0, "settings": ["cloud.stride=2"], "metrics": {"depth.rmse_mm": 0.1},
-        "request": {"source": "digit", "target": "gelslim", "stream": "", "route": "t2d2", "mesh_unit": "auto",
-                    "depth_unit": "auto", "recording": "frame.h5", "mesh": None, "calibration": None, "alignment": None,
-                    "methods": {"target_depth": "paper"}, "weights": {"touch": "w.safetensors"}},
-    }  # fmt: skip
+        "tactoscope bundle": 1,
+        "note": "it slips",
+        "frame": 0,
+        "settings": ["cloud.stride=2"],
+        "metrics": {"depth.rmse_mm": 0.1},
+        "request": {
+            "source": "digit",
+            "target": "gelslim",
+            "stream": "",
+            "route": "t2d2",
+            "mesh_unit": "auto",
+            "depth_unit": "auto",
+            "recording": "frame.h5",
+            "mesh": None,
+            "calibration": None,
+            "alignment": None,
+            "methods": {"target_depth": "paper"},
+            "weights": {"touch": "w.safetensors"},
+        },
+    }
     monkeypatch.setattr(repro_bundle, "collect_stage_arrays", lambda *_: arrays)
 
-    def check_settings(translation: Any, _graph: object, settings: tuple[str, ...], *_: object) -> tuple[Any, Any, Any]:
+    def check_settings(
+        translation: Any, _graph: object, settings: tuple[str, ...], *_: object
+    ) -> tuple[Any, Any, Any]:
         with_settings(translation.methods, settings)
         return None, {}, {}
 
     monkeypatch.setattr(repro_bundle, "_translate", check_settings)
 
     def make(rng: np.random.Generator) -> None:
-        (folder / "bundle.json").write_text(json.dumps(spoil_value(plain, rng) if rng.random() < 0.8 else plain))
-        (folder / "expected.npz").write_bytes(whole if rng.random() < 0.7 else spoil_bytes(whole, rng))
+        (folder / "bundle.json").write_text(
+            json.dumps(spoil_value(plain, rng) if rng.random() < 0.8 else plain)
+        )
+        (folder / "expected.npz").write_bytes(
+            whole if rng.random() < 0.7 else spoil_bytes(whole, rng)
+        )
 
     try_all(lambda: repro_bundle.replay_bundle(folder), make, 2.0)
 
@@ -135,12 +173,21 @@ def test_weights(tmp_path):
     network = network_factory.build_network("compact_unet", config)
     tensors = {name: tensor.numpy() for name, tensor in network.state_dict().items()}
     save_weights(
-        path, Weights(name="w", kind="compact_unet", config=config, tensors=tensors, card={"data": "simulated"})
+        path,
+        Weights(
+            name="w",
+            kind="compact_unet",
+            config=config,
+            tensors=tensors,
+            card={"data": "simulated"},
+        ),
     )
     content = path.read_bytes()
     length = int.from_bytes(content[:8], "little")
     header = json.loads(content[8 : 8 + length])
-    header["__metadata__"] |= {key: json.loads(header["__metadata__"][key]) for key in ("config", "card")}
+    header["__metadata__"] |= {
+        key: json.loads(header["__metadata__"][key]) for key in ("config", "card")
+    }
 
     def make(rng: np.random.Generator) -> None:
         if rng.random() < 0.3:
@@ -148,7 +195,9 @@ def test_weights(tmp_path):
             return
         spoilt = {**header, "__metadata__": spoil_value(header["__metadata__"], rng)}
         texts = spoilt["__metadata__"]
-        spoilt["__metadata__"] = {k: v if isinstance(v, str) else json.dumps(v) for k, v in texts.items()}
+        spoilt["__metadata__"] = {
+            k: v if isinstance(v, str) else json.dumps(v) for k, v in texts.items()
+        }
         text = json.dumps(spoilt).encode()
         path.write_bytes(len(text).to_bytes(8, "little") + text + content[8 + length :])
 
@@ -157,46 +206,85 @@ def test_weights(tmp_path):
 
 @pytest.mark.parametrize("kind", ["sensor", "alignment", "recipe"])
 def test_descriptions(tmp_path, kind):
-    sources = {"sensor": sorted(find_descriptions().values()), "alignment": [ALIGNMENT],
-               "recipe": sorted(RECIPES_FOLDER.glob("*.toml"))}  # fmt: skip
-    read = {"sensor": lambda p: load_sensor(str(p)), "recipe": lambda p: load_recipe(str(p)),
-            "alignment": lambda p: load_alignment(p, source="digit", target="gelslim")}  # fmt: skip
-    path, contents = tmp_path / "a.toml", [file.read_bytes() for file in sources[kind]]
+    sources = {
+        "sensor": sorted(find_descriptions().values()),
+        "alignment": [ALIGNMENT],
+        "recipe": sorted(RECIPES_FOLDER.glob("*.toml")),
+    }
+    read = {
+        "sensor": lambda p: load_sensor(str(p)),
+        "recipe": lambda p: load_recipe(str(p)),
+        "alignment": lambda p: load_alignment(p, source="digit", target="gelslim"),
+    }
+    path = tmp_path / "a.toml"
+    contents = [file.read_bytes() for file in sources[kind]]
 
     def make(rng: np.random.Generator) -> None:
         content = contents[int(rng.integers(len(contents)))]
         plain = tomllib.loads(content.decode())
-        text = spoil_bytes(content, rng) if rng.random() < 0.2 else to_toml(spoil_value(plain, rng)).encode()
+        text = (
+            spoil_bytes(content, rng)
+            if rng.random() < 0.2
+            else to_toml(spoil_value(plain, rng)).encode()
+        )
         path.write_bytes(text)
 
     try_all(lambda: read[kind](path), make, 2.0)
 
 
 def test_tools_of_a_task(tmp_path):
-    path, mesh = tmp_path / "mine.toml", make_tool("spanner").mesh
+    path = tmp_path / "mine.toml"
+    mesh = make_tool("spanner").mesh
     corners = "".join(f"v {x} {y} {z}\n" for x, y, z in mesh.vertices_mm)
-    (tmp_path / "mine.obj").write_text(corners + "".join(f"f {a} {b} {c}\n" for a, b, c in mesh.triangles + 1))
-    plain = {"mesh": "mine.obj", "depth_mm": 6.0, "mesh_unit": "mm", "face": "-z", "axis_deg": 20.0, "lead_in_mm": 0.2}
-    try_all(lambda: load_tool(path), lambda rng: path.write_text(to_toml(spoil_value(plain, rng))) and None, 0.5)
+    (tmp_path / "mine.obj").write_text(
+        corners + "".join(f"f {a} {b} {c}\n" for a, b, c in mesh.triangles + 1)
+    )
+    plain = {
+        "mesh": "mine.obj",
+        "depth_mm": 6.0,
+        "mesh_unit": "mm",
+        "face": "-z",
+        "axis_deg": 20.0,
+        "lead_in_mm": 0.2,
+    }
+    try_all(
+        lambda: load_tool(path),
+        lambda rng: path.write_text(to_toml(spoil_value(plain, rng))) and None,
+        0.5,
+    )
 
 
 def test_split_files(tmp_path):
     path = tmp_path / "split.json"
     plain = {"train": [["peg1", 1], ["peg2", "data_2"]], "test": [["peg3", 3]]}
     try_all(
-        lambda: read_split_file(path), lambda rng: path.write_text(json.dumps(spoil_value(plain, rng))) and None, 2.0
+        lambda: read_split_file(path),
+        lambda rng: path.write_text(json.dumps(spoil_value(plain, rng))) and None,
+        2.0,
     )
 
 
 def test_calibrations(tmp_path, monkeypatch):
-    whole, path = tmp_path / "whole.npz", tmp_path / "a.npz"
+    whole = tmp_path / "whole.npz"
+    path = tmp_path / "a.npz"
     calibration_file.save(_calibration(), whole)
     with np.load(whole) as opened:
         arrays = {key: opened[key] for key in opened.files}
     junk = (
-        np.float64("nan"), np.int64(-1), np.int64(2**62), "a text", np.zeros(0), np.zeros((2, 0, 3)), np.zeros(5, complex), True,
-        np.full((3, 3), np.inf), np.zeros(2, "M8[s]"), np.zeros((4, 4, 4), np.uint8), np.arange(3.0), np.zeros(1, [("a", "f4")]),
-    )  # fmt: skip
+        np.float64("nan"),
+        np.int64(-1),
+        np.int64(2**62),
+        "a text",
+        np.zeros(0),
+        np.zeros((2, 0, 3)),
+        np.zeros(5, complex),
+        True,
+        np.full((3, 3), np.inf),
+        np.zeros(2, "M8[s]"),
+        np.zeros((4, 4, 4), np.uint8),
+        np.arange(3.0),
+        np.zeros(1, [("a", "f4")]),
+    )
 
     def make(rng: np.random.Generator) -> None:
         if rng.random() < 0.3:
@@ -214,10 +302,20 @@ def _calibration() -> Any:
 
     exponents = len(slope_model.list_exponents(2))
     model = slope_model.SlopeModel(
-        colour_degree=2, position_degree=0, coefficients=np.zeros((1, 1, exponents, 2), np.float32), slope_max=1.0
+        colour_degree=2,
+        position_degree=0,
+        coefficients=np.zeros((1, 1, exponents, 2), np.float32),
+        slope_max=1.0,
     )
     return Calibration(
-        sensor="digit", rows=240, cols=320, pixel_mm=0.1, model=model, residual=0.1, origin="balls", presses=()
+        sensor="digit",
+        rows=240,
+        cols=320,
+        pixel_mm=0.1,
+        model=model,
+        residual=0.1,
+        origin="balls",
+        presses=(),
     )
 
 
@@ -229,7 +327,9 @@ def test_headers(tmp_path, suffix, capfd):
     if suffix == ".h5":
         with RecordingWriter(path) as writer:
             for index in range(2):
-                frame = TactileFrame(sensor="digit", image=image, reference=image, index=index, time_s=0.1 * index)
+                frame = TactileFrame(
+                    sensor="digit", image=image, reference=image, index=index, time_s=0.1 * index
+                )
                 writer.append("one", frame)
     elif suffix == ".avi":
         video = cv2.VideoWriter(os.fspath(path), cv2.VideoWriter.fourcc(*"MJPG"), 10, (32, 24))
@@ -281,13 +381,20 @@ def test_data_sets(tmp_path, kind):
     image = np.random.default_rng(1).integers(0, 255, (48, 64, 3), dtype=np.uint8)
     blob = cv2.imencode(".png", image)[1].tobytes()
     if kind == "LeRobot":
-        parquet, pyarrow = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow")
+        parquet = pytest.importorskip("pyarrow.parquet")
+        pyarrow = pytest.importorskip("pyarrow")
         folder = tmp_path
         (folder / "meta").mkdir()
         (folder / "data").mkdir()
-        info = {"fps": 10, "features": {"tactile": {"dtype": "image", "shape": [48, 64, 3]}}, "total_episodes": 1}
+        info = {
+            "fps": 10,
+            "features": {"tactile": {"dtype": "image", "shape": [48, 64, 3]}},
+            "total_episodes": 1,
+        }
         (folder / "meta" / "info.json").write_text(json.dumps(info))
-        table = pyarrow.table({"tactile": [{"bytes": blob, "path": ""}] * 5, "episode_index": [0] * 5})
+        table = pyarrow.table(
+            {"tactile": [{"bytes": blob, "path": ""}] * 5, "episode_index": [0] * 5}
+        )
         parquet.write_table(table, folder / "data" / "a.parquet")
     else:
         folder = tmp_path / "data_indoor" / "object"
@@ -334,20 +441,35 @@ def test_rollouts(tmp_path):
     path = tmp_path / "r.h5"
     shutil.copyfile(ROOT / "sample_data" / "recordings" / "no_contact.h5", path)
     pose = np.tile(np.eye(4), (4, 1, 1))
-    plan = TrialPlan(task="marble", case="bubble", index=0, touches=("true",), tolerances_mm=(1.0,), seed=0)
+    plan = TrialPlan(
+        task="marble", case="bubble", index=0, touches=("true",), tolerances_mm=(1.0,), seed=0
+    )
     summary = RolloutSummary(
-        case="a", trial=0, touch="true", tolerance_mm=1.0, succeeds=True, cause="it holds", measures={"a_mm": 1.0},
+        case="a",
+        trial=0,
+        touch="true",
+        tolerance_mm=1.0,
+        succeeds=True,
+        cause="it holds",
+        measures={"a_mm": 1.0},
         decisions=(Decision(tick=1, error_mm=0.1),),
-    )  # fmt: skip
+    )
     with h5py.File(path, "r+", libver=("v110", "latest")) as file:
         group = file.create_group("rollout")
-        tables = {"time": (np.arange(4.0), "s"), "force": (np.zeros((4, 3)), "N"), "commanded": (pose, "mm"),
-                  "world_from_object": (pose, "mm"), "world_from_hand": (pose, "mm")}  # fmt: skip
+        tables = {
+            "time": (np.arange(4.0), "s"),
+            "force": (np.zeros((4, 3)), "N"),
+            "commanded": (pose, "mm"),
+            "world_from_object": (pose, "mm"),
+            "world_from_hand": (pose, "mm"),
+        }
         for key, (values, unit) in tables.items():
             group.create_dataset(key, data=values).attrs["unit"] = unit
     plain = {"plan": dataclasses.asdict(plan), "summary": dataclasses.asdict(summary)}
     with h5py.File(path, "r+", libver=("v110", "latest")) as file:
-        file["rollout"].attrs.update({**{key: json.dumps(value) for key, value in plain.items()}, "key": "k"})
+        file["rollout"].attrs.update(
+            {**{key: json.dumps(value) for key, value in plain.items()}, "key": "k"}
+        )
     rollout_file.read_rollout(path)
     content = path.read_bytes()
 
@@ -367,16 +489,22 @@ def test_rollouts(tmp_path):
 
 def test_entry_points(monkeypatch):
     """Whatever another package adds, what is listed for dialogs, options and help is listed."""
-    good = {"tactoscope.formats": (FORMATS[0], formats.list_formats), "tactoscope.sensor_kinds": (kinds.GEL, kinds.list_kinds),
-            "tactoscope.tasks": (insertion.TASK, lambda: load_task("stack")), "tactoscope.sensors": ("/dev/null", list_sensor_names)}  # fmt: skip
-    groups, added = sorted(good), list[Any]()
+    good = {
+        "tactoscope.formats": (FORMATS[0], formats.list_formats),
+        "tactoscope.sensor_kinds": (kinds.GEL, kinds.list_kinds),
+        "tactoscope.tasks": (insertion.TASK, lambda: load_task("stack")),
+        "tactoscope.sensors": ("/dev/null", list_sensor_names),
+    }
+    groups = sorted(good)
+    added = list[Any]()
     others = importlib.metadata.entry_points
     monkeypatch.setattr(importlib.metadata.EntryPoint, "load", lambda _: added[-1])
     point = [importlib.metadata.EntryPoint(name="x\x1b", value="lab:x", group="any")]
     monkeypatch.setattr(
-        importlib.metadata, "entry_points",
+        importlib.metadata,
+        "entry_points",
         lambda **asked: point if asked.get("group") in good else others(**asked),
-    )  # fmt: skip
+    )
     chosen = [groups[0]]
 
     def make(rng: np.random.Generator) -> None:

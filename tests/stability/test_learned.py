@@ -1,4 +1,6 @@
-"""Networks at the ends of their parameters, on pictures that no touch makes: finite, in range, or one sentence."""
+"""Networks at the ends of their parameters, on pictures that no touch makes: finite, in range,
+or one sentence.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,11 @@ from pipeline.stages.networks import network_factory, weights_registry
 from pipeline.stages.networks.guidance import MAX_WEIGHT
 from pipeline.stages.networks.samplers import MAX_STEPS
 from pipeline.stages.pose import network as pose_network
-from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose_icp, estimate_pose_planar
+from pipeline.stages.pose.signed_distances import (
+    PoseParams,
+    estimate_pose_icp,
+    estimate_pose_planar,
+)
 from pipeline.stages.touch import latent_diffusion, t2d2, t2t, vqvae
 from pipeline.stages.touch.latent_diffusion import LatentParams
 from pipeline.stages.touch.residual_diffusion import DiffusionParams
@@ -35,7 +41,8 @@ STEPS = (0, 1, 2, 3, 8, *((999, MAX_STEPS) if SIZE.long else ()))  # a thousand 
 GUIDANCE = (0.0, 0.5, 1.0, 1.5, 2.54, 7.0, MAX_WEIGHT)
 SOLVERS = ("ddim", "dpmpp_2m", "corrected")
 PICTURES = ("black", "white", "hot pixel", "noise", "saturated", "flat", "untouched", "touch")
-GEL, BUBBLE = "gelslim", "soft_bubble"
+GEL = "gelslim"
+BUBBLE = "soft_bubble"
 
 
 def shipped(name):
@@ -44,9 +51,14 @@ def shipped(name):
 
 def reading(spec, kind: str, seed: int) -> TactileFrame:
     """A frame that is all of one kind, with the reference image."""
-    rng, gel = np.random.default_rng(seed), spec.kind == "gel"
+    rng = np.random.default_rng(seed)
+    gel = spec.kind == "gel"
     still = optics.render_reference(spec) if gel else spec.rest_depth_mm.astype(np.float32)
-    low, high = (0, 255) if gel else (np.float32(still.min() - spec.limits.indentation_max_mm), np.float32(still.max()))
+    low, high = (
+        (0, 255)
+        if gel
+        else (np.float32(still.min() - spec.limits.indentation_max_mm), np.float32(still.max()))
+    )
     image = still.copy()
     if kind in ("black", "white"):
         image[:] = low if kind == "black" else high
@@ -57,10 +69,20 @@ def reading(spec, kind: str, seed: int) -> TactileFrame:
     elif kind == "noise":
         image[:] = rng.integers(0, 256, image.shape) if gel else rng.uniform(low, high, image.shape)
     elif kind in ("saturated", "touch"):
-        pushed = np.minimum(indentation_mm(spec, "sphere", rng), spec.limits.indentation_max_mm).astype(np.float32)
-        image = optics.render(spec, pushed, seed=None).copy() if gel else (still - pushed).astype(np.float32)
+        pushed = np.minimum(
+            indentation_mm(spec, "sphere", rng), spec.limits.indentation_max_mm
+        ).astype(np.float32)
+        image = (
+            optics.render(spec, pushed, seed=None).copy()
+            if gel
+            else (still - pushed).astype(np.float32)
+        )
         if kind == "saturated":
-            image = np.where(image > 140, 255, image).astype(np.uint8) if gel else np.where(pushed > 0, low, image)
+            image = (
+                np.where(image > 140, 255, image).astype(np.uint8)
+                if gel
+                else np.where(pushed > 0, low, image)
+            )
     return TactileFrame(sensor=spec.name, image=image, reference=still)
 
 
@@ -88,7 +110,8 @@ def sound_touch(result, spec) -> None:
     if found.membrane is None:
         return
     sound(found)
-    moved, most = found.membrane.indentation_mm, spec.limits.indentation_max_mm
+    moved = found.membrane.indentation_mm
+    most = spec.limits.indentation_max_mm
     assert moved.max() <= most + 1e-4
     assert moved.min() >= -most - 1e-4, "farther out than it can be pressed in"
     assert (found.membrane.depth_mm > 0).all(), "behind its camera"
@@ -101,19 +124,37 @@ def sound_touch(result, spec) -> None:
 
 params = st.builds(
     T2D2Params,
-    steps=st.sampled_from(STEPS), guidance=st.sampled_from(GUIDANCE), sampler=st.sampled_from(SOLVERS),
-    confidence_weighting=st.floats(0.0, 1.0), seed=st.integers(0, 2**31 - 1), keep_states=st.booleans(), add_noise=st.booleans(),
-)  # fmt: skip
+    steps=st.sampled_from(STEPS),
+    guidance=st.sampled_from(GUIDANCE),
+    sampler=st.sampled_from(SOLVERS),
+    confidence_weighting=st.floats(0.0, 1.0),
+    seed=st.integers(0, 2**31 - 1),
+    keep_states=st.booleans(),
+    add_noise=st.booleans(),
+)
 
 
-@row("12,1", "T2D2: any steps, guidance, caution and seed on any view, to a gel and a bubble", share=0.13, refused=0.3)
-@given(st.sampled_from([(GEL, "t2d2_gelslim"), (BUBBLE, "t2d2_bubble")]), st.sampled_from(KINDS), params, seeds)
+@row(
+    "12,1",
+    "T2D2: any steps, guidance, caution and seed on any view, to a gel and a bubble",
+    share=0.13,
+    refused=0.3,
+)
+@given(
+    st.sampled_from([(GEL, "t2d2_gelslim"), (BUBBLE, "t2d2_bubble")]),
+    st.sampled_from(KINDS),
+    params,
+    seeds,
+)
 def test_t2d2(target, kind, how, seed):
     spec = small(target[0])
     result, _ = outcome(
-        t2d2.generate_touch, view(spec, indentation_mm(spec, kind, np.random.default_rng(seed))), spec,
-        shipped(target[1]), how,
-    )  # fmt: skip
+        t2d2.generate_touch,
+        view(spec, indentation_mm(spec, kind, np.random.default_rng(seed))),
+        spec,
+        shipped(target[1]),
+        how,
+    )
     sound_touch(result, spec)
 
 
@@ -126,11 +167,17 @@ def test_t2d2(target, kind, how, seed):
 @given(st.sampled_from(PICTURES), params, seeds, st.floats(0.0, variation.MAX_STRENGTH))
 @example("noise", DiffusionParams(steps=8, guidance=MAX_WEIGHT), 0, 0.0)
 def test_t2t(picture, how, seed, strength):
-    source, target = variation.vary_sensor(small(GEL), seed % 2**31, strength), small(BUBBLE)
+    source = variation.vary_sensor(small(GEL), seed % 2**31, strength)
+    target = small(BUBBLE)
     result, _ = outcome(
-        translate, t2t, reading(source, picture, seed), source, target,
-        shipped("t2t_bubble"), how,
-    )  # fmt: skip
+        translate,
+        t2t,
+        reading(source, picture, seed),
+        source,
+        target,
+        shipped("t2t_bubble"),
+        how,
+    )
     sound_touch(result, target)
 
 
@@ -139,35 +186,69 @@ def test_t2t(picture, how, seed, strength):
 def test_vqvae(way, picture, seed):
     source, target = (small(name) for name in way)
     result, _ = outcome(
-        translate, vqvae, reading(source, picture, seed), source, target,
-        shipped(f"vqvae_{way[0]}_to_{way[1]}"), NoParams(),
-    )  # fmt: skip
+        translate,
+        vqvae,
+        reading(source, picture, seed),
+        source,
+        target,
+        shipped(f"vqvae_{way[0]}_to_{way[1]}"),
+        NoParams(),
+    )
     sound_touch(result, target)
 
 
-@row("12,4", "latent diffusion: any steps, guidance and solver on any picture", share=0.1, refused=0.25)
+@row(
+    "12,4",
+    "latent diffusion: any steps, guidance and solver on any picture",
+    share=0.1,
+    refused=0.25,
+)
 @given(
-    st.sampled_from(PICTURES), st.sampled_from(STEPS[1:]), st.sampled_from(GUIDANCE), st.sampled_from(SOLVERS),
-    st.booleans(), st.sampled_from(["yes", "no", "as trained"]), seeds,
-)  # fmt: skip
+    st.sampled_from(PICTURES),
+    st.sampled_from(STEPS[1:]),
+    st.sampled_from(GUIDANCE),
+    st.sampled_from(SOLVERS),
+    st.booleans(),
+    st.sampled_from(["yes", "no", "as trained"]),
+    seeds,
+)
 def test_latent(picture, steps, guidance, sampler, twice, raw, seed):
-    source, target = small(GEL), small(BUBBLE)
+    source = small(GEL)
+    target = small(BUBBLE)
     how = LatentParams(
-        steps=steps, guidance=guidance, sampler=sampler, seed=seed % 2**31, double_mapping=twice, raw_condition=raw
+        steps=steps,
+        guidance=guidance,
+        sampler=sampler,
+        seed=seed % 2**31,
+        double_mapping=twice,
+        raw_condition=raw,
     )
     network = shipped(f"latent_{GEL}_to_{BUBBLE}")
     network.trained_on_recordings = True  # its own answer, also where physics would replace it
     result, _ = outcome(
-        translate, latent_diffusion, reading(source, picture, seed), source, target,
-        network, how,
-    )  # fmt: skip
+        translate,
+        latent_diffusion,
+        reading(source, picture, seed),
+        source,
+        target,
+        network,
+        how,
+    )
     sound_touch(result, target)
 
 
-@row("12,5", "depth by network: any picture of units that differ, at any certainty", share=0.13, refused=0.25)
+@row(
+    "12,5",
+    "depth by network: any picture of units that differ, at any certainty",
+    share=0.13,
+    refused=0.25,
+)
 @given(
-    st.sampled_from(PICTURES), st.floats(0.05, 0.95), seeds, st.floats(0.0, variation.MAX_STRENGTH),
-)  # fmt: skip
+    st.sampled_from(PICTURES),
+    st.floats(0.05, 0.95),
+    seeds,
+    st.floats(0.0, variation.MAX_STRENGTH),
+)
 def test_depth(picture, certainty, seed, strength):
     spec = variation.vary_sensor(small(BUBBLE), seed % 2**31, strength)
     ready = network_factory.load_predictor(weights_registry.load_shipped("bubble_depth"))
@@ -191,28 +272,54 @@ def test_depth(picture, certainty, seed, strength):
 
 
 @row("12,6", "pose by network: any touch of any object, trained or not", share=0.13)
-@given(st.sampled_from([GEL, BUBBLE]), st.sampled_from(PICTURES), st.sampled_from(KINDS), st.booleans(), seeds)
+@given(
+    st.sampled_from([GEL, BUBBLE]),
+    st.sampled_from(PICTURES),
+    st.sampled_from(KINDS),
+    st.booleans(),
+    seeds,
+)
 def test_pose(name, picture, kind, known, seed):
-    spec, thing = small(name), shapes.make_shape("cross").mesh
+    spec = small(name)
+    thing = shapes.make_shape("cross").mesh
     if not known:
         thing = replace(thing, vertices_mm=1e3 * thing.vertices_mm)
     touched = touch(spec, indentation_mm(spec, kind, np.random.default_rng(seed)))
     made = replace(
-        t2d2.physical_render.make_reference_touch(spec), image=reading(spec, picture, seed).image, membrane=touched
+        t2d2.physical_render.make_reference_touch(spec),
+        image=reading(spec, picture, seed).image,
+        membrane=touched,
     )
     result, _ = outcome(
-        pose_network.predict_pose, made, touched, spec, thing, shipped(f"pose_{name}"), PoseParams(max_points=50)
-    )  # fmt: skip
+        pose_network.predict_pose,
+        made,
+        touched,
+        spec,
+        thing,
+        shipped(f"pose_{name}"),
+        PoseParams(max_points=50),
+    )
     if result is not None:
         sound(answered(result))
 
 
-@row("12,7", "the paper's poses: any touch, iterations, search distance, points and face", share=0.13, refused=0.2)
+@row(
+    "12,7",
+    "the paper's poses: any touch, iterations, search distance, points and face",
+    share=0.13,
+    refused=0.2,
+)
 @given(
-    st.sampled_from([estimate_pose_icp, estimate_pose_planar]), st.sampled_from(["ball", "cross", "wave"]), st.sampled_from(KINDS),
-    st.sampled_from([1, 2, 200]), st.sampled_from([0.05, 0.5, 20.0]), st.sampled_from([50, 1500]),
-    st.sampled_from(["auto", "+z", "-x"]), st.sampled_from(["on it", "three pixels", "far off"]), seeds,
-)  # fmt: skip
+    st.sampled_from([estimate_pose_icp, estimate_pose_planar]),
+    st.sampled_from(["ball", "cross", "wave"]),
+    st.sampled_from(KINDS),
+    st.sampled_from([1, 2, 200]),
+    st.sampled_from([0.05, 0.5, 20.0]),
+    st.sampled_from([50, 1500]),
+    st.sampled_from(["auto", "+z", "-x"]),
+    st.sampled_from(["on it", "three pixels", "far off"]),
+    seeds,
+)
 def test_the_papers_poses(method, thing, kind, n, far_mm, most, face, where, seed):
     spec = small("digit")
     touched = touch(spec, indentation_mm(spec, kind, np.random.default_rng(seed)))
@@ -222,15 +329,26 @@ def test_the_papers_poses(method, thing, kind, n, far_mm, most, face, where, see
         touched = replace(touched, contact=few)
     elif where == "far off":
         touched = replace(touched, depth_mm=touched.depth_mm + np.float32(900.0))
-    how = PoseParams(n_iterations=n, max_distance_mm=far_mm, max_points=most, face=face, n_starts=2, keep_steps=True)
+    how = PoseParams(
+        n_iterations=n,
+        max_distance_mm=far_mm,
+        max_points=most,
+        face=face,
+        n_starts=2,
+        keep_steps=True,
+    )
     result, _ = outcome(method, touched, mesh(thing), how)
     if result is not None:
         sound(result)
 
 
-@pytest.mark.parametrize("wrong", [{"guidance": 15.1}, {"guidance": float("nan")}, {"steps": 1001}, {"guidance": -1.0}])
+@pytest.mark.parametrize(
+    "wrong", [{"guidance": 15.1}, {"guidance": float("nan")}, {"steps": 1001}, {"guidance": -1.0}]
+)
 def test_what_is_out_of_range_is_refused_in_a_sentence(wrong):
     spec = small(BUBBLE)
     shown = view(spec, indentation_mm(spec, "sphere", np.random.default_rng(3)))
     with pytest.raises(SettingProblem):
-        t2d2.generate_touch(shown, spec, shipped("t2d2_bubble"), replace(T2D2Params(steps=2), **wrong))
+        t2d2.generate_touch(
+            shown, spec, shipped("t2d2_bubble"), replace(T2D2Params(steps=2), **wrong)
+        )

@@ -1,7 +1,8 @@
 """Both sensors carried anywhere, by up to a kilometre: nothing changes but what float64 must round.
 
-The rounding model. T_S->T is composed in float64 from T_S->A and T_A->T. Carried by a motion G, both hold shifts of
-size t, and their product is off by a sum of four products of entries at most 1 and t, each rounded by half an ulp:
+The rounding model. T_S->T is composed in float64 from T_S->A and T_A->T. Carried by a motion G,
+both hold shifts of size t, and their product is off by a sum of four products of entries at most 1
+and t, each rounded by half an ulp:
 |dT| <= 8 eps64 (1 + t). A rotation that is orthonormal to an ulp adds as much again. Points leave rounded to float32:
 |dP| <= 16 eps64 (1 + t + |P|) + eps32 |P|. At t = 1e6 mm that is 4e-9 mm and the last bit of a float32.
 """
@@ -38,7 +39,8 @@ from tests.stability.scenes import (
     small,
 )
 
-EPS64, EPS32 = np.finfo(np.float64).eps, np.finfo(np.float32).eps
+EPS64 = np.finfo(np.float64).eps
+EPS32 = np.finfo(np.float32).eps
 POSE_MM = 0.02  # a fifth of the camera's pixel
 powers = st.integers(0, 6)
 
@@ -58,7 +60,8 @@ def rounding_mm(points, shift_mm):
 @row("2,5", "the alignment frame carried by up to 1e6 mm: points move by the rounding model only")
 @given(st.sampled_from(KINDS), rigid_motions(1.0), powers, seeds)
 def test_cloud_under_a_carried_alignment_frame(kind, motion, power, seed):
-    source, target = small("gelslim"), small("soft_bubble")
+    source = small("gelslim")
+    target = small("soft_bubble")
     depth = depth_map(source, indentation_mm(source, kind, np.random.default_rng(seed)))
     motion[:3, 3] *= 10.0**power
     here, there = (
@@ -70,34 +73,49 @@ def test_cloud_under_a_carried_alignment_frame(kind, motion, power, seed):
     assert gap_mm <= rounding_mm(here.points_mm, 2 * 10.0**power)
 
 
-@row("2,5", "the alignment frame carried by up to 1e6 mm: the target's view stays, depth within the model")
-@given(st.sampled_from(KINDS), st.sampled_from(["surface", "paper"]), rigid_motions(1.0), powers, seeds)
+@row(
+    "2,5",
+    "the alignment frame carried by up to 1e6 mm: the target's view stays, depth within the model",
+)
+@given(
+    st.sampled_from(KINDS), st.sampled_from(["surface", "paper"]), rigid_motions(1.0), powers, seeds
+)
 def test_view_under_a_carried_alignment_frame(kind, mode, motion, power, seed):
-    source, target = small("gelslim"), small("soft_bubble", 0.5)
+    source = small("gelslim")
+    target = small("soft_bubble", 0.5)
     depth = depth_map(source, indentation_mm(source, kind, np.random.default_rng(seed)))
     motion[:3, 3] *= 10.0**power
     a, b = (
-        project_cloud(back_project_depth(depth, way, BackProjectionParams()), target, projection(mode))
+        project_cloud(
+            back_project_depth(depth, way, BackProjectionParams()), target, projection(mode)
+        )
         for way in (aligned(source, target), carried(aligned(source, target), motion))
     )
-    seen_a, seen_b = a.source_index >= 0, b.source_index >= 0
+    seen_a = a.source_index >= 0
+    seen_b = b.source_index >= 0
     same = seen_a & seen_b & (a.source_index == b.source_index)
     # A point in the last bit at a border falls on either side of it.
     assert (seen_a ^ seen_b).sum() <= 0.01 * seen_a.sum() + 2
     gap_mm = np.abs(a.depth_mm.astype(np.float64) - b.depth_mm)[same]
     assert (
-        np.quantile(gap_mm, 0.99, method="lower") <= 64 * rounding_mm(a.depth_mm[same], 2 * 10.0**power)
+        np.quantile(gap_mm, 0.99, method="lower")
+        <= 64 * rounding_mm(a.depth_mm[same], 2 * 10.0**power)
         if same.any()
         else True
     )
 
 
-@row("2,5", "points and transform moved together: x and R x + t differ by a rotation, lengths kept to float64")
+@row(
+    "2,5",
+    "points and transform moved together: x and R x + t differ by a rotation, lengths kept to "
+    "float64",
+)
 @given(rigid_motions(1.0), rigid_motions(1.0), powers, seeds)
 def test_apply_is_a_group_action(a, b, power, seed):
     a[:3, 3] *= 10.0**power
     points = np.random.default_rng(seed).uniform(-50, 50, (64, 3))
-    together, in_turn = rigid.apply(a @ b, points), rigid.apply(a, rigid.apply(b, points))
+    together = rigid.apply(a @ b, points)
+    in_turn = rigid.apply(a, rigid.apply(b, points))
     assert np.abs(together - in_turn).max() <= 32 * EPS64 * (100 + 2 * 10.0**power)
     lengths = np.linalg.norm(np.diff(rigid.apply(a, points), axis=0), axis=1)
     gap = np.abs(lengths - np.linalg.norm(np.diff(points, axis=0), axis=1)).max()
@@ -110,7 +128,9 @@ def test_signed_distance_under_a_shift(power, seed):
     rng = np.random.default_rng(seed)
     m = small("soft_bubble").membrane
     by = rng.uniform(-1, 1, 3) * 10.0**power
-    there = Membrane(x0_mm=m.x0_mm + by[0], y0_mm=m.y0_mm + by[1], step_mm=m.step_mm, z_mm=m.z_mm + by[2])
+    there = Membrane(
+        x0_mm=m.x0_mm + by[0], y0_mm=m.y0_mm + by[1], step_mm=m.step_mm, z_mm=m.z_mm + by[2]
+    )
     points = rng.uniform(-40, 40, (64, 3))
     points[:, 2] += m.z_mm.mean()
     gap = np.abs(m.signed_distance_mm(points) - there.signed_distance_mm(points + by)).max()
@@ -127,29 +147,41 @@ def test_observability_under_a_motion(motion, power, seed):
     motion[:3, 3] *= 10.0**power
     here = assess_observability(points, normals, points.mean(axis=0), 0.03)
     there_points = rigid.apply(motion, points)
-    there = assess_observability(there_points, normals @ motion[:3, :3].T, there_points.mean(axis=0), 0.03)
+    there = assess_observability(
+        there_points, normals @ motion[:3, :3].T, there_points.mean(axis=0), 0.03
+    )
     assert len(here.weak_directions) == len(there.weak_directions)
     turn = np.kron(np.eye(2), motion[:3, :3])
     limit = 1e-9 + 1e4 * EPS64 * 10.0**power
     assert np.abs(turn @ here.observable @ turn.T - there.observable).max() <= limit * 10
-    assert np.abs(turn @ here.covariance @ turn.T - there.covariance).max() <= limit * np.abs(here.covariance).max()
+    assert (
+        np.abs(turn @ here.covariance @ turn.T - there.covariance).max()
+        <= limit * np.abs(here.covariance).max()
+    )
 
 
 @row("2,5", "object and sensor carried together by up to 1e6 mm: the same reading", share=0.05)
 @given(st.sampled_from(["digit", "soft_bubble"]), rigid_motions(1.0), powers)
 def test_press_under_a_motion(name, motion, power):
-    spec, ball = small(name), mesh("ball")
+    spec = small(name)
+    ball = mesh("ball")
     pose_of = rigid.translation(0.5, -0.3, 7.6 if name == "digit" else 2.0)
     motion[:3, 3] *= 10.0**power
     there = replace(spec, alignment_from_sensor=motion @ spec.alignment_from_sensor)
-    a, b = simulate_press(ball, pose_of, spec, seed=None), simulate_press(ball, motion @ pose_of, there, seed=None)
-    # The solve stops at a tenth of a micrometre, and a grey level or a depth reading is a rounded number.
+    a = simulate_press(ball, pose_of, spec, seed=None)
+    b = simulate_press(ball, motion @ pose_of, there, seed=None)
+    # The solve stops at a tenth of a micrometre, and a grey level or a depth reading is a rounded
+    # number.
     gap_mm = np.abs(a.truth.indentation_mm - b.truth.indentation_mm).max()
     assert gap_mm <= 2e-4 + 1e3 * EPS64 * 10.0**power
     assert (a.truth.contact ^ b.truth.contact).sum() <= 2
 
 
-@row("2,5", "the mesh's own origin moved by up to 10 mm: the object is found in the same place", share=0.01)
+@row(
+    "2,5",
+    "the mesh's own origin moved by up to 10 mm: the object is found in the same place",
+    share=0.01,
+)
 @given(st.integers(0, 1), seeds)
 def test_pose_under_another_origin(power, seed):
     assert_found_from_another_origin(power, seed)
@@ -171,7 +203,9 @@ def assert_found_from_another_origin(power, seed):
     a, b = (estimate_pose(touched, m, PoseParams(face="+z", n_starts=12)) for m in (thing, moved))
     if a.sensor_from_object is None or b.sensor_from_object is None:
         pytest.fail(f"no pose: {a.notes} {b.notes}")
-    middle_mm = rigid.apply(a.sensor_from_object, np.zeros(3)) - rigid.apply(b.sensor_from_object, shift)
+    middle_mm = rigid.apply(a.sensor_from_object, np.zeros(3)) - rigid.apply(
+        b.sensor_from_object, shift
+    )
     assert np.linalg.norm(middle_mm) <= POSE_MM
     assert abs(a.rmse_mm - b.rmse_mm) <= POSE_MM
     assert a.weak_directions == b.weak_directions

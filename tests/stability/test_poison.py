@@ -1,6 +1,7 @@
 """NaN, infinite, zero, negative, denormal and enormous values in each input of each stage.
 
-The answer is masked or a typed error: never a NaN in an output that promises none, never another exception.
+The answer is masked or a typed error: never a NaN in an output that promises none, never another
+exception.
 """
 
 from __future__ import annotations
@@ -57,7 +58,9 @@ shares = st.sampled_from(["one", "some", "most", "all"])
 
 def poisoned(array, poison, share, rng):
     """`array` as floats with this value in one, some, most or all places."""
-    out = np.array(array, dtype=array.dtype if np.issubdtype(array.dtype, np.floating) else np.float64)
+    out = np.array(
+        array, dtype=array.dtype if np.issubdtype(array.dtype, np.floating) else np.float64
+    )
     where = {
         "one": np.zeros(out.shape, bool),
         "some": rng.random(out.shape) < 0.1,
@@ -71,10 +74,17 @@ def poisoned(array, poison, share, rng):
 
 
 @row(7, "depth: a poisoned bubble frame or reference", refused=0.15)
-@given(st.sampled_from(["image", "reference"]), poisons, shares, st.sampled_from([0.0, 1.0, 5.0]), seeds)
+@given(
+    st.sampled_from(["image", "reference"]),
+    poisons,
+    shares,
+    st.sampled_from([0.0, 1.0, 5.0]),
+    seeds,
+)
 def test_bubble_frame(field, poison, share, smoothing, seed):
     rng = np.random.default_rng(seed)
-    spec, clean = small("soft_bubble"), frame("soft_bubble", seed % 4)
+    spec = small("soft_bubble")
+    clean = frame("soft_bubble", seed % 4)
     bad = replace(clean, **{field: poisoned(getattr(clean, field), poison, share, rng)})
     for stage in (estimate_depth, skip_without_contact):
         result, _ = outcome(stage, bad, spec, None, DepthParams(smoothing_px=smoothing))
@@ -93,7 +103,8 @@ def test_bubble_frame(field, poison, share, smoothing, seed):
 )
 def test_gel_frame(field, poison, share, name, as_bytes, seed):
     rng = np.random.default_rng(seed)
-    spec, clean = small(name), frame(name, seed % 4)
+    spec = small(name)
+    clean = frame(name, seed % 4)
     bad = poisoned(getattr(clean, field), poison, share, rng)
     if as_bytes:
         bad = np.nan_to_num(np.clip(bad, 0, 255)).astype(np.uint8)
@@ -108,9 +119,12 @@ def test_gel_frame(field, poison, share, name, as_bytes, seed):
 @given(poisons, shares, seeds)
 def test_calibration(poison, share, seed):
     rng = np.random.default_rng(seed)
-    spec, clean = small("digit"), frame("digit", seed % 4)
+    spec = small("digit")
+    clean = frame("digit", seed % 4)
     good = make_built_in(spec)
-    arrays = [f for f in good.model.__dataclass_fields__ if isinstance(getattr(good.model, f), np.ndarray)]
+    arrays = [
+        f for f in good.model.__dataclass_fields__ if isinstance(getattr(good.model, f), np.ndarray)
+    ]
     field = arrays[int(rng.integers(len(arrays)))]
     bad = replace(good.model, **{field: poisoned(getattr(good.model, field), poison, share, rng)})
     result, _ = outcome(estimate_depth, clean, spec, replace(good, model=bad), DepthParams())
@@ -122,10 +136,13 @@ def test_calibration(poison, share, seed):
 @given(poisons, shares, st.sampled_from([1, 2, 5]), seeds)
 def test_adapt(poison, share, stride, seed):
     rng = np.random.default_rng(seed)
-    source, target = small("gelslim"), small("soft_bubble")
+    source = small("gelslim")
+    target = small("soft_bubble")
     clean = depth_map(source, indentation_mm(source, "sphere", rng))
     bad = replace(clean, depth_mm=poisoned(clean.depth_mm, poison, share, rng))
-    result, _ = outcome(back_project_depth, bad, aligned(source, target), BackProjectionParams(stride=stride))
+    result, _ = outcome(
+        back_project_depth, bad, aligned(source, target), BackProjectionParams(stride=stride)
+    )
     if result is not None:
         sound(result)
 
@@ -133,7 +150,8 @@ def test_adapt(poison, share, stride, seed):
 @row(7, "adapt: a poisoned alignment", refused=0.65)
 @given(poisons, st.integers(0, 15), st.booleans(), seeds)
 def test_alignment(poison, entry, inward, seed):
-    source, target = small("gelslim"), small("soft_bubble")
+    source = small("gelslim")
+    target = small("soft_bubble")
     clean = depth_map(source, indentation_mm(source, "sphere", np.random.default_rng(seed)))
     way = aligned(source, target)
     sides = [way.alignment_from_source.copy(), way.target_from_alignment.copy()]
@@ -152,9 +170,12 @@ def test_alignment(poison, entry, inward, seed):
 @given(poisons, shares, st.sampled_from(["surface", "paper"]), seeds)
 def test_project(poison, share, mode, seed):
     rng = np.random.default_rng(seed)
-    source, target = small("gelslim"), small("soft_bubble", 0.5)
+    source = small("gelslim")
+    target = small("soft_bubble", 0.5)
     clean = back_project_depth(
-        depth_map(source, indentation_mm(source, "sphere", rng)), aligned(source, target), BackProjectionParams()
+        depth_map(source, indentation_mm(source, "sphere", rng)),
+        aligned(source, target),
+        BackProjectionParams(),
     )
     bad = replace(clean, points_mm=poisoned(clean.points_mm, poison, share, rng))
     result, _ = outcome(project_cloud, bad, target, projection(mode))
@@ -166,9 +187,12 @@ def test_project(poison, share, mode, seed):
 @given(poisons, shares, seeds)
 def test_window(poison, share, seed):
     rng = np.random.default_rng(seed)
-    source, target = small("gelslim"), small("soft_bubble")
+    source = small("gelslim")
+    target = small("soft_bubble")
     clean = back_project_depth(
-        depth_map(source, indentation_mm(source, "sphere", rng)), aligned(source, target), BackProjectionParams()
+        depth_map(source, indentation_mm(source, "sphere", rng)),
+        aligned(source, target),
+        BackProjectionParams(),
     )
     bad = replace(clean, field_of_view_mm=poisoned(clean.field_of_view_mm, poison, share, rng))
     result, _ = outcome(project_cloud, bad, target, SurfaceProjectionParams())
@@ -221,7 +245,8 @@ def test_an_enormous_mesh():
 
 def assert_mesh_is_sound(poison, share, seed):
     rng = np.random.default_rng(seed)
-    spec, ball = small("gelslim", 0.25), mesh("ball")
+    spec = small("gelslim", 0.25)
+    ball = mesh("ball")
     clean = touch(spec, indentation_mm(spec, "sphere", rng))
     bad = Mesh(vertices_mm=poisoned(ball.vertices_mm, poison, share, rng), triangles=ball.triangles)
     result, _ = outcome(estimate_pose, clean, bad, PoseParams(face="+z", n_starts=6))
@@ -232,7 +257,8 @@ def assert_mesh_is_sound(poison, share, seed):
 @row(7, "pose: a mesh that names vertices which it does not have", share=0.002, refused=1.0)
 @given(st.sampled_from([1200, 2**31 - 1, -1201]), seeds)
 def test_mesh_indices(index, seed):
-    spec, ball = small("gelslim", 0.25), mesh("ball")
+    spec = small("gelslim", 0.25)
+    ball = mesh("ball")
     rng = np.random.default_rng(seed)
     triangles = ball.triangles.copy()
     triangles.flat[rng.integers(triangles.size)] = index
@@ -242,7 +268,11 @@ def test_mesh_indices(index, seed):
 
 
 @row(7, "camera: poisoned intrinsics, in a value and in a matrix", refused=0.3)
-@given(st.one_of(poisons, st.sampled_from(["usual"])), st.sampled_from(["fx_px", "fy_px", "cx_px", "cy_px"]), seeds)
+@given(
+    st.one_of(poisons, st.sampled_from(["usual"])),
+    st.sampled_from(["fx_px", "fy_px", "cx_px", "cy_px"]),
+    seeds,
+)
 def test_camera(poison, field, seed):
     rng = np.random.default_rng(seed)
     value = POISONS.get(poison, 100.0)
@@ -250,11 +280,16 @@ def test_camera(poison, field, seed):
     camera, _ = outcome(lambda: Camera(rows=24, cols=32, **numbers))
     if camera is None:
         return
-    source, target = small("digit"), small("soft_bubble")
+    source = small("digit")
+    target = small("soft_bubble")
     there = depth_map(source, indentation_mm(source, "sphere", rng))
-    rows, cols = 24, 32
+    rows = 24
+    cols = 32
     seen = replace(
-        there, camera=camera, depth_mm=np.full((rows, cols), 20.0, np.float32), contact=np.ones((rows, cols), bool)
+        there,
+        camera=camera,
+        depth_mm=np.full((rows, cols), 20.0, np.float32),
+        contact=np.ones((rows, cols), bool),
     )
     points, _ = outcome(back_project_depth, seen, aligned(source, target), BackProjectionParams())
     if points is not None:
@@ -270,5 +305,6 @@ def test_apply(poison, seed):
     bad[3] = POISONS[poison]
     moved = rigid.from_parts(rng.uniform(-9, 9, 3), rng.uniform(-180, 180, 3))
     with np.errstate(invalid="ignore", over="ignore"):
-        a, b = rigid.apply(moved, points), rigid.apply(moved, bad)
+        a = rigid.apply(moved, points)
+        b = rigid.apply(moved, bad)
     assert np.array_equal(np.delete(a, 3, 0), np.delete(b, 3, 0))

@@ -31,4 +31,6 @@ def test_a_broken_answer_is_noticed():
     assert presses.contradiction(pressed, spec) == ""
     moved = pressed.truth.indentation_mm.copy()
     moved[3, 3] = np.nan
-    assert "finite" in presses.contradiction(replace(pressed, truth=replace(pressed.truth, indentation_mm=moved)), spec)
+    assert "finite" in presses.contradiction(
+        replace(pressed, truth=replace(pressed.truth, indentation_mm=moved)), spec
+    )

@@ -13,10 +13,15 @@ from tests.stability.scenes import rigid_motions, unit_numbers
 
 EPS = np.finfo(np.float64).eps
 LENGTHS_RAD = (0.0, 1e-300, 5e-324, 1e-12, 1e-8, 1e-4, np.pi - 1e-4, np.pi - 1e-9, np.pi)
-ANGLE_RAD = 1e-11  # at a half turn the matrix says the axis to the root of nothing better than its own last bits
+# at a half turn the matrix says the axis to the root of nothing better than its own last bits
+ANGLE_RAD = 1e-11
 
-directions = st.tuples(unit_numbers, unit_numbers, unit_numbers).filter(lambda v: np.linalg.norm(v) > 1e-3)
-lengths_rad = st.one_of(st.sampled_from(LENGTHS_RAD), st.floats(0.0, np.pi), st.floats(-300, 0).map(lambda e: 10**e))
+directions = st.tuples(unit_numbers, unit_numbers, unit_numbers).filter(
+    lambda v: np.linalg.norm(v) > 1e-3
+)
+lengths_rad = st.one_of(
+    st.sampled_from(LENGTHS_RAD), st.floats(0.0, np.pi), st.floats(-300, 0).map(lambda e: 10**e)
+)
 
 
 def vector_of(direction, length_rad):
@@ -59,11 +64,15 @@ def test_exponential_undoes_logarithm(direction, length_rad):
 @row(11, "a derivative through the exponential is finite and right at every size")
 @given(directions, lengths_rad, directions)
 def test_derivative_of_the_exponential(direction, length_rad, along):
-    vector, along = vector_of(direction, length_rad), vector_of(along, 1.0)
+    vector = vector_of(direction, length_rad)
+    along = vector_of(along, 1.0)
     step = 1e-6
-    slope = (rigid.rotation(vector + step * along) - rigid.rotation(vector - step * along)) / (2 * step)
+    slope = (rigid.rotation(vector + step * along) - rigid.rotation(vector - step * along)) / (
+        2 * step
+    )
     assert np.isfinite(slope).all()
-    # A turn's point moves no faster than the angle does; central differences add the rounding of R over the step.
+    # A turn's point moves no faster than the angle does; central differences add the rounding of R
+    # over the step.
     assert np.linalg.norm(slope[:3, :3], 2) <= 1.0 + 8 * EPS / step
 
 
@@ -74,13 +83,19 @@ def test_inverse(a, b, power):
     a[:3, 3] *= scale
     b[:3, 3] *= scale
     left = rigid.invert(a @ b) @ (a @ b) - np.eye(4)
-    # Two rotations that are each orthonormal to 8 eps, and three products of them with three sums an entry.
+    # Two rotations that are each orthonormal to 8 eps, and three products of them with three sums
+    # an entry.
     assert np.abs(left[:3, :3]).max() <= (2 * 8 + 3 * 3) * EPS
-    # Shifts of up to 2 sqrt(3) of the scale, through rotations that are each orthonormal to 8 eps, and three sums.
+    # Shifts of up to 2 sqrt(3) of the scale, through rotations that are each orthonormal to 8 eps,
+    # and three sums.
     assert np.abs(left[:3, 3]).max() <= 96 * EPS * (scale + 1.0)
 
 
-@row(11, "what is not rigid is refused in words, what nearly is comes out exactly rigid", refused=0.95)
+@row(
+    11,
+    "what is not rigid is refused in words, what nearly is comes out exactly rigid",
+    refused=0.95,
+)
 @given(
     rigid_motions(1e3),
     st.integers(0, 15),
@@ -92,8 +107,11 @@ def test_a_damaged_transform(matrix, entry, value, added):
     damaged.flat[entry] = value + (damaged.flat[entry] if added else 0.0)
     answer, message = outcome(rigid.validate_rigid, damaged, "it")
     if answer is None:
-        # What moves a point of the unit sphere by less than the tolerance is no damage, and a shift is any number.
-        rigid_enough = np.abs(damaged - matrix)[[0, 1, 2, 3], :3].max() <= 0.1 * rigid.ORTHONORMAL_TOLERANCE
+        # What moves a point of the unit sphere by less than the tolerance is no damage, and a shift
+        # is any number.
+        rigid_enough = (
+            np.abs(damaged - matrix)[[0, 1, 2, 3], :3].max() <= 0.1 * rigid.ORTHONORMAL_TOLERANCE
+        )
         assert not (rigid_enough and np.isfinite(damaged).all() and damaged[3, 3] == 1), message
         return
     assert np.isfinite(answer).all()

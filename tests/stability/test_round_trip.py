@@ -21,22 +21,28 @@ from tests.stability.scenes import depth_map, rigid_motions, seeds
 
 BACK_MM = 2e-4  # two chords of one pixel on a 10 mm radius, d^2 / 8 R each; and float32 at 50 mm
 MASK_IOU = 0.98  # the outline may lose a row of pixels on the way
-# Half a millimetre of float32 noise on the ray's side: the outline's own triangles reach beyond what was seen.
+# Half a millimetre of float32 noise on the ray's side: the outline's own triangles reach beyond
+# what was seen.
 CAMERA = Camera(rows=220, cols=260, fx_px=1300.0, fy_px=1300.0, cx_px=129.5, cy_px=109.5)
-REST_MM, RADIUS_MM = 45.0, 12.0
+REST_MM = 45.0
+RADIUS_MM = 12.0
 
 
 def at(camera: Camera, rest_mm: float):
     """A sensor whose membrane lies behind everything: every point seen is a point that it feels."""
     pad = membrane.make_flat_membrane(rest_mm, 40.0, 40.0)
-    return replace(load_sensor("gelslim"), camera=camera, membrane=pad, rest_depth_mm=pad.rest_depth_mm(camera))
+    return replace(
+        load_sensor("gelslim"), camera=camera, membrane=pad, rest_depth_mm=pad.rest_depth_mm(camera)
+    )
 
 
 def smooth(camera: Camera, kind: str, rng: np.random.Generator) -> np.ndarray:
     """Indentation (rows, cols) of a smooth thing within a disc in the middle."""
     ray_x, ray_y = camera.rays()
-    x, y = ray_x[None, :] * REST_MM, ray_y[:, None] * REST_MM
-    angle, r_sq = rng.uniform(0, np.pi), x * x + y * y
+    x = ray_x[None, :] * REST_MM
+    y = ray_y[:, None] * REST_MM
+    angle = rng.uniform(0, np.pi)
+    r_sq = x * x + y * y
     across = np.cos(angle) * x + np.sin(angle) * y
     height = {
         "ball": 1.5 - r_sq / (2 * RADIUS_MM),
@@ -48,14 +54,17 @@ def smooth(camera: Camera, kind: str, rng: np.random.Generator) -> np.ndarray:
 
 
 @row(1, "to the target and back: depth within 2e-4 mm, mask IoU at least 0.98", share=0.2)
-@given(st.sampled_from(["ball", "rod", "plane", "saddle"]), rigid_motions(1.0, np.deg2rad(15)), seeds)
+@given(
+    st.sampled_from(["ball", "rod", "plane", "saddle"]), rigid_motions(1.0, np.deg2rad(15)), seeds
+)
 def test_there_and_back(kind, motion, seed):
     source = at(CAMERA, REST_MM)
     depth = depth_map(source, smooth(CAMERA, kind, np.random.default_rng(seed)))
     about = rigid.translation(0, 0, REST_MM) @ motion @ rigid.translation(0, 0, -REST_MM)
     there = Alignment(alignment_from_source=about, target_from_alignment=np.eye(4))
     back = Alignment(alignment_from_source=np.eye(4), target_from_alignment=rigid.invert(about))
-    behind, finer = at(CAMERA, 70.0), SurfaceProjectionParams(grazing_deg=89.0)
+    behind = at(CAMERA, 70.0)
+    finer = SurfaceProjectionParams(grazing_deg=89.0)
     view = project_cloud(back_project_depth(depth, there, BackProjectionParams()), behind, finer)
     seen = DepthMap(
         indentation_mm=view.indentation_mm,
@@ -71,6 +80,8 @@ def test_there_and_back(kind, motion, seed):
     assert np.isfinite(off_mm).all()
     assert off_mm.max() <= BACK_MM
     # The picture's border cuts the touch on the way there: only what it left can come back.
-    came = project_cloud(back_project_depth(depth, there, BackProjectionParams()), behind, finer).source_index
+    came = project_cloud(
+        back_project_depth(depth, there, BackProjectionParams()), behind, finer
+    ).source_index
     if not (came[[0, -1]] >= 0).any() and not (came[:, [0, -1]] >= 0).any():
         assert iou(again.contact, depth.contact) >= MASK_IOU

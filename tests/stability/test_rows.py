@@ -20,9 +20,16 @@ def refuse(_):
     raise ShapeError("no")
 
 
-@pytest.mark.parametrize(("bound", "stage", "passes"), [
-    (0.0, abs, True), (0.0, refuse, False), (0.5, abs, True), (0.5, refuse, False), (1.0, refuse, True),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("bound", "stage", "passes"),
+    [
+        (0.0, abs, True),
+        (0.0, refuse, False),
+        (0.5, abs, True),
+        (0.5, refuse, False),
+        (1.0, refuse, True),
+    ],
+)
 def test_a_row_fails_when_more_is_refused_than_is_usual(bound, stage, passes):
     @rows.row(0, "a row of its own", refused=bound)
     @given(st.integers())

@@ -1,4 +1,6 @@
-"""Frame after frame through the whole chain: whatever comes, an answer or a sentence, and the memory stays."""
+"""Frame after frame through the whole chain: whatever comes, an answer or a sentence, and the
+memory stays.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ from tests.stability.checks import outcome, sound
 from tests.stability.rows import SIZE, row
 from tests.stability.scenes import aligned, frame, mesh, seeds, small
 
-GROWTH_MB = 200.0  # the cache of results has its own bound; in addition there are tables for new sizes
+# the cache of results has its own bound; in addition there are tables for new sizes
+GROWTH_MB = 200.0
 CACHE_BYTES = 32 * 2**20
 SENSORS = ("digit", "gelslim", "soft_bubble")
 STAGES = ("depth", "cloud", "target_depth", "touch")
@@ -31,7 +34,8 @@ _GRAPH.cache.most_bytes = CACHE_BYTES
 def random_frame(name: str, rng: np.random.Generator) -> TactileFrame:
     """A press, with now and then what goes wrong in a cable, a file or a room."""
     seen = frame(name, int(rng.integers(6)))
-    image, kind = np.array(seen.image), int(rng.integers(8))
+    image = np.array(seen.image)
+    kind = int(rng.integers(8))
     if kind == 0:
         image = np.array(seen.reference)
     elif kind == 1:
@@ -54,12 +58,16 @@ def random_frame(name: str, rng: np.random.Generator) -> TactileFrame:
 
 def random_inputs(rng: np.random.Generator) -> dict[str, object]:
     name, other = (str(s) for s in rng.choice(SENSORS, 2))
-    source, target = small(name), small(other)
+    source = small(name)
+    target = small(other)
     way = aligned(source, target)
     if rng.random() < 0.5:
-        by = rigid.from_parts(rng.uniform(-5, 5, 3) * rng.choice([1, 1, 100]), rng.uniform(-30, 30, 3))
+        by = rigid.from_parts(
+            rng.uniform(-5, 5, 3) * rng.choice([1, 1, 100]), rng.uniform(-30, 30, 3)
+        )
         way = Alignment(
-            alignment_from_source=by @ way.alignment_from_source, target_from_alignment=way.target_from_alignment
+            alignment_from_source=by @ way.alignment_from_source,
+            target_from_alignment=way.target_from_alignment,
         )
     return {
         "frame": random_frame(name, rng),
@@ -80,7 +88,10 @@ def resident_mb() -> float:
 
 
 @row(
-    16, "random frames from depth to the generated touch: sound or a sentence, memory bounded", share=0.5, refused=0.25
+    16,
+    "random frames from depth to the generated touch: sound or a sentence, memory bounded",
+    share=0.5,
+    refused=0.25,
 )
 @given(seeds)
 def test_chain(seed):
@@ -94,7 +105,8 @@ def test_chain_with_pose(seed):
 
 
 def run(stages, rng):
-    inputs, chosen = random_inputs(rng), {"target_depth": "paper"} if rng.random() < 0.5 else {}
+    inputs = random_inputs(rng)
+    chosen = {"target_depth": "paper"} if rng.random() < 0.5 else {}
     kinds = {"source": inputs["source"].kind, "target": inputs["target"].kind}
     methods = BUILT_IN.methods("t2d2", chosen, kinds)
     params = default_params(methods)
@@ -109,7 +121,9 @@ def run(stages, rng):
 
 
 def test_memory_does_not_grow():
-    """After the rows above have filled every table and cache, as many frames again leave the memory as it is."""
+    """After the rows above have filled every table and cache, as many frames again leave the
+    memory as it is.
+    """
     for seed in range(20):
         run(STAGES, np.random.default_rng(10**6 + seed))
     before = resident_mb()

@@ -9,7 +9,9 @@ from pipeline.sensors.alignment import AXES
 from pipeline.translation.alignment.score import AlignmentScore, ScoreChange, Sensitivity
 from widgets.align.alignment_panel import AlignmentPanel
 
-SCORE = AlignmentScore(iou=0.8, edge_px=3.0, depth_mm=0.05, depth_rms_mm=0.1, bias_mm=0.0, overlap_px=50)
+SCORE = AlignmentScore(
+    iou=0.8, edge_px=3.0, depth_mm=0.05, depth_rms_mm=0.1, bias_mm=0.0, overlap_px=50
+)
 
 
 @pytest.fixture
@@ -87,7 +89,10 @@ def test_gauges_keep_a_tick_where_the_drag_began(panel):
 
 def test_gauges_have_units_and_survive_figures_beyond_their_limits(panel):
     panel.show_score(
-        AlignmentScore(iou=1.0, edge_px=500.0, depth_mm=9.0, depth_rms_mm=None, bias_mm=None, overlap_px=1), ""
+        AlignmentScore(
+            iou=1.0, edge_px=500.0, depth_mm=9.0, depth_rms_mm=None, bias_mm=None, overlap_px=1
+        ),
+        "",
     )
     assert [g.text for g in panel.gauges.values()] == ["1.000", "500.00 px", "9.000 mm"]
     panel.grab()
@@ -98,11 +103,19 @@ def test_bars_say_which_way_is_better(panel):
         return ScoreChange(slope=slope, magnitude=size)
 
     axis = Sensitivity(
-        axis="x", unit="mm", step=0.1, iou=one(-0.02, 0.02), edge_px=one(-0.5, 0.5), depth_mm=one(None, None)
+        axis="x",
+        unit="mm",
+        step=0.1,
+        iou=one(-0.02, 0.02),
+        edge_px=one(-0.5, 0.5),
+        depth_mm=one(None, None),
     )
     panel.show_sensitivities((axis,))
     spoken = panel.bars.accessibleDescription()
-    assert spoken == "x: -, \N{BLACK UP-POINTING TRIANGLE} 0.50, \N{BLACK DOWN-POINTING TRIANGLE} 0.020"
+    assert (
+        spoken
+        == "x: -, \N{BLACK UP-POINTING TRIANGLE} 0.50, \N{BLACK DOWN-POINTING TRIANGLE} 0.020"
+    )
     panel.grab()
 
 

@@ -16,17 +16,21 @@ from widgets.views.colour_bar import ColourBar, compute_histogram, fit_limits
 
 
 def _scale(low=0.0, high=2.0, **sets) -> ColourScale:
-    return ColourScale(colour_map="viridis", low=low, high=high, unit="mm", quantity="indentation", **sets)
+    return ColourScale(
+        colour_map="viridis", low=low, high=high, unit="mm", quantity="indentation", **sets
+    )
 
 
 @given(st.lists(st.floats(-5, 5, width=32) | st.just(float("nan")), min_size=1, max_size=60))
 def test_every_known_value_is_counted_once(values):
     given_ = np.array(values, np.float32)
-    spread, known = compute_histogram(given_, _scale()), given_[np.isfinite(given_)]
+    spread = compute_histogram(given_, _scale())
+    known = given_[np.isfinite(given_)]
     n = max(1, known.size)
     assert spread.counts.sum() == np.count_nonzero((known >= 0) & (known <= 2))
     assert spread.share_above == np.count_nonzero(known > 2) / n
-    assert spread.share_below == np.count_nonzero(known < -0.02) / n  # a hundredth of the range is noise about zero
+    # a hundredth of the range is noise about zero
+    assert spread.share_below == np.count_nonzero(known < -0.02) / n
     assert spread.share_below + spread.share_above <= 1
 
 
@@ -51,7 +55,9 @@ def test_clipping_is_told_and_drawn(levels, qtbot):
 
 
 def test_an_end_is_dragged_on_the_scale_as_it_was(levels, qtbot):
-    levels.show_scale(_scale(low_setting="gel_floor_mm", high_setting="gel_limit_mm"), np.ones((4, 4), np.float32))
+    levels.show_scale(
+        _scale(low_setting="gel_floor_mm", high_setting="gel_limit_mm"), np.ones((4, 4), np.float32)
+    )
     limits: list[tuple[str, float]] = []
     levels.limit_dragged.connect(lambda name, value: limits.append((name, value)))
     qtbot.mousePress(levels, Qt.MouseButton.LeftButton, pos=QPoint(202, 25))
@@ -65,7 +71,13 @@ def test_an_end_is_dragged_on_the_scale_as_it_was(levels, qtbot):
 
 def test_both_sides_of_a_signed_scale_are_one_setting(levels, qtbot):
     scale = ColourScale(
-        colour_map="diverging", low=-2.0, high=2.0, unit="mm", quantity="gap", low_setting="a", high_setting="a"
+        colour_map="diverging",
+        low=-2.0,
+        high=2.0,
+        unit="mm",
+        quantity="gap",
+        low_setting="a",
+        high_setting="a",
     )
     levels.show_scale(scale, np.ones((4, 4), np.float32))
     with qtbot.waitSignal(levels.limit_dragged) as signal:
@@ -93,6 +105,7 @@ def test_fitted_limits_of_a_signed_scale_hold_both_sides(sign):
 
 
 def test_scales_about_zero_reach_as_far_below_as_above():
-    bubble, display = load_sensor("soft_bubble"), DisplayParams(bubble_limit_mm=7.0, residual_limit_mm=0.2)
+    bubble = load_sensor("soft_bubble")
+    display = DisplayParams(bubble_limit_mm=7.0, residual_limit_mm=0.2)
     scale = make_deviation_scale(bubble, display)
     assert (scale.low, scale.high, scale.low_setting) == (-7.0, 7.0, scale.high_setting)

@@ -12,7 +12,9 @@ from pipeline.views.colours import ColourScale, apply_colour_map
 from pipeline.views.preview import Preview
 from widgets.timeline.filmstrip import Thumbnail, render_thumbnail
 
-SCALE = ColourScale(colour_map="viridis", low=0.0, high=1.0, unit="mm", quantity="indentation, + toward camera")
+SCALE = ColourScale(
+    colour_map="viridis", low=0.0, high=1.0, unit="mm", quantity="indentation, + toward camera"
+)
 
 
 def _cloud(whole: bool = False) -> Preview:
@@ -20,7 +22,11 @@ def _cloud(whole: bool = False) -> Preview:
     values = np.full((140, 175), 0.9 if whole else np.nan, np.float32)
     values[60:75, 90:110] = 0.1
     return Preview(
-        pixels=apply_colour_map(values, SCALE), frame_name="soft_bubble", values=values, scale=SCALE, pixel_mm=0.4
+        pixels=apply_colour_map(values, SCALE),
+        frame_name="soft_bubble",
+        values=values,
+        scale=SCALE,
+        pixel_mm=0.4,
     )
 
 
@@ -29,8 +35,14 @@ def _share(picture: Preview, dense: float = 1.0) -> float:
     shown = render_thumbnail(picture, QSize(132, 62), dense, QPalette()).toImage()
     assert (shown.width(), shown.height()) == (132 * dense, 62 * dense)
     wanted = np.array(picture.pixels[65, 100], dtype=int)
-    at = [shown.pixelColor(x, y) for x in range(0, shown.width(), 2) for y in range(0, shown.height(), 2)]
-    return float(np.mean([np.abs(np.subtract((c.red(), c.green(), c.blue()), wanted)).max() < 8 for c in at]))
+    at = [
+        shown.pixelColor(x, y)
+        for x in range(0, shown.width(), 2)
+        for y in range(0, shown.height(), 2)
+    ]
+    return float(
+        np.mean([np.abs(np.subtract((c.red(), c.green(), c.blue()), wanted)).max() < 8 for c in at])
+    )
 
 
 def test_a_few_pixels_fill_a_small_picture_and_a_whole_one_stays_whole(qapp):

@@ -13,7 +13,9 @@ from widgets.style.notification_bar import NotificationBar, NotificationStack
 
 @pytest.fixture
 def stacked(qtbot):
-    over, page, below = QWidget(), QLabel("page"), QLabel("timeline")
+    over = QWidget()
+    page = QLabel("page")
+    below = QLabel("timeline")
     qtbot.addWidget(over)
     layout = QVBoxLayout(over)
     layout.addWidget(page, 1)
@@ -36,7 +38,9 @@ def test_notifications_move_nothing_and_stack(stacked, qtbot, width):
     qtbot.waitUntil(lambda: page.window().width() == width)
     assert stack.isHidden()
     before = page.geometry()
-    problem.show_problem("first_touch.h5, frame 3: the frame is cut short; choose another frame, or record it again")
+    problem.show_problem(
+        "first_touch.h5, frame 3: the frame is cut short; choose another frame, or record it again"
+    )
     one.show_notification("written: sheet.png", (("Show folder", lambda: None),))
     two.show_notification("copied")
     qtbot.waitUntil(lambda: stack.isVisible() and two.geometry().top() > one.geometry().bottom())
@@ -56,7 +60,9 @@ def test_notifications_leave_by_themselves(stacked, qtbot, monkeypatch):
     one.show_notification("copied")
     two.show_notification("written: sheet.png", (("Show folder", lambda: None),))
     problem.show_problem("sensor not known")
-    qtbot.waitUntil(lambda: one.isHidden() and two.isHidden() and problem.isHidden() and stack.isHidden())
+    qtbot.waitUntil(
+        lambda: one.isHidden() and two.isHidden() and problem.isHidden() and stack.isHidden()
+    )
 
 
 def test_work_in_progress_and_open_details_stay(stacked, qtbot, monkeypatch):

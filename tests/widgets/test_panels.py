@@ -92,7 +92,9 @@ def test_a_trace_that_only_waits_is_no_alarm(qtbot, waits):
     panel = TracePanel()
     qtbot.addWidget(panel)
     panel.show_steps([("depth", "(1, 2)")], ending="so far", is_waiting=waits)
-    assert (to_hex(get_theme_colours(panel.palette()).warning_text) in panel.findChild(QLabel).text()) != waits
+    assert (
+        to_hex(get_theme_colours(panel.palette()).warning_text) in panel.findChild(QLabel).text()
+    ) != waits
 
 
 def test_the_log_is_filtered_by_level_and_keeps_what_is_hidden(qtbot):
@@ -110,7 +112,9 @@ def test_the_log_is_filtered_by_level_and_keeps_what_is_hidden(qtbot):
 def test_steps_stand_on_the_last_and_tell_which_is_chosen(qtbot):
     slider = StepsSlider()
     qtbot.addWidget(slider)
-    steps = tuple(PoseStep(sensor_from_object=np.eye(4), rmse_mm=1.0 / (i + 1), fitness=1.0) for i in range(4))
+    steps = tuple(
+        PoseStep(sensor_from_object=np.eye(4), rmse_mm=1.0 / (i + 1), fitness=1.0) for i in range(4)
+    )
     slider.show_steps(steps)
     assert slider.slider.value() == 3
     with qtbot.waitSignal(slider.step_chosen) as signal:
@@ -129,7 +133,8 @@ def test_states_of_a_sample_tell_their_noise(qtbot):
 
 
 def test_a_grid_offers_axes_with_values_and_keeps_what_is_chosen(qtbot):
-    tab, metrics = GridTab(), {"touch_depth.contact_mae_mm": "touch depth: error in contact, mm", "": "time only"}
+    tab = GridTab()
+    metrics = {"touch_depth.contact_mae_mm": "touch depth: error in contact, mm", "": "time only"}
     qtbot.addWidget(tab)
     axes = {"touch.guidance": "1, 4", "touch.steps": "4, 8", "touch.seed": "0, 1"}
     tab.offer_axes(axes, metrics, "")
@@ -151,7 +156,9 @@ def test_a_plot_of_steps_chooses_by_cursor_and_keys_and_marks_what_others_choose
     plot.resize(400, 200)
     plot.show()
     values = [(1.0, 0.5, float("nan"), 0.1), (4.0, 3.0, 2.0, 1.0)]
-    plot.show_strips([Strip(title=f"strip {k}, mm", curves=(("", v),)) for k, v in enumerate(values)], marks=(1,))
+    plot.show_strips(
+        [Strip(title=f"strip {k}, mm", curves=(("", v),)) for k, v in enumerate(values)], marks=(1,)
+    )
     plot.show_step(2)
     assert [cursor.value() for cursor in plot._cursors] == [2, 2]
     with qtbot.waitSignal(plot.step_chosen) as chosen:

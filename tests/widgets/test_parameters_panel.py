@@ -90,7 +90,9 @@ def test_every_stage_of_the_pipeline_can_be_shown(qtbot):
     for method in methods:
         panel.add_group(method.key, method.title, method.params())
     named = {control.objectName() for control in panel.findChildren(QWidget)}
-    assert named >= {f"{method.key}.{name}" for method in methods for name in list_settings(method.params())}
+    assert named >= {
+        f"{method.key}.{name}" for method in methods for name in list_settings(method.params())
+    }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,7 +106,8 @@ def test_a_whole_number_of_a_wide_range_has_a_slider_with_the_most_room_for_smal
     panel = ParametersPanel()
     qtbot.addWidget(panel)
     panel.add_group("some", "Some", Many())
-    slider, box = panel.findChild(QSlider), panel.findChild(QSpinBox)
+    slider = panel.findChild(QSlider)
+    box = panel.findChild(QSpinBox)
     seen = []
     panel.params_edited.connect(lambda _key, params: seen.append(params.steps))
     slider.setValue(slider.maximum())
@@ -154,11 +157,14 @@ def test_what_says_nothing_of_the_sensor_on_screen_is_left_out(panel, kind, seen
 
 def test_no_value_is_cut_off_at_the_least_width_and_long_titles_elide(qtbot):
     """The panel is never narrower than its values, and a title asks for no width."""
-    panel, methods = ParametersPanel(), [m for stage in BUILT_IN.stages for m in stage.methods]
+    panel = ParametersPanel()
+    methods = [m for stage in BUILT_IN.stages for m in stage.methods]
     qtbot.addWidget(panel)
     for method in methods:
         panel.add_group(
-            method.key, f"{method.title}, which has a very long name that no dock has room for", method.params()
+            method.key,
+            f"{method.title}, which has a very long name that no dock has room for",
+            method.params(),
         )
     panel.show()
     for kind in ("gel", "bubble"):
@@ -169,6 +175,8 @@ def test_no_value_is_cut_off_at_the_least_width_and_long_titles_elide(qtbot):
         values = [w for w in panel.findChildren((QAbstractSpinBox, QComboBox)) if w.isVisible()]
         assert len(values) > 20
         cut = [
-            w.objectName() or w.parentWidget().objectName() for w in values if w.width() < w.minimumSizeHint().width()
+            w.objectName() or w.parentWidget().objectName()
+            for w in values
+            if w.width() < w.minimumSizeHint().width()
         ]
         assert cut == []

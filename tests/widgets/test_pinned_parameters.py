@@ -1,4 +1,6 @@
-"""Pinned parameters: one control for each range of a parameter, none made or destroyed while one is in use."""
+"""Pinned parameters: one control for each range of a parameter, none made or destroyed while one
+is in use.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ class ManySteps:
 
 
 def test_a_step_that_changes_the_method_keeps_the_control_alive(qtbot):
-    """The method changes within the control's own signal, and its control is hidden, not destroyed."""
+    """The method changes within the control's own signal, and its control is hidden, not
+    destroyed.
+    """
     pinned = PinnedParameters()
     qtbot.addWidget(pinned)
     pinned.offer_methods([("touch/few", FewSteps()), ("touch/many", ManySteps())])
@@ -74,7 +78,9 @@ class Three:
     """Three that stay in sight."""
 
     steps: int = setting(1, label="Steps", low=1, high=1000, pinned="Steps")
-    guidance: float = setting(1.0, label="Guidance scale", unit="x", low=0.0, high=15.0, pinned="Guidance")
+    guidance: float = setting(
+        1.0, label="Guidance scale", unit="x", low=0.0, high=15.0, pinned="Guidance"
+    )
     seed: int = setting(0, label="Seed", low=0, high=2**31 - 1, pinned="Seed")
 
 

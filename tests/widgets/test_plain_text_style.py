@@ -23,12 +23,22 @@ from widgets.style.plain_text_style import PlainTextStyle
 HOSTILE = "<img src='/dev/zero'><b>mine</b>"
 FIT = AlignmentFit(surface_mm=0.1, outline_mm=0.2, share_compared=1.0, n_touches=3)
 REFINED = Refinement(
-    alignment=Alignment(alignment_from_source=np.eye(4), target_from_alignment=np.eye(4)), motion=np.eye(4),
-    pivot_mm=np.zeros(3), std=np.zeros(6), weak_directions=(), used_fit=(FIT, FIT), held_out_fit=None, n_iterations=1,
+    alignment=Alignment(alignment_from_source=np.eye(4), target_from_alignment=np.eye(4)),
+    motion=np.eye(4),
+    pivot_mm=np.zeros(3),
+    std=np.zeros(6),
+    weak_directions=(),
+    used_fit=(FIT, FIT),
+    held_out_fit=None,
+    n_iterations=1,
     converged=True,
-)  # fmt: skip
-_PIECES = st.sampled_from([HOSTILE, "</span>", "&amp;", "<!--", "<style>", "&#0;", "<table><tr><td>", "]]>", "'", '"'])
-WORDS = st.lists(_PIECES | st.text(string.printable, min_size=1, max_size=9), min_size=1, max_size=5).map("x".join)
+)
+_PIECES = st.sampled_from(
+    [HOSTILE, "</span>", "&amp;", "<!--", "<style>", "&#0;", "<table><tr><td>", "]]>", "'", '"']
+)
+WORDS = st.lists(
+    _PIECES | st.text(string.printable, min_size=1, max_size=9), min_size=1, max_size=5
+).map("x".join)
 
 
 @pytest.fixture
@@ -42,14 +52,17 @@ def styled(qapp):
 
 def test_labels_and_tooltips_are_plain_text(qtbot, styled):
     window = QWidget()
-    plain, rich = QLabel(HOSTILE, window), QLabel("<b>ours</b>", window)
+    plain = QLabel(HOSTILE, window)
+    rich = QLabel("<b>ours</b>", window)
     rich.setTextFormat(Qt.TextFormat.RichText)
     qtbot.addWidget(window)
     window.show()
     assert plain.textFormat() == Qt.TextFormat.PlainText
     assert rich.textFormat() == Qt.TextFormat.RichText
     QToolTip.showText(QPoint(10, 10), HOSTILE, window)
-    [tip] = [w for w in QApplication.topLevelWidgets() if isinstance(w, QLabel) and w.text() == HOSTILE]
+    [tip] = [
+        w for w in QApplication.topLevelWidgets() if isinstance(w, QLabel) and w.text() == HOSTILE
+    ]
     assert tip.textFormat() == Qt.TextFormat.PlainText
 
 
@@ -70,7 +83,8 @@ def read_letters(rich: str) -> str:
 @settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(WORDS, WORDS, WORDS)
 def test_words_of_a_file_stay_letters_in_rich_text(qapp, title, text, ending):
-    panel, box = TracePanel(), RefineBox()
+    panel = TracePanel()
+    box = RefineBox()
     panel.show_steps([(title, text)], ending=ending)
     shown = read_letters(panel.findChild(QLabel).text())
     for words in (title, text, ending):

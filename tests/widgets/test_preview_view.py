@@ -14,7 +14,9 @@ from pipeline.views.preview import PixelPositions, Preview
 from widgets.stages.stage_column import StageColumn
 from widgets.views.preview_view import PreviewView
 
-SCALE = ColourScale(colour_map="viridis", low=0.0, high=2.0, unit="mm", quantity="indentation, + toward camera")
+SCALE = ColourScale(
+    colour_map="viridis", low=0.0, high=2.0, unit="mm", quantity="indentation, + toward camera"
+)
 
 
 def a_picture(rows: int = 30, cols: int = 40) -> Preview:
@@ -24,9 +26,15 @@ def a_picture(rows: int = 30, cols: int = 40) -> Preview:
     places[5, 7] = (1.0, 2.0, 3.0)
     outline = np.array([[1, 1], [5, 1], [5, 5], [np.nan, np.nan]], dtype=np.float32)
     return Preview(
-        pixels=apply_colour_map(values, SCALE), values=values, scale=SCALE, frame_name="digit frame", positions_mm=places,
-        outline_px=outline, pixel_mm=0.5, caption="indentation",
-    )  # fmt: skip
+        pixels=apply_colour_map(values, SCALE),
+        values=values,
+        scale=SCALE,
+        frame_name="digit frame",
+        positions_mm=places,
+        outline_px=outline,
+        pixel_mm=0.5,
+        caption="indentation",
+    )
 
 
 @pytest.fixture
@@ -102,8 +110,11 @@ def test_the_wheel_zooms_about_the_pixel_under_it(view):
     view.show_preview(a_picture())
     at = QPointF(90.0, 120.0)
     under = view.canvas.to_image(at)
-    keys, buttons = Qt.KeyboardModifier.NoModifier, Qt.MouseButton.NoButton
-    turned = QWheelEvent(at, at, QPoint(), QPoint(0, 240), buttons, keys, Qt.ScrollPhase.NoScrollPhase, False)
+    keys = Qt.KeyboardModifier.NoModifier
+    buttons = Qt.MouseButton.NoButton
+    turned = QWheelEvent(
+        at, at, QPoint(), QPoint(0, 240), buttons, keys, Qt.ScrollPhase.NoScrollPhase, False
+    )
     before = view.canvas.scale
     view.canvas.wheelEvent(turned)
     assert view.canvas.scale > 1.5 * before
@@ -113,11 +124,22 @@ def test_the_wheel_zooms_about_the_pixel_under_it(view):
 
 def test_zooming_out_stops_at_the_whole_image(view):
     view.show_preview(a_picture())
-    whole, at = view.canvas.scale, QPointF(20.0, 30.0)
-    keys, buttons = Qt.KeyboardModifier.NoModifier, Qt.MouseButton.NoButton
+    whole = view.canvas.scale
+    at = QPointF(20.0, 30.0)
+    keys = Qt.KeyboardModifier.NoModifier
+    buttons = Qt.MouseButton.NoButton
     for turn in (240, -120, -1200):
         view.canvas.wheelEvent(
-            QWheelEvent(at, at, QPoint(), QPoint(0, turn), buttons, keys, Qt.ScrollPhase.NoScrollPhase, False)
+            QWheelEvent(
+                at,
+                at,
+                QPoint(),
+                QPoint(0, turn),
+                buttons,
+                keys,
+                Qt.ScrollPhase.NoScrollPhase,
+                False,
+            )
         )
     assert view.canvas.scale == whole
 
@@ -171,9 +193,13 @@ def test_places_along_the_rays_of_a_camera_are_those_of_all_of_them():
     depth = np.linspace(10, 20, camera.rows * camera.cols, dtype=np.float32).reshape(camera.shape)
     depth[2, 3] = np.nan
     pixels = np.zeros((*camera.shape, 3), np.uint8)
-    picture = Preview(pixels=pixels, frame_name="digit frame", positions_mm=PixelPositions(camera, depth))
+    picture = Preview(
+        pixels=pixels, frame_name="digit frame", positions_mm=PixelPositions(camera, depth)
+    )
     whole = picture.compute_positions_mm()
     np.testing.assert_allclose(picture.positions_mm.compute_point_mm(5, 7), whole[5, 7], rtol=1e-6)
     x, y, z = whole[5, 7]
-    assert picture.describe_pixel(5, 7).endswith(f"x {x:.2f}, y {y:.2f}, z {z:.2f} mm in digit frame")
+    assert picture.describe_pixel(5, 7).endswith(
+        f"x {x:.2f}, y {y:.2f}, z {z:.2f} mm in digit frame"
+    )
     assert "mm in" not in picture.describe_pixel(2, 3)

@@ -22,8 +22,13 @@ def test_window_and_file_show_one_scale_bar(qapp):
     renderer.size = QSize(320, 240)
     renderer.fit_view()
     image = renderer.render(1.0, QColor(255, 255, 255), qapp.font()).toImage()
-    in_window = np.array([[image.pixelColor(x, y).red() for x in range(320)] for y in range(200, 240)])
-    columns = [np.flatnonzero((red < 90).sum(axis=0) >= 2) for red in (in_file[225:, :, 0], in_window[25:])]
+    in_window = np.array(
+        [[image.pixelColor(x, y).red() for x in range(320)] for y in range(200, 240)]
+    )
+    columns = [
+        np.flatnonzero((red < 90).sum(axis=0) >= 2) for red in (in_file[225:, :, 0], in_window[25:])
+    ]
     for drawn in columns:
-        assert len(drawn) == pytest.approx(40, abs=1.5)  # 2 mm; 5 mm would be 100 pixels, more than 30 %
+        # 2 mm; 5 mm would be 100 pixels, more than 30 %
+        assert len(drawn) == pytest.approx(40, abs=1.5)
         assert drawn[-1] == pytest.approx(0.95 * 320, abs=1.5)

@@ -28,7 +28,13 @@ def surface(z: float) -> Layer:
     xyz = np.array([[-1, -1, z], [1, -1, z], [-1, 1, z], [1, 1, z]], dtype=np.float32)
     triangles = np.array([[0, 2, 1], [1, 2, 3]], dtype=np.int32)
     normals = np.tile(np.array([0, 0, -1], dtype=np.float32), (4, 1))
-    return Layer(name="sheet", points_mm=xyz, rgb=repeat_colour((40, 160, 60), 4), triangles=triangles, normals=normals)
+    return Layer(
+        name="sheet",
+        points_mm=xyz,
+        rgb=repeat_colour((40, 160, 60), 4),
+        triangles=triangles,
+        normals=normals,
+    )
 
 
 SIGHTS = {
@@ -101,26 +107,33 @@ def test_a_surface_seen_from_the_sensor_is_lit(scene, qtbot):
     scene.draw_pending()
     image = scene.views[0].image
     middle = image.pixelColor(image.width() // 2, image.height() // 2)
-    assert middle.green() > 90  # the colour given is (40, 160, 60); an unlit back face has a third of it
+    # the colour given is (40, 160, 60); an unlit back face has a third of it
+    assert middle.green() > 90
 
 
 def ink(scene) -> list[int]:
     """How many pixels of each view are green, as the sheet is."""
     scene.draw_pending()
     images = [view.image for view in scene.views]
-    seen = [[i.pixelColor(x, y) for x in range(i.width()) for y in range(i.height())] for i in images]
+    seen = [
+        [i.pixelColor(x, y) for x in range(i.width()) for y in range(i.height())] for i in images
+    ]
     return [sum(c.green() > c.red() + 30 for c in view) for view in seen]
 
 
 @pytest.mark.parametrize("linked", [True, False])
 def test_layers_that_come_after_the_cameras_were_set_anew_are_drawn_whole(scene, qtbot, linked):
-    """A gel's camera looks from 20 mm, a bubble's from 100 mm: neither hides what the other shows."""
+    """A gel's camera looks from 20 mm, a bubble's from 100 mm: neither hides what the other
+    shows.
+    """
     scene.fit_cameras(SIGHTS, linked=linked)
     for column in SIGHTS:
         scene.show_layers(column, [surface(10.0)])
     whole = ink(scene)
     assert min(whole) > 500
-    scene.fit_cameras({i: replace(sight, centre_mm=(0, 0, 110)) for i, sight in SIGHTS.items()}, linked=linked)
+    scene.fit_cameras(
+        {i: replace(sight, centre_mm=(0, 0, 110)) for i, sight in SIGHTS.items()}, linked=linked
+    )
     scene.draw_pending()
     scene.show_layers(0, [surface(110.0)])
     scene.show_layers(1, [surface(110.0)])
@@ -172,7 +185,8 @@ def test_a_view_seen_before_is_not_drawn_again(scene):
     for layers in frames:
         scene.show_layers(0, layers)
         scene.draw_pending()
-    before, newest = scene.n_renders, scene.views[0].image
+    before = scene.n_renders
+    newest = scene.views[0].image
     scene.show_layers(0, frames[0])
     scene.draw_pending()
     assert scene.n_renders == before
@@ -217,12 +231,26 @@ def test_a_faint_surface_does_not_shine_through_one_in_the_same_place(scene):
     sheet = surface(10.0)
     finer = np.linspace(-1, 1, 40, dtype=np.float32)
     rounding = np.random.default_rng(0).normal(scale=1e-5, size=(40, 40))
-    xyz = np.stack([*np.meshgrid(finer, finer), 10.0 + rounding], axis=-1).reshape(-1, 3).astype(np.float32)
+    xyz = (
+        np.stack([*np.meshgrid(finer, finer), 10.0 + rounding], axis=-1)
+        .reshape(-1, 3)
+        .astype(np.float32)
+    )
     first = (np.arange(39)[:, None] * 40 + np.arange(39)[None, :]).ravel()
-    triangles = np.concatenate([np.stack([first, first + 40, first + 1], -1),
-                                np.stack([first + 1, first + 40, first + 41], -1)]).astype(np.int32)  # fmt: skip
-    faint = Layer(name="membrane", points_mm=xyz, rgb=repeat_colour((200, 200, 255), 1600), triangles=triangles,
-                  normals=np.tile(np.array([0, 0, -1], np.float32), (1600, 1)), opacity=0.22)  # fmt: skip
+    triangles = np.concatenate(
+        [
+            np.stack([first, first + 40, first + 1], -1),
+            np.stack([first + 1, first + 40, first + 41], -1),
+        ]
+    ).astype(np.int32)
+    faint = Layer(
+        name="membrane",
+        points_mm=xyz,
+        rgb=repeat_colour((200, 200, 255), 1600),
+        triangles=triangles,
+        normals=np.tile(np.array([0, 0, -1], np.float32), (1600, 1)),
+        opacity=0.22,
+    )
     scene.show_layers(0, [sheet, faint])
     scene.draw_pending()
     with_it = np.array([scene.views[0].image.pixelColor(x, 75).blue() for x in range(60, 90)])

@@ -21,11 +21,15 @@ def make_table(qtbot):
 
 
 def test_the_page_keeps_commands_that_hold_all_words(qtbot):
-    page, commands = ShortcutsPage(), [QAction("&Open recording…"), QAction("Save session")]
+    page = ShortcutsPage()
+    commands = [QAction("&Open recording…"), QAction("Save session")]
     qtbot.addWidget(page)
     commands[0].setShortcut("Ctrl+O")
     page.show_commands({"File": commands})
-    shown = lambda: [page.table.item(r, 1).text() for r in range(2) if not page.table.isRowHidden(r)]  # noqa: E731
+
+    def shown():
+        return [page.table.item(r, 1).text() for r in range(2) if not page.table.isRowHidden(r)]
+
     assert shown() == ["Open recording…", "Save session"]
     assert page.table.item(0, 2).text() == "Ctrl+O"
     page.line.setText("file open")

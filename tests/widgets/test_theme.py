@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtGui import QIcon, QPalette
-from PyQt6.QtWidgets import QApplication, QCheckBox, QComboBox, QLineEdit, QSlider, QSpinBox, QWidget
+from PyQt6.QtWidgets import (
+    QApplication,
+    QCheckBox,
+    QComboBox,
+    QLineEdit,
+    QSlider,
+    QSpinBox,
+    QWidget,
+)
 
 from pipeline.views.colours import NO_VALUE_COLOUR, ColourScale, apply_colour_map, get_colour_table
 from pipeline.views.preview import Preview
@@ -39,12 +47,17 @@ def contrast(one, other):
 
 
 def _luminance(colour):
-    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (v / 255 for v in colour)]
+    linear = [
+        c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4
+        for c in (v / 255 for v in colour)
+    ]
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
 def _grounds(palette):
-    return [palette.color(role).getRgb()[:3] for role in (_ROLE.Window, _ROLE.Base, _ROLE.AlternateBase)]
+    return [
+        palette.color(role).getRgb()[:3] for role in (_ROLE.Window, _ROLE.Base, _ROLE.AlternateBase)
+    ]
 
 
 @pytest.mark.parametrize("dark", [False, True])
@@ -52,13 +65,25 @@ def test_words_and_signs_stand_out_from_every_ground(dark):
     palette = make_palette(dark=dark)
     ink = get_theme_colours(palette)
     assert is_dark(palette) == dark
-    words = {"soft": ink.secondary_text, "alarm": ink.warning_text, "warning": ink.warning_mark, "icon": ink.icon}
+    words = {
+        "soft": ink.secondary_text,
+        "alarm": ink.warning_text,
+        "warning": ink.warning_mark,
+        "icon": ink.icon,
+    }
     words |= dict(zip("xyz", ink.axes, strict=True)) | dict(ink.states)
-    words |= {role.name: palette.color(role).getRgb()[:3] for role in (_ROLE.Text, _ROLE.PlaceholderText, _ROLE.Link)}
+    words |= {
+        role.name: palette.color(role).getRgb()[:3]
+        for role in (_ROLE.Text, _ROLE.PlaceholderText, _ROLE.Link)
+    }
     for (name, colour), ground in product(words.items(), [*_grounds(palette), ink.backdrop]):
         assert contrast(colour, ground) >= LEAST, (name, colour, ground)
-    pairs = ((_ROLE.ButtonText, _ROLE.Button), (_ROLE.ToolTipText, _ROLE.ToolTipBase), (_ROLE.WindowText, _ROLE.Window),
-             (_ROLE.BrightText, _ROLE.Window))  # fmt: skip
+    pairs = (
+        (_ROLE.ButtonText, _ROLE.Button),
+        (_ROLE.ToolTipText, _ROLE.ToolTipBase),
+        (_ROLE.WindowText, _ROLE.Window),
+        (_ROLE.BrightText, _ROLE.Window),
+    )
     for pair in pairs:
         assert contrast(*(palette.color(role).getRgb()[:3] for role in pair)) >= LEAST, pair
     picked = [palette.color(role).getRgb()[:3] for role in (_ROLE.Highlight, _ROLE.HighlightedText)]
@@ -76,15 +101,21 @@ def test_who_sees_no_red_or_no_green_tells_better_from_worse(dark, seen):
         "deutan": [[0.29275, 0.70725, 0.0], [0.29275, 0.70725, 0.0], [-0.02234, 0.02234, 1.0]],
     }
     ink = get_theme_colours(make_palette(dark=dark))
-    one, other = (np.array(planes[seen]) @ (np.array(c) / 255) ** 2.2 for c in (ink.accent, ink.worse))
+    one, other = (
+        np.array(planes[seen]) @ (np.array(c) / 255) ** 2.2 for c in (ink.accent, ink.worse)
+    )
     assert np.abs(one ** (1 / 2.2) - np.clip(other, 0, 1) ** (1 / 2.2)).max() > 0.35
 
 
 @pytest.mark.parametrize("dark", [False, True])
 @pytest.mark.parametrize("kind", [QCheckBox, QSlider, QLineEdit, QSpinBox, QComboBox])
 def test_the_outline_of_a_control_stands_out_from_the_window(themes, qtbot, dark, kind):
-    """3 to 1, as WCAG 2.1 asks for the shapes of controls; Fusion's own outline is darker than a dark window."""
-    QApplication.setStyle(PlainTextStyle())  # drops the palettes of single kinds, which a change of theme sets again
+    """3 to 1, as WCAG 2.1 asks for the shapes of controls.
+
+    Fusion's own outline is darker than a dark window.
+    """
+    # drops the palettes of single kinds, which a change of theme sets again
+    QApplication.setStyle(PlainTextStyle())
     themes(not dark)
     themes(dark)
     ground = QWidget()
@@ -96,20 +127,25 @@ def test_the_outline_of_a_control_stands_out_from_the_window(themes, qtbot, dark
     ground.resize(60, 24)
     image = ground.grab().toImage()
     window = make_palette(dark=dark).color(_ROLE.Window).getRgb()[:3]
-    seen = [contrast(image.pixelColor(x, 12).getRgb()[:3], window) for x in range(12)]  # across the left edge
+    # across the left edge
+    seen = [contrast(image.pixelColor(x, 12).getRgb()[:3], window) for x in range(12)]
     assert max(seen) >= 3.0
     assert contrast(image.pixelColor(0, 0).getRgb()[:3], window) < 1.1
 
 
 def test_every_ink_has_both_themes():
     light, dark = (get_theme_colours(make_palette(dark=on)) for on in (False, True))
-    assert {path.stem for path in DRAWINGS.glob("state_*.svg")} == {f"state_{state}" for state in light.states}
+    assert {path.stem for path in DRAWINGS.glob("state_*.svg")} == {
+        f"state_{state}" for state in light.states
+    }
     same = [f.name for f in fields(light) if getattr(light, f.name) == getattr(dark, f.name)]
     assert not same
     assert light.states.keys() == dark.states.keys()
 
 
-@pytest.mark.parametrize("name", [path.stem for path in DRAWINGS.glob("*.svg") if not path.stem.startswith("state_")])
+@pytest.mark.parametrize(
+    "name", [path.stem for path in DRAWINGS.glob("*.svg") if not path.stem.startswith("state_")]
+)
 def test_icons_are_drawn_in_the_ink_of_the_theme(themes, name):
     icon = make_command_icon(name)
     for dark in (False, True):
@@ -124,10 +160,13 @@ def test_icons_are_drawn_in_the_ink_of_the_theme(themes, name):
 
 def test_an_icon_of_a_command_that_cannot_be_run_is_faint(themes):
     themes(False)
-    icon, size = make_command_icon("save"), QSize(32, 32)
+    icon = make_command_icon("save")
+    size = QSize(32, 32)
     most = {
         mode: max(
-            icon.pixmap(size, mode).toImage().pixelColor(x, y).alpha() for x in range(0, 32, 2) for y in range(0, 32, 2)
+            icon.pixmap(size, mode).toImage().pixelColor(x, y).alpha()
+            for x in range(0, 32, 2)
+            for y in range(0, 32, 2)
         )
         for mode in (QIcon.Mode.Normal, QIcon.Mode.Disabled)
     }
@@ -164,24 +203,32 @@ def test_pixels_without_a_value_take_the_ground_of_the_theme(themes, qtbot):
         qtbot.waitUntil(lambda: _near(canvas, (100, 60), ground))  # noqa: B023
         assert _near(canvas, (30, 30), (200, 30, 30))
     themes(True)
-    canvas.show_preview(Preview(pixels=pixels.copy(), frame_name=""))  # true colours stay as they are
+    # true colours stay as they are
+    canvas.show_preview(Preview(pixels=pixels.copy(), frame_name=""))
     assert _near(canvas, (100, 60), NO_VALUE_COLOUR)
 
 
 def test_signed_values_near_zero_do_not_glare_in_a_dark_window(themes, qtbot):
-    """A bubble at rest is white in a light window and dark in a dark one, and so is the middle of its colour bar."""
+    """A bubble at rest is white in a light window and dark in a dark one, and so is the middle
+    of its colour bar.
+    """
     values = np.zeros((40, 60), np.float32)
     scale = ColourScale(colour_map="diverging", low=-1.0, high=1.0, unit="mm", quantity="deviation")
-    canvas, bar = Canvas(), ColourBar()
+    canvas = Canvas()
+    bar = ColourBar()
     for widget, height in ((canvas, 80), (bar, 60)):
         qtbot.addWidget(widget)
         widget.resize(121, height)
         widget.show()
-    canvas.show_preview(Preview(pixels=apply_colour_map(values, scale), values=values, frame_name="", scale=scale))
+    canvas.show_preview(
+        Preview(pixels=apply_colour_map(values, scale), values=values, frame_name="", scale=scale)
+    )
     bar.show_scale(scale)
     for dark in (True, False):
         themes(dark)
-        centre = tuple(int(v) for v in get_colour_table("diverging_dark" if dark else "diverging")[127])
+        centre = tuple(
+            int(v) for v in get_colour_table("diverging_dark" if dark else "diverging")[127]
+        )
         assert (max(centre) < 45) if dark else (min(centre) > 220)
         qtbot.waitUntil(lambda: _near(canvas, (60, 40), centre))  # noqa: B023
         assert _near(bar, (60, 26), centre)
@@ -194,9 +241,15 @@ def _near(canvas, at, colour):
 
 
 def test_no_doubt_is_cut_in_the_middle():
-    sentences = ("Depth: sensor not calibrated: press a ball", "View: the source saw 66%", "Pose: 2 poses fit: turned")
+    sentences = (
+        "Depth: sensor not calibrated: press a ball",
+        "View: the source saw 66%",
+        "Pose: 2 poses fit: turned",
+    )
     assert fit_sentences(sentences, lambda words: len(words) < 1000) == "   ·   ".join(sentences)
-    assert fit_sentences(sentences, lambda words: len(words) < 80).startswith("Depth: sensor not calibrated   ·   View")
+    assert fit_sentences(sentences, lambda words: len(words) < 80).startswith(
+        "Depth: sensor not calibrated   ·   View"
+    )
     assert (
         fit_sentences(sentences, lambda words: len(words) < 62)
         == "Depth: sensor not calibrated: press a ball   ·   and 2 more"
@@ -208,7 +261,9 @@ def test_the_warning_line_never_ends_in_dots(qtbot):
     line = WarningLine()
     qtbot.addWidget(line)
     line.show()
-    line.show_warnings([(f"Stage {n}", f"something is wrong with it: reason {n}") for n in range(6)])
+    line.show_warnings(
+        [(f"Stage {n}", f"something is wrong with it: reason {n}") for n in range(6)]
+    )
     for wide in (400, 700, 1100, 2000):
         line.resize(wide, 20)
         assert "…" not in line.label.text()

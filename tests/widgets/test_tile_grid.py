@@ -16,10 +16,16 @@ SCALE = ColourScale(colour_map="viridis", low=0.0, high=1.0, unit="mm", quantity
 def _tiles(count, *, scaled=True):
     values = np.zeros((140, 175), np.float32)
     picture = Preview(
-        pixels=np.zeros((140, 175, 3), np.uint8), frame_name="", values=values if scaled else None,
-        scale=SCALE if scaled else None, caption="deviation from rest, + toward camera; rest: as described",
-    )  # fmt: skip
-    return [Tile(title=f"method {n}", subtitle="contact 0.381 mm", preview=picture) for n in range(count)]
+        pixels=np.zeros((140, 175, 3), np.uint8),
+        frame_name="",
+        values=values if scaled else None,
+        scale=SCALE if scaled else None,
+        caption="deviation from rest, + toward camera; rest: as described",
+    )
+    return [
+        Tile(title=f"method {n}", subtitle="contact 0.381 mm", preview=picture)
+        for n in range(count)
+    ]
 
 
 @pytest.fixture
@@ -56,7 +62,9 @@ def test_colours_that_mean_no_number_take_no_room_for_a_bar(grid):
 
 
 def test_how_tiles_stand_does_not_change_the_room_they_ask_for(grid, qtbot):
-    """Else words next to it would make the grid lower, which puts them under, which makes it higher, and so for ever."""
+    """Else words next to it would make the grid lower, which puts them under, which makes it
+    higher, and so for ever.
+    """
     asked = grid.minimumSizeHint(), grid.sizeHint(), grid.hasHeightForWidth()
     for count in (6, 2, 9):
         grid.show_tiles(_tiles(count))
@@ -72,6 +80,7 @@ def test_figures_that_fill_many_lines_are_all_seen_and_scales_stay_level(grid, q
     first, second = grid.views[:2]
     qtbot.waitUntil(lambda: first.view.text_area.x() > first.view.canvas.x(), timeout=240_000)
     qtbot.waitUntil(
-        lambda: first._subtitle.height() >= first._subtitle.heightForWidth(first._subtitle.width()), timeout=240_000
+        lambda: first._subtitle.height() >= first._subtitle.heightForWidth(first._subtitle.width()),
+        timeout=240_000,
     )
     assert first.view.colour_bar.y() == second.view.colour_bar.y()

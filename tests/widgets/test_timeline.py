@@ -79,8 +79,11 @@ def test_late_ticks_do_not_slow_playing_down(line, monkeypatch, late_s):
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 2.0])
 def test_the_next_look_is_when_a_frame_is_due(line, monkeypatch, speed):
-    """The clock is set for the moment: a run ends as many periods after its beginning as there are frames between."""
-    now, chosen_s = [100.0], []
+    """The clock is set for the moment: a run ends as many periods after its beginning as there
+    are frames between.
+    """
+    now = [100.0]
+    chosen_s = []
     monkeypatch.setattr("widgets.timeline.timeline.time.monotonic", lambda: now[0])
     line.show_frames(40)
     line.speed.setCurrentIndex(SPEEDS.index(speed))
@@ -97,7 +100,8 @@ def test_the_next_look_is_when_a_frame_is_due(line, monkeypatch, speed):
 
 
 def test_frames_that_are_left_out_are_told(line, monkeypatch):
-    now, seen = [100.0], []
+    now = [100.0]
+    seen = []
     monkeypatch.setattr("widgets.timeline.timeline.time.monotonic", lambda: now[0])
     left_out_label = line.findChild(QLabel, "left_out")
     line.show_frames(1000)
@@ -175,6 +179,8 @@ def test_the_bars_have_a_scale_from_nothing_to_the_worst(line):
     line.resize(900, 60)
     assert line.scale.max_text == "0.399"
     pixels = line.scale.grab().toImage()
-    assert len({pixels.pixel(x, y) for x in range(pixels.width()) for y in range(pixels.height())}) > 2
+    assert (
+        len({pixels.pixel(x, y) for x in range(pixels.width()) for y in range(pixels.height())}) > 2
+    )
     line.show_errors("touch depth: error in contact, mm", [np.nan, np.nan, np.nan], {})
     assert line.scale.max_text == ""

@@ -1,4 +1,6 @@
-"""Alignment dock: six offsets to drag, gauges of the agreement, sensitivity bars, and refinement."""
+"""Alignment dock: six offsets to drag, gauges of the agreement, sensitivity bars, and
+refinement.
+"""
 
 from collections.abc import Sequence
 
@@ -26,21 +28,36 @@ from widgets.style.styling import (
 SETTLE_MS = 350  # a change by wheel or keys ends after this pause
 
 _IOU = GaugeScale(
-    name="mask IoU", unit="", full_value=1.0, digits=3, higher_is_better=True,
+    name="mask IoU",
+    unit="",
+    full_value=1.0,
+    digits=3,
+    higher_is_better=True,
     help="transferred and observed contact: intersection over union",
-)  # fmt: skip
+)
 _EDGE = GaugeScale(
-    name="edge", unit="px", full_value=20.0, digits=2, higher_is_better=False,
+    name="edge",
+    unit="px",
+    full_value=20.0,
+    digits=2,
+    higher_is_better=False,
     help="mean distance of the two outlines, in pixels of the target's full image",
-)  # fmt: skip
+)
 
 
 def make_depth_gauge_scale(full_mm: float) -> GaugeScale:
-    """Return the range of the depth gauge of a sensor; a bubble deforms ten times as far as a gel."""
+    """Return the range of the depth gauge of a sensor.
+
+    A bubble deforms ten times as far as a gel.
+    """
     return GaugeScale(
-        name="depth", unit="mm", full_value=full_mm, digits=3, higher_is_better=False,
+        name="depth",
+        unit="mm",
+        full_value=full_mm,
+        digits=3,
+        higher_is_better=False,
         help="median absolute difference of depth where both are in contact",
-    )  # fmt: skip
+    )
 
 
 class AlignmentPanel(VerticalScrollArea):
@@ -55,11 +72,18 @@ class AlignmentPanel(VerticalScrollArea):
         self.setObjectName("alignment")
         self.setAccessibleName("alignment")
         self.rows = {axis: AxisRow(axis, self) for axis in AXES}
-        self.gauges = {"iou": Gauge(_IOU), "edge_px": Gauge(_EDGE), "depth_mm": Gauge(make_depth_gauge_scale(1.0))}
-        self.bars, self.refine = SensitivityBars(), RefineBox()
+        self.gauges = {
+            "iou": Gauge(_IOU),
+            "edge_px": Gauge(_EDGE),
+            "depth_mm": Gauge(make_depth_gauge_scale(1.0)),
+        }
+        self.bars = SensitivityBars()
+        self.refine = RefineBox()
         self.dragging = False  # whether a handle is being dragged
         self._still = make_single_shot_timer(self, SETTLE_MS, self.end_drag)
-        self.origin, self._pivot, self.no_score_reason = QLabel(), QLabel(), ThemedLabel(lambda inks: inks.warning_text)
+        self.origin = QLabel()
+        self._pivot = QLabel()
+        self.no_score_reason = ThemedLabel(lambda inks: inks.warning_text)
         self._lay_out()
         for row in self.rows.values():
             row.slider.sliderPressed.connect(self.begin_drag)
@@ -76,24 +100,41 @@ class AlignmentPanel(VerticalScrollArea):
                 grid.addWidget(widget, n, column)
         self.no_score_reason.setWordWrap(True)
         fill(
-            set_spacing(QVBoxLayout(body), 5, (8, 6, 8, 6)), self._head(), self._handles, self._foot(),
-            _title("Agreement"), self.no_score_reason, *self.gauges.values(),
-            _title("Sensitivity"), self.bars, _title("Refine"), self.refine, 1,
-        )  # fmt: skip
+            set_spacing(QVBoxLayout(body), 5, (8, 6, 8, 6)),
+            self._head(),
+            self._handles,
+            self._foot(),
+            _title("Agreement"),
+            self.no_score_reason,
+            *self.gauges.values(),
+            _title("Sensitivity"),
+            self.bars,
+            _title("Refine"),
+            self.refine,
+            1,
+        )
         self.setWidget(body)
         self.show_empty()
 
     def _head(self) -> QVBoxLayout:
         self.origin.setWordWrap(True)
-        self.original = make_icon_button("reset", "alignment_original", "Return to the alignment of the recording")
+        self.original = make_icon_button(
+            "reset", "alignment_original", "Return to the alignment of the recording"
+        )
         self._files = set_spacing(QHBoxLayout(), 1)
-        return fill(set_spacing(QVBoxLayout(), 2), fill(QHBoxLayout(), (self.origin, 1), self.original), self._files)
+        return fill(
+            set_spacing(QVBoxLayout(), 2),
+            fill(QHBoxLayout(), (self.origin, 1), self.original),
+            self._files,
+        )
 
     def _foot(self) -> QHBoxLayout:
         self._pivot.setWordWrap(True)
         resize_font(self._pivot)
         self.here = make_icon_button(
-            "target", "alignment_pivot", "Express the same motion about the centre of this frame's contact"
+            "target",
+            "alignment_pivot",
+            "Express the same motion about the centre of this frame's contact",
         )
         self.reset = make_icon_button("reset", "alignment_reset", "Reset all six offsets to zero")
         return fill(QHBoxLayout(), (self._pivot, 1), self.here, self.reset)
@@ -111,7 +152,10 @@ class AlignmentPanel(VerticalScrollArea):
         self.bars.show_sensitivities(())
 
     def show_ready(self, frame: str, depth_mm: float, pixel_mm: float) -> None:
-        """Enable the handles along the axes of `frame`; `depth_mm` is the full value of the depth gauge."""
+        """Enable the handles along the axes of `frame`.
+
+        `depth_mm` is the full value of the depth gauge.
+        """
         self._handles.setEnabled(True)
         self.bars.set_pixel_size(pixel_mm)
         self.gauges["depth_mm"].show_scale(make_depth_gauge_scale(depth_mm))
@@ -130,7 +174,10 @@ class AlignmentPanel(VerticalScrollArea):
             row.show_value(value)
 
     def show_pivot(self, pivot_mm: Sequence[float], frame: str, *, elsewhere: bool) -> None:
-        """Show the pivot of rotations (mm); `elsewhere` offers to move it to this frame's contact."""
+        """Show the pivot of rotations (mm).
+
+        `elsewhere` offers to move it to this frame's contact.
+        """
         at = ", ".join(f"{v:.1f}" for v in pivot_mm)
         whose = "another frame's contact" if elsewhere else "the contact's centre"
         self._pivot.setText(f"offsets in the {frame} frame; rotations about {whose}, ({at}) mm")

@@ -23,8 +23,11 @@ class RefineBox(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.run_bar, self.text = StartBar("refine", "Refine on all frames"), QLabel()
-        self.accept = make_button("Accept", "refine_accept", "Use the refined alignment (one undo step)")
+        self.run_bar = StartBar("refine", "Refine on all frames")
+        self.text = QLabel()
+        self.accept = make_button(
+            "Accept", "refine_accept", "Use the refined alignment (one undo step)"
+        )
         self.discard = make_button("Discard", "refine_discard", "Keep the alignment as it is")
         self.run_bar.start_button.setToolTip(_IDLE[0].upper() + _IDLE[1:])
         self.text.setWordWrap(True)
@@ -69,7 +72,8 @@ def _table(answer: Refinement, ink: ThemeColours) -> str:
             continue
         before, after = pair
         rows.append(
-            f"<tr><td>{before.n_touches} {name}&nbsp;</td>{_cell(before.surface_mm, after.surface_mm)}"
+            f"<tr><td>{before.n_touches} "
+            f"{name}&nbsp;</td>{_cell(before.surface_mm, after.surface_mm)}"
             f"{_cell(before.outline_mm, after.outline_mm)}</tr>"
         )
     return f"<table width='100%' cellspacing='2'>{''.join(rows)}</table>"
@@ -84,11 +88,16 @@ def _format_mm(value: float) -> str:
 
 
 def _words(answer: Refinement, target: str, ink: ThemeColours) -> str:
-    turn, shift = answer.std[:3], answer.std[3:]
+    turn = answer.std[:3]
+    shift = answer.std[3:]
     lines = [
         f"predicted standard deviation of observable directions, {escape(target)} frame: "
-        f"{_format_axes(('x', 'y', 'z'), shift, 3)} mm; {_format_axes(('rx', 'ry', 'rz'), turn, 2)}°",
-        *(_in(ink.warning_text, f"not observable: {words}; unchanged") for words in answer.weak_directions),
+        f"{_format_axes(('x', 'y', 'z'), shift, 3)} mm; "
+        f"{_format_axes(('rx', 'ry', 'rz'), turn, 2)}°",
+        *(
+            _in(ink.warning_text, f"not observable: {words}; unchanged")
+            for words in answer.weak_directions
+        ),
         *(_in(ink.warning_text, note) for note in answer.notes),
     ]
     worse = _worse(answer.held_out_fit)
@@ -102,9 +111,17 @@ def _worse(held_out: tuple[AlignmentFit, AlignmentFit] | None) -> str:
     if held_out is None:
         return "no touch was left to hold out"
     before, after = held_out
-    worse = [n for n in ("surface_mm", "outline_mm") if getattr(after, n) > 1.1 * getattr(before, n) + 0.01]
-    return f"held-out touches fit worse than before ({worse[0].removesuffix('_mm')})" if worse else ""
+    worse = [
+        n
+        for n in ("surface_mm", "outline_mm")
+        if getattr(after, n) > 1.1 * getattr(before, n) + 0.01
+    ]
+    return (
+        f"held-out touches fit worse than before ({worse[0].removesuffix('_mm')})" if worse else ""
+    )
 
 
 def _format_axes(names: tuple[str, str, str], values: Doubles, digits: int) -> str:
-    return ", ".join(f"{name} {value:.{digits}f}" for name, value in zip(names, values, strict=True))
+    return ", ".join(
+        f"{name} {value:.{digits}f}" for name, value in zip(names, values, strict=True)
+    )

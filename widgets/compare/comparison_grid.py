@@ -1,4 +1,7 @@
-"""Cells of a grid of variants, and their error against time; a click on a cell, here or there, chooses it."""
+"""Cells of a grid of variants, and their error against time.
+
+A click on a cell, here or there, chooses it.
+"""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -87,7 +90,8 @@ class CellGrid(QTableWidget):
 
     def show_axes(self, across: Sequence[str], down: Sequence[str], unit: str) -> None:
         """Show empty cells for these values of columns and rows; errors are in `unit`."""
-        self.cells, self.unit = {}, unit
+        self.cells = {}
+        self.unit = unit
         self.clear()
         self.setRowCount(len(down))
         self.setColumnCount(len(across))
@@ -103,7 +107,8 @@ class CellGrid(QTableWidget):
         item.setToolTip(text)
         if cell.preview is not None:
             image = make_themed_qimage(self.palette(), cell.preview)
-            fit, smooth = Qt.AspectRatioMode.KeepAspectRatio, Qt.TransformationMode.SmoothTransformation
+            fit = Qt.AspectRatioMode.KeepAspectRatio
+            smooth = Qt.TransformationMode.SmoothTransformation
             item.setIcon(QIcon(QPixmap.fromImage(image.scaled(self.iconSize(), fit, smooth))))
         self.setItem(cell.row, cell.col, item)
 
@@ -113,7 +118,9 @@ class CellGrid(QTableWidget):
 
     def _fit_images(self) -> None:
         """Make images as large as the cells, above their text."""
-        room, rows, columns = self.viewport(), max(1, self.rowCount()), max(1, self.columnCount())
+        room = self.viewport()
+        rows = max(1, self.rowCount())
+        columns = max(1, self.columnCount())
         if room is not None:
             high = room.height() // rows - self.fontMetrics().height() - 2 * _GAP_PX
             self.setIconSize(QSize(room.width() // columns - 2 * _GAP_PX, max(high, 1)))
@@ -137,29 +144,41 @@ class CellPlot(Plot):
 
     def show_cells(self, cells: Mapping[CellIndex, GridCell], unit: str) -> None:
         """Show these cells, with errors in `unit`."""
-        self.cells, self._unit = cells, unit
+        self.cells = cells
+        self._unit = unit
         self.redraw()
 
     def draw(self, pyqtgraph: Any, ink: ThemeColours) -> None:
         """Draw the points and the Pareto front."""
         error = f"error, {self._unit}" if self._unit else "error"
         axes = self.prepare_axes(pyqtgraph, 0, "time of the frame without cache, ms", error)
-        front, measured = find_pareto_front(self.cells.values()), _list_measured(self.cells.values())
+        front = find_pareto_front(self.cells.values())
+        measured = _list_measured(self.cells.values())
         axes.plot(
-            [c.ms for c in front], [c.error for c in front], pen=pyqtgraph.mkPen(to_qcolor(ink.accent), width=1.5)
+            [c.ms for c in front],
+            [c.error for c in front],
+            pen=pyqtgraph.mkPen(to_qcolor(ink.accent), width=1.5),
         )
         points = pyqtgraph.ScatterPlotItem(
-            [c.ms for c in measured], [c.error for c in measured], data=[(c.row, c.col) for c in measured], size=10,
-            brush=[to_qcolor(ink.accent if c in front else ink.worse) for c in measured], hoverable=True, hoverSize=15,
+            [c.ms for c in measured],
+            [c.error for c in measured],
+            data=[(c.row, c.col) for c in measured],
+            size=10,
+            brush=[to_qcolor(ink.accent if c in front else ink.worse) for c in measured],
+            hoverable=True,
+            hoverSize=15,
             tip=self._describe_point,
-        )  # fmt: skip
+        )
         points.sigClicked.connect(self._choose)
         axes.view.addItem(points)
         axes.view.setLimits(xMin=0.0, yMin=0.0)
 
     def _describe_point(self, x: float, y: float, data: CellIndex) -> str:
         del x, y
-        return f"row {data[0] + 1}, column {data[1] + 1}: {describe_cell(self.cells[data], self._unit)}"
+        return (
+            f"row {data[0] + 1}, column {data[1] + 1}: "
+            f"{describe_cell(self.cells[data], self._unit)}"
+        )
 
     def _choose(self, _: object, points: Sequence[Any], *__: object) -> None:
         self.cell_chosen.emit(*points[0].data())

@@ -31,13 +31,20 @@ class ComparisonPage(QWidget):
         self.methods = TileTab([QLabel("order"), self.order_box])
         self.variants = TileTab([QLabel("stage"), self.stage_box])
         self.grid = GridTab()
-        self.views_3d, self.row_3d = (View3DPanel(), View3DPanel()), QWidget()
+        self.views_3d = (View3DPanel(), View3DPanel())
+        self.row_3d = QWidget()
         row = set_spacing(QHBoxLayout(self.row_3d), 4)
-        fill(row, *((cell, 1) for cell in self.views_3d), 1)  # empty under the difference, which has no 3D view
+        # empty under the difference, which has no 3D view
+        fill(row, *((cell, 1) for cell in self.views_3d), 1)
         self.variants.stack.addWidget(self.row_3d, 2)
         self.row_3d.hide()
-        self.tabs: Mapping[str, ComparisonTab] = {"methods": self.methods, "two": self.variants, "grid": self.grid}
-        self._tab_bar, self._n_commands = QTabWidget(), 0
+        self.tabs: Mapping[str, ComparisonTab] = {
+            "methods": self.methods,
+            "two": self.variants,
+            "grid": self.grid,
+        }
+        self._tab_bar = QTabWidget()
+        self._n_commands = 0
         self._tab_bar.setDocumentMode(True)
         self._tab_bar.setObjectName("compare_tabs")
         self._tab_bar.setAccessibleName("comparisons")

@@ -1,4 +1,6 @@
-"""Tabs of the comparison page: controls, a message with progress, and results as tiles or as a grid."""
+"""Tabs of the comparison page: controls, a message with progress, and results as tiles or as a
+grid.
+"""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -30,15 +32,18 @@ class ComparisonTab(QWidget):
 
     def __init__(self, controls: Sequence[QWidget] | QLayout, results: QWidget) -> None:
         super().__init__()
-        self.message, self.run_bar = QLabel(), RunBar("compare", keeps_room=True)
+        self.message = QLabel()
+        self.run_bar = RunBar("compare", keeps_room=True)
         self.message.setWordWrap(True)
         self.message.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Minimum)
         self.head = set_spacing(QHBoxLayout(), 6)
         fill(self.head, *([(controls, 1)] if isinstance(controls, QLayout) else [*controls, 1]))
         self.stack = fill(
-            set_spacing(QVBoxLayout(self), 4, (4, 4, 4, 2)), self.head,
-            fill(set_spacing(QHBoxLayout(), 6), (self.message, 1), self.run_bar), (results, 3),
-        )  # fmt: skip
+            set_spacing(QVBoxLayout(self), 4, (4, 4, 4, 2)),
+            self.head,
+            fill(set_spacing(QHBoxLayout(), 6), (self.message, 1), self.run_bar),
+            (results, 3),
+        )
 
     def show_comparison(self, comparison: Comparison) -> None:
         """Show what is computed so far."""
@@ -67,10 +72,13 @@ class GridTab(ComparisonTab):
     """Axes, values and metric of a grid, and its cells."""
 
     def __init__(self) -> None:
-        self.axes = tuple(ChoiceBox(f"grid_{word}", f"what the {word} try") for word in _AXES)  # across, down
+        # across, down
+        self.axes = tuple(ChoiceBox(f"grid_{word}", f"what the {word} try") for word in _AXES)
         self.values = QLineEdit(), QLineEdit()
-        self.metric_box, self.start_button = ChoiceBox("grid_metric", "metric"), QPushButton("Start")
-        self.grid, self.plot = CellGrid(), CellPlot()
+        self.metric_box = ChoiceBox("grid_metric", "metric")
+        self.start_button = QPushButton("Start")
+        self.grid = CellGrid()
+        self.plot = CellPlot()
         self._offers: Mapping[str, str] = {}
         controls = set_spacing(QGridLayout(), 6)
         results = make_splitter(Qt.Orientation.Horizontal, (self.grid, 3), (self.plot, 2))
@@ -94,14 +102,19 @@ class GridTab(ComparisonTab):
     def _suggest_values(self, line: QLineEdit, title: str) -> None:
         line.setText(self._offers.get(title, ""))
 
-    def offer_axes(self, offers: Mapping[str, str], metrics: Mapping[str, str], metric: str) -> None:
+    def offer_axes(
+        self, offers: Mapping[str, str], metrics: Mapping[str, str], metric: str
+    ) -> None:
         """Offer axes (title -> suggested values) and metrics (name -> title); emits no signal.
 
-        The chosen axes and their values stay while they are offered, else the first ones are chosen.
+        The chosen axes and their values stay while they are offered, else the first ones are
+        chosen.
         """
         first = (*offers, "", "")[:2]
         self._offers = offers
-        for box, line, default, none in zip(self.axes, self.values, first, ({}, {"": "one row"}), strict=True):
+        for box, line, default, none in zip(
+            self.axes, self.values, first, ({}, {"": "one row"}), strict=True
+        ):
             titles = {**none, **{title: title for title in offers}}
             keeps = box.count() > 0 and box.choice in titles
             box.offer(titles, box.choice if keeps else default)
@@ -112,12 +125,18 @@ class GridTab(ComparisonTab):
     @property
     def axis_texts(self) -> tuple[str, str]:
         """Columns and rows as `stage.name=value,value`; "" for one row."""
-        across, down = (f"{box.choice}={line.text()}" for box, line in zip(self.axes, self.values, strict=True))
+        across, down = (
+            f"{box.choice}={line.text()}" for box, line in zip(self.axes, self.values, strict=True)
+        )
         return across, down if self.axes[1].choice else ""
 
     def show_plan(self, plan: GridPlan | None, unit: str = "") -> None:
         """Show an empty grid, or none."""
-        values = [] if plan is None else [[format_value(value) for value in axis.values] for axis in plan.axes]
+        values = (
+            []
+            if plan is None
+            else [[format_value(value) for value in axis.values] for axis in plan.axes]
+        )
         across, down = (*values, [""] if values else [], list[str]())[:2]
         self.grid.show_axes(across, down, unit)
         self.plot.show_cells({}, unit)

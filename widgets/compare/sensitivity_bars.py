@@ -1,4 +1,6 @@
-"""Sensitivity bars: how much each metric of the score changes per 0.1 mm or 0.1 degrees of each axis."""
+"""Sensitivity bars: how much each metric of the score changes per 0.1 mm or 0.1 degrees of each
+axis.
+"""
 
 from collections.abc import Sequence
 
@@ -12,16 +14,20 @@ from widgets.style.theme import ThemeColours, to_qcolor
 # title, unit, digits, whether larger is better
 _FIGURES = (("depth", "mm", 3, False), ("edge", "px", 2, False), ("IoU", "", 3, True))
 _FULL_IOU = 0.02
-_NEARER, _FARTHER = "\N{BLACK UP-POINTING TRIANGLE}", "\N{BLACK DOWN-POINTING TRIANGLE}"
+_NEARER = "\N{BLACK UP-POINTING TRIANGLE}"
+_FARTHER = "\N{BLACK DOWN-POINTING TRIANGLE}"
 _CELL_ROOM_PX = 10  # padding of a cell
 _TIP = (
-    "change of the score per {step:g} mm or {step:g}° along each axis, mean of either side; the triangle shows "
+    "change of the score per {step:g} mm or {step:g}° along each axis, mean of either side; the "
+    "triangle shows "
     "whether raising or lowering the axis improves it, none at the optimum; bars are full at {full}"
 )
 
 
 class SensitivityBars(PaintedWidget):
-    """One row per axis, one column per metric: a bar, its number and the direction that improves it."""
+    """One row per axis, one column per metric: a bar, its number and the direction that improves
+    it.
+    """
 
     def __init__(self) -> None:
         super().__init__("sensitivity", "sensitivity of the axes", down=FIXED)
@@ -35,7 +41,9 @@ class SensitivityBars(PaintedWidget):
         self.set_pixel_size(UNIT_STEP)
 
     def set_pixel_size(self, pixel_mm: float) -> None:
-        """Set the change at which a bar is full, that of a surface that moves as far as the alignment does."""
+        """Set the change at which a bar is full, that of a surface that moves as far as the
+        alignment does.
+        """
         self._full = (UNIT_STEP, UNIT_STEP / pixel_mm, _FULL_IOU)
         names = zip(_FIGURES, self._full, strict=True)
         full = ", ".join(f"{name} {limit:.2g} {unit}".strip() for (name, unit, *_), limit in names)
@@ -44,29 +52,39 @@ class SensitivityBars(PaintedWidget):
     def show_sensitivities(self, axes: Sequence[Sensitivity]) -> None:
         """Show these axes; none clears the table."""
         self.axes = tuple(axes)
-        rows = [f"{s.axis}: " + ", ".join(_format_change(c, i) for i, c in enumerate(_changes(s))) for s in self.axes]
+        rows = [
+            f"{s.axis}: " + ", ".join(_format_change(c, i) for i, c in enumerate(_changes(s)))
+            for s in self.axes
+        ]
         self.setAccessibleDescription("; ".join(rows))
         self.update()
 
     def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint header and rows."""
-        row, left = self._row_px(), self._left_px()
+        row = self._row_px()
+        left = self._left_px()
         width = (self.width() - left) / len(_FIGURES)
-        soft, text = self.palette().placeholderText().color(), self.palette().text().color()
+        soft = self.palette().placeholderText().color()
+        text = self.palette().text().color()
         painter.setPen(soft)
         middle = int(Qt.AlignmentFlag.AlignVCenter)
         painter.drawText(QRectF(0, 0, left, row), middle, "per")
         for i, (name, unit, *_) in enumerate(_FIGURES):
             cell = QRectF(left + i * width, 0, width - 4, row)
-            painter.drawText(cell, middle | int(Qt.AlignmentFlag.AlignRight), f"{name} {unit}".strip())
+            painter.drawText(
+                cell, middle | int(Qt.AlignmentFlag.AlignRight), f"{name} {unit}".strip()
+            )
         for n, axis in enumerate(self.axes):
             top = (n + 1) * row
             painter.setPen(text)
             painter.drawText(QRectF(0, top, left, row), middle, axis.axis)
             painter.setPen(soft)
             unit = "°" if axis.unit == "deg" else " mm"
-            painter.drawText(QRectF(self.fontMetrics().horizontalAdvance("rx  "), top, left, row), middle,
-                             f"{UNIT_STEP:g}{unit}")  # fmt: skip
+            painter.drawText(
+                QRectF(self.fontMetrics().horizontalAdvance("rx  "), top, left, row),
+                middle,
+                f"{UNIT_STEP:g}{unit}",
+            )
             for i, change in enumerate(_changes(axis)):
                 cell = QRectF(left + i * width, top + 1, width - 4, row - 2)
                 painter.fillRect(cell, to_qcolor(ink.gauge_background))
@@ -98,8 +116,15 @@ def _format_change(change: ScoreChange, figure: int) -> str:
 
 
 def _better_way(change: ScoreChange, more_is_better: bool) -> str:
-    """Return whether raising or lowering the axis improves the metric; "" where both are about as bad."""
-    if change.slope is None or change.magnitude is None or abs(change.slope) < 0.5 * change.magnitude:
+    """Return whether raising or lowering the axis improves the metric.
+
+    "" where both are about as bad.
+    """
+    if (
+        change.slope is None
+        or change.magnitude is None
+        or abs(change.slope) < 0.5 * change.magnitude
+    ):
         return ""
     raising_helps = (change.slope > 0) == more_is_better
     return _NEARER if raising_helps else _FARTHER

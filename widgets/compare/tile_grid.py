@@ -5,7 +5,15 @@ from functools import partial
 from typing import Any
 
 from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, pyqtSignal
-from PyQt6.QtWidgets import QBoxLayout, QFrame, QGridLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import (
+    QBoxLayout,
+    QFrame,
+    QGridLayout,
+    QLabel,
+    QSizePolicy,
+    QVBoxLayout,
+    QWidget,
+)
 
 from pipeline.views.tile import Tile
 from widgets.style.base import EventListener, resize_font
@@ -14,12 +22,12 @@ from widgets.views.preview_view import SIDE_TEXT_PX, PreviewView
 
 _MOST_COLUMNS = 8
 _NARROW_PX = 360
-_RIM_PX, _WORDS_PX, _LEVELS_PX = (
-    10,
-    72,
-    48,
-)  # estimates of a tile's border, text and colour bar, good enough to choose the layout
-_SIDE_TEXT_GAIN = 1.1  # gain in image width needed to place the text at the side: under an image it is read sooner
+# estimates of a tile's border, text and colour bar, good enough to choose the layout
+_RIM_PX = 10
+_WORDS_PX = 72
+_LEVELS_PX = 48
+# gain in image width needed to place the text at the side: under an image it is read sooner
+_SIDE_TEXT_GAIN = 1.1
 _LEAST_PX = (320, 240)
 _LINES = 6  # metric lines at the side where there is room, more if a tile has more
 
@@ -31,7 +39,9 @@ class TileView(QFrame):
         super().__init__()
         self.setFrameShape(QFrame.Shape.StyledPanel)
         self.tile = Tile(title="")
-        self._title, self._subtitle, self.view = QLabel(), QLabel(), PreviewView()
+        self._title = QLabel()
+        self._subtitle = QLabel()
+        self.view = PreviewView()
         make_bold(self._title)
         resize_font(self._subtitle)
         for label in (self._title, self._subtitle):
@@ -40,7 +50,8 @@ class TileView(QFrame):
         self._subtitle.setWordWrap(True)
         self._subtitle.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self.view.caption.set_lines(1)
-        self._text_at_side, self._lines = False, _LINES
+        self._text_at_side = False
+        self._lines = _LINES
         EventListener(self, self._fit_words, QEvent.Type.Resize)  # a narrow tile wraps its metrics
         self._around = set_spacing(QVBoxLayout(self), 2, (3, 3, 3, 2))
         fill(self._around, self._title, self._subtitle, (self.view, 1))
@@ -65,12 +76,17 @@ class TileView(QFrame):
         if self._text_at_side:
             lines = min(max(2, (self.height() - _WORDS_PX - 2 * _LEVELS_PX) // line), self._lines)
         self._subtitle.setFixedHeight(lines * line + 2)
-        self._title.setFixedHeight((2 if self._text_at_side else 1) * self._title.fontMetrics().lineSpacing() + 2)
+        self._title.setFixedHeight(
+            (2 if self._text_at_side else 1) * self._title.fontMetrics().lineSpacing() + 2
+        )
 
     @property
     def needed_lines(self) -> int:
         """Number of lines that the metrics fill at the side of the image."""
-        return -(-self._subtitle.heightForWidth(SIDE_TEXT_PX) // self._subtitle.fontMetrics().lineSpacing())
+        return -(
+            -self._subtitle.heightForWidth(SIDE_TEXT_PX)
+            // self._subtitle.fontMetrics().lineSpacing()
+        )
 
     def reserve_lines(self, lines: int) -> None:
         """Reserve this number of lines, the same in all tiles: images stay aligned."""
@@ -84,7 +100,9 @@ class TileView(QFrame):
         for label, text in ((self._title, tile.title), (self._subtitle, tile.subtitle)):
             label.setText(text)
             label.setToolTip(text)
-        versus = versus if versus in ("wipe", "blink") or not tile.default_mode else tile.default_mode
+        versus = (
+            versus if versus in ("wipe", "blink") or not tile.default_mode else tile.default_mode
+        )
         if tile.preview is not None:
             self.view.show_compared(tile.preview, tile.truth, tile.difference, versus)
         self.view.canvas.setVisible(tile.preview is not None or bool(tile.problem))
@@ -92,7 +110,10 @@ class TileView(QFrame):
 
 
 class TileGrid(QWidget):
-    """Shows tiles as large as they fit; `readout_changed` carries the value of the pixel under the mouse."""
+    """Shows tiles as large as they fit.
+
+    `readout_changed` carries the value of the pixel under the mouse.
+    """
 
     readout_changed = pyqtSignal(str)
     limit_dragged = pyqtSignal(str, float)  # as of `widgets.views.colour_bar.ColourBar`
@@ -117,7 +138,9 @@ class TileGrid(QWidget):
         return QSize(900, 500)
 
     def minimumSizeHint(self) -> QSize:  # noqa: N802
-        """Return the same size for every layout: otherwise the layout would change the room that it is chosen by."""
+        """Return the same size for every layout: otherwise the layout would change the room that
+        it is chosen by.
+        """
         return QSize(*_LEAST_PX)
 
     def hasHeightForWidth(self) -> bool:  # noqa: N802
@@ -163,8 +186,14 @@ class TileGrid(QWidget):
 
     @property
     def _has_scale(self) -> bool:
-        """Whether any tile has a colour bar; tiles without one reserve its room, so that images stay aligned."""
-        return any(view.view.preview is not None and view.view.preview.scale is not None for view in self.views)
+        """Whether any tile has a colour bar.
+
+        Tiles without one reserve its room, so that images stay aligned.
+        """
+        return any(
+            view.view.preview is not None and view.view.preview.scale is not None
+            for view in self.views
+        )
 
     def _place(self) -> None:
         """Lay out rows as the tiles request, else so that images are largest."""
@@ -188,18 +217,25 @@ class TileGrid(QWidget):
     def _shape(self) -> tuple[int, bool]:
         """Return the number per row, and whether text is at the side, that make images largest."""
         apart = [tile.starts_row for tile in self.tiles]
-        tall = max((view.view.height_over_width for view in self.views if view.tile.preview is not None), default=0.75)
+        tall = max(
+            (view.view.height_over_width for view in self.views if view.tile.preview is not None),
+            default=0.75,
+        )
         words_px = _WORDS_PX + _LEVELS_PX * self._has_scale
 
         def estimate_width(shape: tuple[int, bool]) -> float:
-            places, at_side = _places(apart, shape[0]) or ((0, 0),), shape[1]
+            places = _places(apart, shape[0]) or ((0, 0),)
+            at_side = shape[1]
             rows, cols = (1 + max(place[k] for place in places) for k in (0, 1))
             wide_px = self.width() / cols - _RIM_PX - SIDE_TEXT_PX * at_side
             high_px = self.height() / rows - (_RIM_PX if at_side else words_px)
             return min(wide_px, max(1.0, high_px) / tall) / (_SIDE_TEXT_GAIN if at_side else 1.0)
 
         most = 1 if any(apart) else min(_MOST_COLUMNS, max(1, len(apart)))
-        return max(((cols, at_side) for at_side in (False, True) for cols in range(1, most + 1)), key=estimate_width)
+        return max(
+            ((cols, at_side) for at_side in (False, True) for cols in range(1, most + 1)),
+            key=estimate_width,
+        )
 
     def _sync_views(self, at: TileView) -> None:
         """Show the same region at the same scale in all tiles."""
@@ -236,13 +272,16 @@ class TileGrid(QWidget):
 
 
 def _places(apart: Sequence[bool], columns: int) -> tuple[tuple[int, int], ...]:
-    """Return (row, col) of each tile: `columns` per row, or as many as lie between tiles that start a row."""
+    """Return (row, col) of each tile: `columns` per row, or as many as lie between tiles that
+    start a row.
+    """
     rows_given = any(apart)
     places: list[tuple[int, int]] = []
     row = col = 0
     for begins in apart:
         if places and (begins if rows_given else col == columns):
-            row, col = row + 1, 0
+            row = row + 1
+            col = 0
         places.append((row, col))
         col += 1
     return tuple(places)

@@ -3,7 +3,15 @@
 from collections.abc import Sequence
 
 from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtWidgets import QDialog, QFormLayout, QHBoxLayout, QLabel, QLineEdit, QPushButton, QWidget
+from PyQt6.QtWidgets import (
+    QDialog,
+    QFormLayout,
+    QHBoxLayout,
+    QLabel,
+    QLineEdit,
+    QPushButton,
+    QWidget,
+)
 
 from widgets.style.base import ChoiceBox
 from widgets.style.styling import fill
@@ -31,9 +39,12 @@ class ExportDialog(QDialog):
         self.setWindowTitle("Export")
         self.setObjectName("export_dialog")
         contents = {name: name for name in ("computed", "truth", "difference")}
-        self.pane_box, self.frames = ChoiceBox("export_pane", "export pane"), QLineEdit()
+        self.pane_box = ChoiceBox("export_pane", "export pane")
+        self.frames = QLineEdit()
         self.content_box = ChoiceBox("export_shows", "export shows", contents)
-        self.format_box = ChoiceBox("export_as", "export as", {suffix: words for suffix, words, _ in FORMATS})
+        self.format_box = ChoiceBox(
+            "export_as", "export as", {suffix: words for suffix, words, _ in FORMATS}
+        )
         self.frames.setObjectName("export_frames")
         self.frames.setAccessibleName("export frames")
         self.frames.setPlaceholderText("all, or for example 0,3-7")
@@ -49,7 +60,8 @@ class ExportDialog(QDialog):
         self._told = QLabel()
         self._told.setWordWrap(True)
         form.addRow(self._told)
-        self.copy, self.write = QPushButton("Copy as command"), QPushButton("Export…")
+        self.copy = QPushButton("Copy as command")
+        self.write = QPushButton("Export…")
         self.write.setDefault(True)
         form.addRow(fill(QHBoxLayout(), 1, self.copy, self.write))
         self.copy.clicked.connect(lambda: self.command_requested.emit(*self.selection))

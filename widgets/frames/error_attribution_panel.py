@@ -14,7 +14,9 @@ from widgets.style.styling import fill, make_bold, set_spacing
 from widgets.style.theme import ThemeColours, to_qcolor
 
 _BAR_SHARE = 0.62  # of a row's height
-_TITLE_SHARE, _VALUE_SHARE = 0.26, 0.12  # of the width
+# of the width
+_TITLE_SHARE = 0.26
+_VALUE_SHARE = 0.12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,7 +37,9 @@ class WaterfallBar:
 def make_bars(
     title: str, total: float, parts: Sequence[tuple[str, float]], rest: float | None = None
 ) -> tuple[WaterfallBar, ...]:
-    """Return the rows of the total error, of (title, share) parts from where the one before ends, and of the rest."""
+    """Return the rows of the total error, of (title, share) parts from where the one before
+    ends, and of the rest.
+    """
     rows = [WaterfallBar(title=title, begin=0.0, end=total, is_total=True)]
     left = total
     for name, share in parts:
@@ -58,7 +62,8 @@ class Waterfall(PaintedWidget):
 
     def show_bars(self, shown: tuple[WaterfallBar, ...], unit: str) -> None:
         """Show these rows."""
-        self.bars, self._unit = shown, unit
+        self.bars = shown
+        self._unit = unit
         self.update()
 
     def mouseReleaseEvent(self, a0: QMouseEvent | None) -> None:  # noqa: N802
@@ -77,25 +82,30 @@ class Waterfall(PaintedWidget):
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         low = min(0.0, *(min(bar.begin, bar.end) for bar in self.bars))
         high = max(1e-9, *(max(bar.begin, bar.end) for bar in self.bars))
-        left, right = _TITLE_SHARE * self.width(), (1.0 - _VALUE_SHARE) * self.width()
+        left = _TITLE_SHARE * self.width()
+        right = (1.0 - _VALUE_SHARE) * self.width()
         per_unit = (right - left) / (high - low)
         tall = self.height() / len(self.bars)
         for row, bar in enumerate(self.bars):
             top = row * tall
             painter.setPen(self.palette().color(QPalette.ColorRole.WindowText))
             align = Qt.AlignmentFlag.AlignVCenter
-            painter.drawText(QRectF(4, top, left - 10, tall), align | Qt.AlignmentFlag.AlignRight, bar.title)
+            painter.drawText(
+                QRectF(4, top, left - 10, tall), align | Qt.AlignmentFlag.AlignRight, bar.title
+            )
             value = f"{bar.end:.3f} {self._unit}" if bar.is_total else f"{bar.change:+.3f}"
             painter.drawText(QRectF(right + 6, top, self.width() - right - 8, tall), align, value)
             ends = sorted((bar.begin, bar.end))
             colour = ink.neutral if bar.is_total else ink.accent if bar.change <= 0 else ink.worse
             painter.fillRect(
                 QRectF(
-                    left + (ends[0] - low) * per_unit, top + 0.5 * (1 - _BAR_SHARE) * tall,
-                    max(1.0, (ends[1] - ends[0]) * per_unit), _BAR_SHARE * tall,
+                    left + (ends[0] - low) * per_unit,
+                    top + 0.5 * (1 - _BAR_SHARE) * tall,
+                    max(1.0, (ends[1] - ends[0]) * per_unit),
+                    _BAR_SHARE * tall,
                 ),
                 to_qcolor(colour),
-            )  # fmt: skip
+            )
 
 
 class WaterfallPanel(QWidget):
@@ -103,7 +113,8 @@ class WaterfallPanel(QWidget):
 
     def __init__(self, control: QWidget, *, at_left: bool = False) -> None:
         super().__init__()
-        self.sentence, self.waterfall = QLabel(), Waterfall()
+        self.sentence = QLabel()
+        self.waterfall = Waterfall()
         self.sentence.setWordWrap(True)
         make_bold(self.sentence)
         head = fill(set_spacing(QHBoxLayout(), 8), (self.sentence, 1))
@@ -112,14 +123,19 @@ class WaterfallPanel(QWidget):
 
 
 class ErrorAttributionPanel(WaterfallPanel):
-    """Metric chooser, sentence and waterfall; `share_clicked` carries the number of the clicked share."""
+    """Metric chooser, sentence and waterfall.
+
+    `share_clicked` carries the number of the clicked share.
+    """
 
     share_clicked = pyqtSignal(int)
 
     def __init__(self) -> None:
         self.metric_box = ChoiceBox("attributed_metric", "metric to attribute")
         super().__init__(self.metric_box, at_left=True)
-        self.waterfall.setToolTip("A click on a share pins the truth of its stage in the column's head, or releases it")
+        self.waterfall.setToolTip(
+            "A click on a share pins the truth of its stage in the column's head, or releases it"
+        )
         self.waterfall.row_clicked.connect(self._click_row)
         self.show_empty("")
 
@@ -153,19 +169,29 @@ class DecisionPanel(WaterfallPanel):
         self.run_bar = StartBar("attribute", "Attribute")
         super().__init__(self.run_bar)
         self.run_bar.start_button.setToolTip(
-            "Run the rollout again with the truth in place of one stage after the other; nothing is written"
+            "Run the rollout again with the truth in place of one stage after the other; nothing "
+            "is written"
         )
 
-    def show_decision(self, sentence: str, decision: Decision | None, *, can_attribute: bool) -> None:
+    def show_decision(
+        self, sentence: str, decision: Decision | None, *, can_attribute: bool
+    ) -> None:
         """Show the shares of a decision, if it has some."""
         self.sentence.setText(sentence)
         self.run_bar.start_button.setEnabled(can_attribute)
         self.waterfall.show_bars(() if decision is None else make_share_bars(decision), "mm")
-        shares: Sequence[str] = () if decision is None else [f"{p.title} {p.share_mm:.2f} mm" for p in decision.shares]
+        shares: Sequence[str] = (
+            () if decision is None else [f"{p.title} {p.share_mm:.2f} mm" for p in decision.shares]
+        )
         self.waterfall.setAccessibleDescription("; ".join(shares))
 
 
 def make_share_bars(decision: Decision) -> tuple[WaterfallBar, ...]:
-    """Return the error, then each stage's share from where the one before ends; () without shares."""
-    parts = [(f"{p.title} {_SUCCEEDS}" if p.succeeds else p.title, p.share_mm) for p in decision.shares]
+    """Return the error, then each stage's share from where the one before ends.
+
+    () without shares.
+    """
+    parts = [
+        (f"{p.title} {_SUCCEEDS}" if p.succeeds else p.title, p.share_mm) for p in decision.shares
+    ]
     return make_bars("error", decision.error_mm, parts) if parts else ()

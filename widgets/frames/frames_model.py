@@ -15,11 +15,15 @@ from widgets.style.theme import is_dark
 FRAME, METRIC, CAUSE, DEPTH, CONTACT, WARNINGS, NOTE = range(7)
 _TITLES = ("frame", "error", "cause", "depth\nmm", "area\nmm²", "warn", "note")
 _TIPS = (
-    "frame number, with an image of the source", "",
-    "the stage that most of the error comes from, by the truth; without truth the stage of its first warning",
+    "frame number, with an image of the source",
+    "",
+    "the stage that most of the error comes from, by the truth; without truth the stage of its "
+    "first warning",
     "largest indentation of the source sensor, mm",
-    "contact area on the source sensor, mm²", "number of warnings that not every frame has", "your note on the frame",
-)  # fmt: skip
+    "contact area on the source sensor, mm²",
+    "number of warnings that not every frame has",
+    "your note on the frame",
+)
 _DECIMALS = {METRIC: 3, DEPTH: 2, CONTACT: 1, WARNINGS: 0}
 _N_WARNINGS = "frame.n_warnings"
 
@@ -36,7 +40,8 @@ class FramesModel(RowsModel):
         super().__init__(_TITLES, _TIPS, parent)
         self._figure = ""  # of the metric's column
         self._known: dict[int, FrameSummary] = {}
-        self._quantities: dict[int, Mapping[str, float]] = {}  # measured on request, also of frames without summary
+        # measured on request, also of frames without summary
+        self._quantities: dict[int, Mapping[str, float]] = {}
         self._notes: Mapping[int, str] = {}
         self._common: frozenset[str] | None = None  # None = not computed yet
         self._thumbnails: dict[int, tuple[QPixmap, QPixmap]] = {}  # in the light and the dark theme
@@ -44,22 +49,30 @@ class FramesModel(RowsModel):
     @property
     def metrics(self) -> tuple[str, ...]:
         """All metrics of the known frames, in order of first appearance."""
-        return tuple(dict.fromkeys(name for known in self._known.values() for name in known.metrics))
+        return tuple(
+            dict.fromkeys(name for known in self._known.values() for name in known.metrics)
+        )
 
     def get_summary(self, frame: int) -> FrameSummary | None:
         """Return the summary of a frame; None if unknown."""
         return self._known.get(frame)
 
-    def find_unknown_frame(self, frame: int, *, completely: bool = False, quantity: str = "") -> int:
+    def find_unknown_frame(
+        self, frame: int, *, completely: bool = False, quantity: str = ""
+    ) -> int:
         """Return the frame closest to `frame` that is not known, later ones first; -1 when all are.
 
-        `completely` looks for frames that lack what takes another translation, `quantity` for those where it was not
-        measured.
+        `completely` looks for frames that lack what takes another translation, `quantity` for those
+        where it was not measured.
         """
         if completely:
             waiting = [i for i, known in self._known.items() if not known.is_complete]
         else:
-            known = {i for i, values in self._quantities.items() if quantity in values} if quantity else self._known
+            known = (
+                {i for i, values in self._quantities.items() if quantity in values}
+                if quantity
+                else self._known
+            )
             waiting = [i for i in range(self.n_rows) if i not in known]
         return min(waiting, key=lambda i: (abs(i - frame), -i), default=-1)
 
@@ -67,15 +80,21 @@ class FramesModel(RowsModel):
     def common_warnings(self) -> frozenset[str]:
         """Return the warnings that all known frames with contact share."""
         if self._common is None:
-            warnings = [set(known.warnings) for known in self._known.values() if known.contact_area_mm2 > 0]
-            self._common = frozenset[str]() if len(warnings) < 2 else frozenset(set.intersection(*warnings))
+            warnings = [
+                set(known.warnings) for known in self._known.values() if known.contact_area_mm2 > 0
+            ]
+            self._common = (
+                frozenset[str]() if len(warnings) < 2 else frozenset(set.intersection(*warnings))
+            )
         return self._common
 
     def get_specific_warnings(self, frame: int) -> tuple[str, ...]:
         """Return the warnings of a frame that are not common to all frames."""
         known = self._known.get(frame)
         return (
-            () if known is None else tuple(warning for warning in known.warnings if warning not in self.common_warnings)
+            ()
+            if known is None
+            else tuple(warning for warning in known.warnings if warning not in self.common_warnings)
         )
 
     def get_values(self, figure: str) -> tuple[float, ...]:
@@ -88,13 +107,20 @@ class FramesModel(RowsModel):
         known = self._known.get(frame)
         if known is None or known.problem:
             return math.nan
-        return float(len(self.get_specific_warnings(frame))) if figure == _N_WARNINGS else known.get_metric(figure)
+        return (
+            float(len(self.get_specific_warnings(frame)))
+            if figure == _N_WARNINGS
+            else known.get_metric(figure)
+        )
 
     def reset_frames(self, n_frames: int) -> None:
         """Start over with this many unknown frames."""
         self.beginResetModel()
         self.n_rows = n_frames
-        self._known, self._quantities, self._common, self._thumbnails = {}, {}, None, {}
+        self._known = {}
+        self._quantities = {}
+        self._common = None
+        self._thumbnails = {}
         self.endResetModel()
 
     def grow_to(self, n_frames: int) -> None:
@@ -107,14 +133,18 @@ class FramesModel(RowsModel):
     def clear_summaries(self) -> None:
         """Clear all summaries and quantities, because the settings changed."""
         if self._known or self._quantities:
-            self._known, self._quantities, self._common = {}, {}, None
+            self._known = {}
+            self._quantities = {}
+            self._common = None
             self._emit_changed(0, self.n_rows - 1)
 
     def show_metric(self, name: str, title: str, tip: str = "") -> None:
         """Set the metric, title and tooltip of the metric's column."""
         titles, tips = self._headings.values()
         if (name, title) != (self._figure, titles[METRIC]):
-            self._figure, titles[METRIC], tips[METRIC] = name, title, f"{tip}; - where unknown"
+            self._figure = name
+            titles[METRIC] = title
+            tips[METRIC] = f"{tip}; - where unknown"
             self.headerDataChanged.emit(Qt.Orientation.Horizontal, METRIC, METRIC)
             self._emit_changed(0, self.n_rows - 1)
 
@@ -126,11 +156,14 @@ class FramesModel(RowsModel):
         if summary.thumbnail is not None and frame not in self._thumbnails:
             dark = summary.thumbnail if summary.dark_thumbnail is None else summary.dark_thumbnail
             self._thumbnails[frame] = _to_pixmap(summary.thumbnail), _to_pixmap(dark)
-        self._known[frame], self._common = summary if old is None else old.merge(summary), None
+        self._known[frame] = summary if old is None else old.merge(summary)
+        self._common = None
         self._emit_changed(frame, frame)
 
     def show_quantities(self, frame: int, quantities: Mapping[str, float]) -> None:
-        """Add what was measured of a frame on request: metric -> value, NaN where it could not be."""
+        """Add what was measured of a frame on request: metric -> value, NaN where it could not
+        be.
+        """
         if 0 <= frame < self.n_rows:
             self._quantities[frame] = {**self._quantities.get(frame, {}), **quantities}
             self._emit_changed(frame, frame)
@@ -151,7 +184,9 @@ class FramesModel(RowsModel):
         usual = super().flags(index)
         return usual | Qt.ItemFlag.ItemIsEditable if index.column() == NOTE else usual
 
-    def setData(self, index: QModelIndex, value: object, role: int = Qt.ItemDataRole.EditRole) -> bool:  # noqa: N802
+    def setData(  # noqa: N802 - Qt's name
+        self, index: QModelIndex, value: object, role: int = Qt.ItemDataRole.EditRole
+    ) -> bool:
         """Emit an edited note; its owner stores and shows it."""
         if not index.isValid() or index.column() != NOTE or role != Qt.ItemDataRole.EditRole:
             return False
@@ -164,19 +199,31 @@ class FramesModel(RowsModel):
             return None
         if index.column() == NOTE and role != SORT_ROLE:
             kept = self.get_note(index.row())
-            shown = Qt.ItemDataRole.DisplayRole, Qt.ItemDataRole.EditRole, Qt.ItemDataRole.ToolTipRole
+            shown = (
+                Qt.ItemDataRole.DisplayRole,
+                Qt.ItemDataRole.EditRole,
+                Qt.ItemDataRole.ToolTipRole,
+            )
             return kept if role in shown else None
         if role in (Qt.ItemDataRole.ToolTipRole, Qt.ItemDataRole.DecorationRole):
             return self._remark(index.row(), index.column(), Qt.ItemDataRole(role))
         if role == Qt.ItemDataRole.TextAlignmentRole:
-            side = Qt.AlignmentFlag.AlignLeft if index.column() == CAUSE else Qt.AlignmentFlag.AlignRight
+            side = (
+                Qt.AlignmentFlag.AlignLeft
+                if index.column() == CAUSE
+                else Qt.AlignmentFlag.AlignRight
+            )
             return int(side | Qt.AlignmentFlag.AlignVCenter)
         if role == SORT_ROLE:
             return self._sort_value(index.row(), index.column())
-        return self._text(index.row(), index.column()) if role == Qt.ItemDataRole.DisplayRole else None
+        return (
+            self._text(index.row(), index.column()) if role == Qt.ItemDataRole.DisplayRole else None
+        )
 
     def _remark(self, frame: int, column: int, role: Qt.ItemDataRole) -> object:
-        """Return why a frame failed or has warnings, its image, or the sign next to its number of warnings."""
+        """Return why a frame failed or has warnings, its image, or the sign next to its number
+        of warnings.
+        """
         summary = self._known.get(frame)
         if role == Qt.ItemDataRole.DecorationRole and column == FRAME:
             thumbnails = self._thumbnails.get(frame)
@@ -185,7 +232,11 @@ class FramesModel(RowsModel):
             return None
         if role == Qt.ItemDataRole.ToolTipRole:
             return summary.problem or "\n".join(summary.warnings) or None
-        return make_state_icon("warning") if column == WARNINGS and self.get_specific_warnings(frame) else None
+        return (
+            make_state_icon("warning")
+            if column == WARNINGS and self.get_specific_warnings(frame)
+            else None
+        )
 
     def _sort_value(self, frame: int, column: int) -> float | str:
         if column == CAUSE:
@@ -231,4 +282,6 @@ class FramesModel(RowsModel):
 
 def _to_pixmap(image: Image) -> QPixmap:
     rows, cols = image.shape[:2]
-    return QPixmap.fromImage(QImage(image.tobytes(), cols, rows, 3 * cols, QImage.Format.Format_RGB888))
+    return QPixmap.fromImage(
+        QImage(image.tobytes(), cols, rows, 3 * cols, QImage.Format.Format_RGB888)
+    )

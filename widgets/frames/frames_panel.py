@@ -5,18 +5,43 @@ from collections.abc import Mapping
 from functools import partial
 
 from PyQt6.QtCore import QEvent, QModelIndex, QSize, QSortFilterProxyModel, Qt, pyqtSignal
-from PyQt6.QtWidgets import QAbstractItemView, QComboBox, QHeaderView, QLabel, QTableView, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import (
+    QAbstractItemView,
+    QComboBox,
+    QHeaderView,
+    QLabel,
+    QTableView,
+    QVBoxLayout,
+    QWidget,
+)
 
 from widgets.frames.frame_summary import THUMBNAIL_PX
-from widgets.frames.frames_model import CAUSE, CONTACT, DEPTH, FRAME, METRIC, NOTE, WARNINGS, FramesModel
+from widgets.frames.frames_model import (
+    CAUSE,
+    CONTACT,
+    DEPTH,
+    FRAME,
+    METRIC,
+    NOTE,
+    WARNINGS,
+    FramesModel,
+)
 from widgets.frames.metric_histogram import MetricHistogram
 from widgets.style.base import ChoiceBox, EventListener, resize_font
 from widgets.style.styling import fill, make_search_line, make_single_shot_timer, set_spacing
-from widgets.style.tables import SORT_ROLE, RowFilter, get_limits, matches_limit, prepare_table, replace_limits
+from widgets.style.tables import (
+    SORT_ROLE,
+    RowFilter,
+    get_limits,
+    matches_limit,
+    prepare_table,
+    replace_limits,
+)
 
 _HINT = "filter: >0.3, <2, contact, warned, noted, a word"
 _FILTER_TIP = (
-    "Frames that match all terms: a limit of the metric, contact, warned, noted, or a word of a note or a warning"
+    "Frames that match all terms: a limit of the metric, contact, warned, noted, or a "
+    "word of a note or a warning"
 )
 _HISTOGRAM_DELAY_MS = 60  # values that arrive within it are drawn together
 
@@ -33,9 +58,13 @@ class FramesPanel(QWidget):
         self._frame = 0
         self.metric_box = ChoiceBox("frames_figure", "metric of the frames")
         self._told = QLabel()
-        self.filter_line = make_search_line("frames_filter", "filter of the frames", _HINT, _FILTER_TIP)
+        self.filter_line = make_search_line(
+            "frames_filter", "filter of the frames", _HINT, _FILTER_TIP
+        )
         self.filter_line.textChanged.connect(self._filter)
-        self.metric_box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        self.metric_box.setSizeAdjustPolicy(
+            QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
+        )
         resize_font(self._told)
         self.histogram = MetricHistogram()
         self.histogram.range_chosen.connect(self._choose_range)
@@ -44,10 +73,13 @@ class FramesPanel(QWidget):
         fill(layout, self.metric_box, self.histogram, self.filter_line, self.table, self._told)
         self.table.clicked.connect(self._choose_picked)  # a double click edits the note
         self.table.activated.connect(self._choose_picked)
-        self._histogram_timer = make_single_shot_timer(self, _HISTOGRAM_DELAY_MS, self._show_histogram)
+        self._histogram_timer = make_single_shot_timer(
+            self, _HISTOGRAM_DELAY_MS, self._show_histogram
+        )
         for signal in (self.model.dataChanged, self.model.modelReset):
             signal.connect(self._tell)
-        EventListener(self, self._show_histogram, QEvent.Type.Show)  # which is not drawn while the panel is hidden
+        # which is not drawn while the panel is hidden
+        EventListener(self, self._show_histogram, QEvent.Type.Show)
         self._tell()
 
     def show_frame(self, frame: int) -> None:
@@ -71,13 +103,20 @@ class FramesPanel(QWidget):
         self._histogram_timer.start()
 
     def step_by_metric(self, by: int, *, sort_order: Qt.SortOrder) -> None:
-        """Move by `by` frames in the order of the metric, without frames that lack it; stops at the ends.
+        """Move by `by` frames in the order of the metric, without frames that lack it.
 
-        The table takes that order. From a frame without the metric, the first one of the order is chosen.
+        Stops at the ends.
+
+        The table takes that order. From a frame without the metric, the first one of the order is
+        chosen.
         """
         self.table.sortByColumn(METRIC, sort_order)
         frames = [self._frame_of(row) for row in range(self._sorted.rowCount())]
-        ranked = [f for f in frames if self.model.data(self.model.index(f, METRIC), SORT_ROLE) != -math.inf]
+        ranked = [
+            f
+            for f in frames
+            if self.model.data(self.model.index(f, METRIC), SORT_ROLE) != -math.inf
+        ]
         if not ranked:
             return
         at = ranked.index(self._frame) + by if self._frame in ranked else 0
@@ -116,7 +155,9 @@ def _table(model: QSortFilterProxyModel) -> QTableView:
     columns = prepare_table(table, "frames", "frames")
     table.setModel(model)
     table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
-    table.setEditTriggers(QAbstractItemView.EditTrigger.DoubleClicked | QAbstractItemView.EditTrigger.EditKeyPressed)
+    table.setEditTriggers(
+        QAbstractItemView.EditTrigger.DoubleClicked | QAbstractItemView.EditTrigger.EditKeyPressed
+    )
     table.setAlternatingRowColors(True)
     rows = table.verticalHeader()
     assert rows is not None
@@ -156,5 +197,8 @@ def _matches_term(model: FramesModel, frame: int, word: str) -> bool:
     }
     if word in own:
         return own[word]
-    texts = (model.get_note(frame), *(() if summary is None else (*summary.warnings, summary.problem)))
+    texts = (
+        model.get_note(frame),
+        *(() if summary is None else (*summary.warnings, summary.problem)),
+    )
     return any(word in text.lower() for text in texts)

@@ -18,7 +18,10 @@ from PyQt6.QtWidgets import (
 from widgets.style.base import ChoiceBox, NumberBox
 from widgets.style.styling import fill, make_bold, make_button, set_spacing
 
-_SIMULATED, _FOLDER, _ADDRESS = "simulated", "folder", "address"  # sources that are not the name of a camera
+# sources that are not the name of a camera
+_SIMULATED = "simulated"
+_FOLDER = "folder"
+_ADDRESS = "address"
 
 
 class LiveDialog(QDialog):
@@ -33,20 +36,27 @@ class LiveDialog(QDialog):
         self.source, self.sensor, self.object_box = (
             ChoiceBox(f"live_{name}", f"live {name}") for name in ("source", "sensor", "object")
         )
-        self.rate, self.folder = NumberBox(), QLineEdit()
-        self.browse_button, self.search_button = QPushButton("Choose…"), QPushButton("Search again")
+        self.rate = NumberBox()
+        self.folder = QLineEdit()
+        self.browse_button = QPushButton("Choose…")
+        self.search_button = QPushButton("Search again")
         self.rate.setRange(0.5, 120.0)
         self.rate.setSuffix(" Hz")
         self.rate.setValue(15.0)
         self.rate.setToolTip("frame rate of a simulated sensor, Hz")
         self.folder.setToolTip(
-            "a folder that another program writes images into, or an address: http://... or rtsp://... of a video "
+            "a folder that another program writes images into, or an address: http://... or "
+            "rtsp://... of a video "
             "stream, ws://HOST:PORT TOPIC of a Foxglove bridge (ROS)"
         )
         form = QFormLayout(self)
         form.addRow("source", fill(QHBoxLayout(), (self.source, 1), self.search_button))
         form.addRow("folder or address", fill(QHBoxLayout(), (self.folder, 1), self.browse_button))
-        for label, widget in (("sensor", self.sensor), ("object", self.object_box), ("rate", self.rate)):
+        for label, widget in (
+            ("sensor", self.sensor),
+            ("object", self.object_box),
+            ("rate", self.rate),
+        ):
             form.addRow(label, widget)
         for label, widget in (("rate", self.rate), ("folder", self.folder)):
             widget.setObjectName(f"live_{label}")
@@ -69,7 +79,12 @@ class LiveDialog(QDialog):
     def show_cameras(self, cameras: Sequence[tuple[str, str]]) -> None:
         """Offer the connected cameras as (name, source)."""
         self.source.offer(
-            {_SIMULATED: "simulated sensor", **dict(cameras), _FOLDER: "growing folder", _ADDRESS: "network address"}
+            {
+                _SIMULATED: "simulated sensor",
+                **dict(cameras),
+                _FOLDER: "growing folder",
+                _ADDRESS: "network address",
+            }
         )
         self._told.setText("" if cameras else "no camera is connected")
         self._fit()
@@ -92,9 +107,13 @@ class LiveDialog(QDialog):
         source = self.source.choice
         written = self.folder.text().strip()
         words = {
-            _SIMULATED: [_SIMULATED], _FOLDER: [_FOLDER, written], _ADDRESS: written.split(maxsplit=1)
-        }.get(source, ["device", source])  # fmt: skip
-        self.watch_requested.emit(words, self.sensor.choice, self.object_box.choice, self.rate.value())
+            _SIMULATED: [_SIMULATED],
+            _FOLDER: [_FOLDER, written],
+            _ADDRESS: written.split(maxsplit=1),
+        }.get(source, ["device", source])
+        self.watch_requested.emit(
+            words, self.sensor.choice, self.object_box.choice, self.rate.value()
+        )
         self.accept()
 
 
@@ -105,10 +124,14 @@ class LiveBar(QFrame):
         super().__init__()
         self.setObjectName("live_bar")
         self.setFrameShape(QFrame.Shape.StyledPanel)
-        self._title, self._rates, self._wrong = QLabel(), QLabel(), QLabel()
+        self._title = QLabel()
+        self._rates = QLabel()
+        self._wrong = QLabel()
         make_bold(self._title)
         make_bold(self._wrong)
-        self._rates.setToolTip("frames per second over the last two seconds; lost: counted by the sensor")
+        self._rates.setToolTip(
+            "frames per second over the last two seconds; lost: counted by the sensor"
+        )
         self._wrong.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         zero_tip = "Use the last frames as the reference image; nothing may touch the sensor"
         self.follow = make_button("Follow", "live_follow", "Follow the newest frame")
@@ -116,11 +139,22 @@ class LiveBar(QFrame):
         self.record = make_button(
             "Record…", "live_record", "Record every frame to a file that can be opened at any time"
         )
-        self.stop = make_button("Stop", "live_stop", "Disconnect the sensor; the frames stay on screen")
+        self.stop = make_button(
+            "Stop", "live_stop", "Disconnect the sensor; the frames stay on screen"
+        )
         self.follow.setCheckable(True)
         self.record.setCheckable(True)
         row = set_spacing(QHBoxLayout(self), 6, (8, 3, 8, 3))
-        fill(row, self._title, self._rates, (self._wrong, 1), self.follow, self.zero, self.record, self.stop)
+        fill(
+            row,
+            self._title,
+            self._rates,
+            (self._wrong, 1),
+            self.follow,
+            self.zero,
+            self.record,
+            self.stop,
+        )
         self.hide()
 
     @property

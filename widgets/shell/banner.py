@@ -1,4 +1,7 @@
-"""Notification of an error: one sentence, buttons that mend it, and details on demand; never modal."""
+"""Notification of an error: one sentence, buttons that mend it, and details on demand.
+
+Never modal.
+"""
 
 from collections.abc import Sequence
 
@@ -12,20 +15,26 @@ from widgets.style.styling import copy_text
 from widgets.style.theme import is_dark
 
 _READ_MS = 30_000  # until an error leaves; the log keeps it
-_ON_LIGHT, _ON_DARK = ("#fdecea", "#d9a09a", "#5c1a14"), ("#4a2522", "#8c4a44", "#ffd9d4")
+_ON_LIGHT = ("#fdecea", "#d9a09a", "#5c1a14")
+_ON_DARK = ("#4a2522", "#8c4a44", "#ffd9d4")
 
 
 class Banner(NotificationBar):
-    """Hidden until `show_problem`; leaves by itself unless something mends it or its details are open."""
+    """Hidden until `show_problem`.
+
+    Leaves by itself unless something mends it or its details are open.
+    """
 
     def __init__(self) -> None:
         super().__init__("banner", read_ms=_READ_MS, choices_below=True)
         self._take_colours()
         EventListener(self, self._take_colours, QEvent.Type.PaletteChange)
-        sign, self._copy = StateIcon(20), QPushButton("Copy report")
+        sign = StateIcon(20)
+        self._copy = QPushButton("Copy report")
         sign.show_state("failed")
         self._text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self._more, self._details = QPushButton("Details"), QPlainTextEdit()
+        self._more = QPushButton("Details")
+        self._details = QPlainTextEdit()
         self._more.setCheckable(True)
         self._details.setAccessibleName("details")
         self._details.setReadOnly(True)
@@ -40,7 +49,10 @@ class Banner(NotificationBar):
 
     def _take_colours(self) -> None:
         ground, rim, letters = _ON_DARK if is_dark(self.palette()) else _ON_LIGHT
-        sheet = f"#banner {{ background: {ground}; border: 1px solid {rim}; }} #banner QLabel {{ color: {letters}; }}"
+        sheet = (
+            f"#banner {{ background: {ground}; border: 1px solid {rim}; }} #banner QLabel "
+            f"{{ color: {letters}; }}"
+        )
         if sheet != self.styleSheet():
             self.setStyleSheet(sheet)
 
@@ -54,7 +66,9 @@ class Banner(NotificationBar):
         """Whether it does not leave now: the details are open, or the pointer is over it."""
         return self._more.isChecked() or super().is_being_read
 
-    def show_problem(self, sentence: str, details: str = "", choices: Sequence[Choice] = ()) -> None:
+    def show_problem(
+        self, sentence: str, details: str = "", choices: Sequence[Choice] = ()
+    ) -> None:
         """Show one sentence, a button for each of `choices`, and details on demand."""
         self._details.setPlainText(details)
         self._more.setVisible(bool(details))

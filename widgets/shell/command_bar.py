@@ -1,4 +1,6 @@
-"""Bars of commands: a tool bar whose buttons show their text where there is room, and tabs of which one is checked."""
+"""Bars of commands: a tool bar whose buttons show their text where there is room, and tabs of
+which one is checked.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -14,7 +16,10 @@ _SPARE_PX = 12  # left free at the right end
 
 
 class CommandBar(QToolBar):
-    """Icons, with the commands' names next to as many of them as fit; the tab key reaches every button."""
+    """Icons, with the commands' names next to as many of them as fit.
+
+    The tab key reaches every button.
+    """
 
     def __init__(self, title: str, parent: QWidget | None = None) -> None:
         super().__init__(title, parent)
@@ -33,7 +38,8 @@ class CommandBar(QToolBar):
         layout = self.layout()
         if layout is None:
             return
-        spacing, around = layout.spacing(), layout.contentsMargins()
+        spacing = layout.spacing()
+        around = layout.contentsMargins()
         items = [self.widgetForAction(action) for action in self.actions() if action.isVisible()]
         used = around.left() + around.right() + _SPARE_PX
         for item in items:
@@ -42,7 +48,9 @@ class CommandBar(QToolBar):
             elif item is not None:
                 used += spacing + item.sizeHint().width()
         for button in self._ordered:
-            more = _measure(button, _Style.ToolButtonTextBesideIcon) - _measure(button, _Style.ToolButtonIconOnly)
+            more = _measure(button, _Style.ToolButtonTextBesideIcon) - _measure(
+                button, _Style.ToolButtonIconOnly
+            )
             fits = used + more <= self.width()
             used += more if fits else 0
             style = _Style.ToolButtonTextBesideIcon if fits else _Style.ToolButtonIconOnly
@@ -83,7 +91,9 @@ def _measure(button: QToolButton, style: Qt.ToolButtonStyle) -> int:
 
 
 class ActionTabs(QTabBar):
-    """One tab per checkable command: a tab runs its command, and a checked command selects its tab."""
+    """One tab per checkable command: a tab runs its command, and a checked command selects its
+    tab.
+    """
 
     def __init__(self, actions: Sequence[QAction], name: str) -> None:
         super().__init__()

@@ -1,4 +1,6 @@
-"""Every command of the window: a palette that finds them by a few letters, and the page of their shortcuts."""
+"""Every command of the window: a palette that finds them by a few letters, and the page of their
+shortcuts.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -21,7 +23,8 @@ from widgets.style.base import resize_font
 from widgets.style.styling import fill, make_search_line, set_spacing
 from widgets.style.tables import TableCopier, prepare_table
 
-_WIDTH_PX, _MOST_SHOWN = 560, 200
+_WIDTH_PX = 560
+_MOST_SHOWN = 200
 _KEYS = (Qt.Key.Key_Up, Qt.Key.Key_Down, Qt.Key.Key_PageUp, Qt.Key.Key_PageDown)
 _SIZE_PX = 760, 560
 _TITLES = ("menu", "command", "shortcut", "what it does")
@@ -36,7 +39,9 @@ class CommandPalette(QDialog):
         self.setWindowTitle("Commands")
         self.setObjectName("palette")
         self._actions: Sequence[QAction] = ()
-        self.line, self.results, self._tip = QLineEdit(), QListWidget(), QLabel()
+        self.line = QLineEdit()
+        self.results = QListWidget()
+        self._tip = QLabel()
         self.line.setPlaceholderText("type a few letters of a command")
         self.line.setAccessibleName("command")
         self.results.setObjectName("palette_found")
@@ -90,7 +95,9 @@ class CommandPalette(QDialog):
         for _, i in ranked[:_MOST_SHOWN]:
             action = self._actions[i]
             key = action.shortcut().toString()
-            item = QListWidgetItem(f"{get_command_name(action)}    {key}" if key else get_command_name(action))
+            item = QListWidgetItem(
+                f"{get_command_name(action)}    {key}" if key else get_command_name(action)
+            )
             item.setIcon(action.icon())
             item.setData(Qt.ItemDataRole.UserRole, action)
             if not action.isEnabled():
@@ -110,7 +117,9 @@ def get_command_name(action: QAction) -> str:
 
 def _score(text: str, name: str) -> int:
     """Return how far apart the letters of `text` lie in `name`, in order; -1 if one is missing."""
-    at, score, low = -1, 0, name.lower()
+    at = -1
+    score = 0
+    low = name.lower()
     if text.lower() in low:
         return low.index(text.lower())
     for letter in text.lower().replace(" ", ""):
@@ -143,7 +152,9 @@ class ShortcutsPage(QDialog):
 
     def show_commands(self, menus: Mapping[str, Sequence[QAction]]) -> None:
         """Show the commands of each menu, on the screen whatever its size."""
-        rows = [(menu, action) for menu, actions in menus.items() for action in actions if action.text()]
+        rows = [
+            (menu, action) for menu, actions in menus.items() for action in actions if action.text()
+        ]
         self.table.setRowCount(len(rows))
         for at, (menu, action) in enumerate(rows):
             keys = ", ".join(key.toString(_FORMAT) for key in action.shortcuts())
@@ -156,7 +167,8 @@ class ShortcutsPage(QDialog):
         width_px, height_px = _SIZE_PX
         if screen is not None:
             room = screen.availableSize()
-            width_px, height_px = min(width_px, room.width() - 40), min(height_px, room.height() - 80)
+            width_px = min(width_px, room.width() - 40)
+            height_px = min(height_px, room.height() - 80)
         self.resize(width_px, height_px)
         self.show()
         self.raise_()

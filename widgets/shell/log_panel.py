@@ -3,12 +3,25 @@
 import logging
 from collections import deque
 
-from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QPlainTextEdit, QPushButton, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import (
+    QComboBox,
+    QHBoxLayout,
+    QLabel,
+    QPlainTextEdit,
+    QPushButton,
+    QVBoxLayout,
+    QWidget,
+)
 
 from widgets.style.styling import fill, set_spacing
 
 _KEPT = 5000
-_LEVELS = {"everything": logging.DEBUG, "info": logging.INFO, "warnings": logging.WARNING, "errors": logging.ERROR}
+_LEVELS = {
+    "everything": logging.DEBUG,
+    "info": logging.INFO,
+    "warnings": logging.WARNING,
+    "errors": logging.ERROR,
+}
 
 
 class LogPanel(QWidget):
@@ -50,4 +63,6 @@ class LogPanel(QWidget):
         self._text.clear()
 
     def _fill(self, name: str) -> None:
-        self._text.setPlainText("\n".join(text for level, text in self._lines if level >= _LEVELS[name]))
+        self._text.setPlainText(
+            "\n".join(text for level, text in self._lines if level >= _LEVELS[name])
+        )

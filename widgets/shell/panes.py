@@ -14,9 +14,13 @@ from widgets.timeline.filmstrip import Filmstrip
 from widgets.views.view_3d_panel import View3DPanel
 
 _MOST_HIGH = 0.74  # largest share of a pane's height for the image when stacked
-_LEAST_WIDE, _MOST_WIDE = 0.45, 0.66  # limits of its share of the width when side by side
+# limits of its share of the width when side by side
+_LEAST_WIDE = 0.45
+_MOST_WIDE = 0.66
 _USUAL_TALL = 0.78  # rows over columns for the layout: all panes use the same one
-_WORTH, _STILL = 1.15, 1.08  # gain in image size that switches to side by side, and back
+# gain in image size that switches to side by side, and back
+_WORTH = 1.15
+_STILL = 1.08
 _WAY = Qt.Orientation
 
 
@@ -44,10 +48,15 @@ class PaneSplitter(FittingSplitter):
 
     def fit_sizes(self) -> None:
         """Choose the sizes that make the image largest, unless the user set them."""
-        if self._held is None or self.is_user_sized or not all(_is_shown_in(widget, self) for widget in self._held):
+        if (
+            self._held is None
+            or self.is_user_sized
+            or not all(_is_shown_in(widget, self) for widget in self._held)
+        ):
             return
         column, _ = self._held
-        around, room = _around(column), self.size() - QSize(self.handleWidth(), self.handleWidth())
+        around = _around(column)
+        room = self.size() - QSize(self.handleWidth(), self.handleWidth())
         under, at_side = _wide(room, around, _USUAL_TALL)
         stands = self.orientation() == _WAY.Vertical
         if at_side > _WORTH * under if stands else at_side < _STILL * under:
@@ -56,9 +65,11 @@ class PaneSplitter(FittingSplitter):
         tall = column.view.height_over_width
         under, at_side = _wide(room, around, tall)
         if stands:
-            whole, first = room.height(), round(around.height() + tall * under)
+            whole = room.height()
+            first = round(around.height() + tall * under)
         else:
-            whole, first = room.width(), round(max(_LEAST_WIDE * room.width(), around.width() + at_side))
+            whole = room.width()
+            first = round(max(_LEAST_WIDE * room.width(), around.width() + at_side))
         if abs(self.sizes()[0] - first) > 1:
             self.setSizes([first, whole - first])
 
@@ -69,8 +80,12 @@ def _is_shown_in(widget: QWidget, by: QWidget) -> bool:
 
 def _wide(room: QSize, around: QSize, tall: float) -> tuple[float, float]:
     """Return the image width stacked over the 3D view, and next to it."""
-    under = min(room.width() - around.width(), (_MOST_HIGH * room.height() - around.height()) / tall)
-    at_side = min(_MOST_WIDE * room.width() - around.width(), (room.height() - around.height()) / tall)
+    under = min(
+        room.width() - around.width(), (_MOST_HIGH * room.height() - around.height()) / tall
+    )
+    at_side = min(
+        _MOST_WIDE * room.width() - around.width(), (room.height() - around.height()) / tall
+    )
     return under, at_side
 
 
@@ -106,7 +121,9 @@ class Pane(QFrame):
             button.setAutoRaise(True)
             resize_font(button)
             button.setObjectName(f"pane_{number}_{dims.lower()}")
-            button.setToolTip(f"Show {'the image and the 3D view' if dims == 'both' else dims} in this pane")
+            button.setToolTip(
+                f"Show {'the image and the 3D view' if dims == 'both' else dims} in this pane"
+            )
             button.clicked.connect(partial(self.dims_chosen.emit, dims))
         self._both = PaneSplitter()
         self._both.setObjectName(f"split_pane_{number}")
@@ -154,7 +171,9 @@ class Pane(QFrame):
 
 
 class PanesPage(QWidget):
-    """Filmstrip over panes; emits `stage_chosen(pane, stage)`, `dims_chosen(pane, dims)` and `count_chosen(n)`."""
+    """Filmstrip over panes; emits `stage_chosen(pane, stage)`, `dims_chosen(pane, dims)` and
+    `count_chosen(n)`.
+    """
 
     stage_chosen = pyqtSignal(int, str)
     dims_chosen = pyqtSignal(int, str)
@@ -170,7 +189,9 @@ class PanesPage(QWidget):
         self._count.setObjectName("pane_count")
         self._count.setAccessibleName("third pane")
         self._count.setAutoRaise(True)
-        self._count.clicked.connect(lambda: self.count_chosen.emit(2 if len(self._stages) == MAX_PANES else MAX_PANES))
+        self._count.clicked.connect(
+            lambda: self.count_chosen.emit(2 if len(self._stages) == MAX_PANES else MAX_PANES)
+        )
         self.filmstrip.row.addWidget(self._count)
         row = fill(set_spacing(QHBoxLayout(), 3), *((pane, 1) for pane in self.panes))
         fill(set_spacing(QVBoxLayout(self), 2), self.filmstrip, (row, 1))
@@ -206,7 +227,9 @@ class PanesPage(QWidget):
         self.activate_pane(self.active_pane)
 
     def minimumSizeHint(self) -> QSize:  # noqa: N802
-        """Return the height with collapsed thumbnails: a hidden page must not keep the window from being low."""
+        """Return the height with collapsed thumbnails: a hidden page must not keep the window
+        from being low.
+        """
         hint = super().minimumSizeHint()
         return QSize(hint.width(), hint.height() - self.filmstrip.collapsible_px)
 

@@ -13,8 +13,12 @@ from pipeline.views.preview import Preview
 from widgets.style.theme import DARK_COLOURS, get_colour_map
 from widgets.views.preview_renderer import PreviewRenderer, make_qimage
 
-_GROUND, _INK = QColor(18, 20, 24), QColor(232, 235, 240)
-_TITLE_SHARE, _SCALE_SHARE, _GAP_SHARE = 0.07, 0.08, 0.012  # of the height; the gap of the width
+_GROUND = QColor(18, 20, 24)
+_INK = QColor(232, 235, 240)
+# of the height; the gap of the width
+_TITLE_SHARE = 0.07
+_SCALE_SHARE = 0.08
+_GAP_SHARE = 0.012
 _LETTERS_SHARE = 0.024  # height of letters, of the height
 _BAR_WIDTH_SHARE = 0.5  # of an image's width
 
@@ -32,17 +36,24 @@ def compose(panes: Sequence[PresentedPane], size: QSize) -> QImage:
     image = QImage(size, QImage.Format.Format_RGB32)
     image.fill(_GROUND)
     painter = QPainter(image)
-    painter.setRenderHints(QPainter.RenderHint.Antialiasing | QPainter.RenderHint.SmoothPixmapTransform)
+    painter.setRenderHints(
+        QPainter.RenderHint.Antialiasing | QPainter.RenderHint.SmoothPixmapTransform
+    )
     font = QFont(painter.font())
     font.setPixelSize(max(9, round(_LETTERS_SHARE * size.height())))
     painter.setFont(font)
-    wide, high = size.width(), size.height()
-    gap, top, foot = _GAP_SHARE * wide, _TITLE_SHARE * high, _SCALE_SHARE * high
+    wide = size.width()
+    high = size.height()
+    gap = _GAP_SHARE * wide
+    top = _TITLE_SHARE * high
+    foot = _SCALE_SHARE * high
     shares = [pane.preview.pixels.shape[1] / pane.preview.pixels.shape[0] for pane in panes]
     room = wide - gap * (len(panes) + 1)
-    heights = min(high - top - foot, room / max(sum(shares), 1e-6))  # images of one height, as wide as they need
+    # images of one height, as wide as they need
+    heights = min(high - top - foot, room / max(sum(shares), 1e-6))
     spare = room - heights * sum(shares)
-    left, above = gap + 0.5 * spare, top + 0.5 * (high - top - foot - heights)
+    left = gap + 0.5 * spare
+    above = top + 0.5 * (high - top - foot - heights)
     for pane, share in zip(panes, shares, strict=True):
         place = QRectF(left, above, heights * share, heights)
         _draw_pane(painter, pane, place, top, foot)
@@ -51,7 +62,9 @@ def compose(panes: Sequence[PresentedPane], size: QSize) -> QImage:
     return image
 
 
-def _draw_pane(painter: QPainter, pane: PresentedPane, place: QRectF, top: float, foot: float) -> None:
+def _draw_pane(
+    painter: QPainter, pane: PresentedPane, place: QRectF, top: float, foot: float
+) -> None:
     plate = PreviewRenderer()
     plate.set_theme(DARK_COLOURS)
     plate.size = QSize(round(place.width()), round(place.height()))
@@ -64,19 +77,28 @@ def _draw_pane(painter: QPainter, pane: PresentedPane, place: QRectF, top: float
     painter.restore()
     painter.setPen(_INK)
     title = QRectF(place.left(), place.top() - top, place.width(), top)
-    words = painter.fontMetrics().elidedText(pane.title, Qt.TextElideMode.ElideRight, round(title.width()))
+    words = painter.fontMetrics().elidedText(
+        pane.title, Qt.TextElideMode.ElideRight, round(title.width())
+    )
     painter.drawText(title, Qt.AlignmentFlag.AlignCenter, words)
     if pane.preview.scale is not None:
-        _draw_scale(painter, pane.preview.scale, QRectF(place.left(), place.bottom(), place.width(), foot))
+        _draw_scale(
+            painter, pane.preview.scale, QRectF(place.left(), place.bottom(), place.width(), foot)
+        )
 
 
 def _draw_scale(painter: QPainter, scale: ColourScale, room: QRectF) -> None:
     """Draw the colour bar with its limits and unit."""
-    wide, high = _BAR_WIDTH_SHARE * room.width(), 0.2 * room.height()
+    wide = _BAR_WIDTH_SHARE * room.width()
+    high = 0.2 * room.height()
     bar = QRectF(room.center().x() - 0.5 * wide, room.top() + 0.25 * room.height(), wide, high)
     painter.drawImage(bar, make_qimage(get_colour_table(get_colour_map(DARK_COLOURS, scale))[None]))
-    words = QRectF(room.left(), bar.bottom(), room.width(), room.height() - (bar.bottom() - room.top()))
-    painter.drawText(words, Qt.AlignmentFlag.AlignCenter, f"{scale.low:g} to {scale.high:g} {scale.unit}")
+    words = QRectF(
+        room.left(), bar.bottom(), room.width(), room.height() - (bar.bottom() - room.top())
+    )
+    painter.drawText(
+        words, Qt.AlignmentFlag.AlignCenter, f"{scale.low:g} to {scale.high:g} {scale.unit}"
+    )
 
 
 class PresentationView(QWidget):
@@ -95,7 +117,8 @@ class PresentationView(QWidget):
 
     def show_panes(self, panes: Sequence[PresentedPane]) -> None:
         """Show other images."""
-        self.panes, self._image = tuple(panes), None
+        self.panes = tuple(panes)
+        self._image = None
         self.update()
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802

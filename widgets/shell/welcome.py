@@ -5,16 +5,26 @@ from pathlib import Path
 
 from PyQt6.QtCore import QEvent, QPoint, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QPainter, QPaintEvent, QPen
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QListWidget, QListWidgetItem, QToolButton, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import (
+    QHBoxLayout,
+    QLabel,
+    QListWidget,
+    QListWidgetItem,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
 
 from pipeline.core.errors import escape_text
 from widgets.style.base import EventListener, resize_font
 from widgets.style.styling import ThemedLabel, fill, make_bold, set_spacing
 from widgets.style.theme import get_theme_colours, to_qcolor
 
-_WIDTH_PX, _ROW_PX = 620, 24
+_WIDTH_PX = 620
+_ROW_PX = 24
 _PURPOSE = (
-    "Translate the touch of one tactile sensor into another's: every stage side by side, compared with the truth "
+    "Translate the touch of one tactile sensor into another's: every stage side by side, compared "
+    "with the truth "
     "where it is recorded."
 )
 
@@ -27,22 +37,35 @@ class DropArea(QLabel):
         super().paintEvent(a0)
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        painter.setPen(QPen(to_qcolor(get_theme_colours(self.palette()).secondary_text), 1.5, Qt.PenStyle.DashLine))
+        painter.setPen(
+            QPen(
+                to_qcolor(get_theme_colours(self.palette()).secondary_text),
+                1.5,
+                Qt.PenStyle.DashLine,
+            )
+        )
         painter.drawRoundedRect(QRectF(self.rect()).adjusted(1, 1, -1, -1), 6, 6)
 
 
 class WelcomePage(QWidget):
-    """Covers `first` and everything below it until a recording is open; `recent_chosen` carries a file."""
+    """Covers `first` and everything below it until a recording is open.
+
+    `recent_chosen` carries a file.
+    """
 
     recent_chosen = pyqtSignal(object)  # Path
 
-    def __init__(self, over: QWidget, first: QWidget, commands: Sequence[QAction], formats: str, sensors: str) -> None:
+    def __init__(
+        self, over: QWidget, first: QWidget, commands: Sequence[QAction], formats: str, sensors: str
+    ) -> None:
         """`formats` and `sensors` are the names of what can be opened."""
         super().__init__(over)
         self._first = first
         self.setObjectName("welcome")
         self.setAutoFillBackground(True)
-        title, purpose, drop = QLabel("Tactoscope"), QLabel(_PURPOSE), DropArea(f"Drop a recording here: {formats}")
+        title = QLabel("Tactoscope")
+        purpose = QLabel(_PURPOSE)
+        drop = DropArea(f"Drop a recording here: {formats}")
         known = ThemedLabel(lambda colours: colours.secondary_text, f"Sensors: {sensors}")
         make_bold(title)
         resize_font(title, 9.0)

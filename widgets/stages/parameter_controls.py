@@ -22,12 +22,14 @@ from PyQt6.QtWidgets import (
 from pipeline.core.params import Setting, Value
 from widgets.style.base import ChoiceBox, NumberBox
 
-_SLIDER_STEPS, _SLIDER_PX, _NARROW_PX = 400, 40, 24
-_MANY, _TOO_MANY, _BEND = (
-    200,
-    10_000,
-    3.0,
-)  # integer ranges up to the first have a linear slider, up to the second one that favours small values
+_SLIDER_STEPS = 400
+_SLIDER_PX = 40
+_NARROW_PX = 24
+# integer ranges up to the first have a linear slider, up to the second one that favours small
+# values
+_MANY = 200
+_TOO_MANY = 10_000
+_BEND = 3.0
 _TIP = "tip"  # property that keeps the tooltip while a reason is shown
 _USED_TIP = "used_tip"  # property: tooltip of a widget that is marked as unused
 _NARROW_DECIMALS = 2  # of a number with little room
@@ -47,7 +49,9 @@ class ParameterControl:
         return self.widget.findChildren(QSlider)
 
     def set_names(self, object_name: str, text: str) -> None:
-        """Set the name that finds it, and the one that a screen reader says for each of its parts."""
+        """Set the name that finds it, and the one that a screen reader says for each of its
+        parts.
+        """
         self.widget.setObjectName(object_name)
         for part in (self.widget, *self.sliders, *self._spin_boxes):
             part.setAccessibleName(text)
@@ -91,7 +95,9 @@ class ParameterControl:
 
 
 def mark_unused(widget: QWidget, reason: str) -> None:
-    """Strike out a widget whose value has no effect on what is shown, with the reason as its tooltip; "" = it has."""
+    """Strike out a widget whose value has no effect on what is shown, with the reason as its
+    tooltip; "" = it has.
+    """
     for part in (widget, *widget.findChildren(QWidget)):
         if part.font().strikeOut() != bool(reason):
             font = part.font()
@@ -105,7 +111,9 @@ def mark_unused(widget: QWidget, reason: str) -> None:
         widget.setProperty(_USED_TIP, None)
 
 
-def make_control(value: Value, setting: Setting, edited: Callable[[Value], None]) -> ParameterControl:
+def make_control(
+    value: Value, setting: Setting, edited: Callable[[Value], None]
+) -> ParameterControl:
     """Return the control of a parameter of this type; `edited` is called with a new value."""
     if isinstance(value, bool):
         return _switch(value, edited)
@@ -185,7 +193,8 @@ def _whole(value: int, setting: Setting, edited: Callable[[Value], None]) -> Par
 
 def _number(value: float, setting: Setting, edited: Callable[[Value], None]) -> ParameterControl:
     box = NumberBox()
-    low, high = max(setting.low, -_WIDEST), min(setting.high, _WIDEST)
+    low = max(setting.low, -_WIDEST)
+    high = min(setting.high, _WIDEST)
     is_bounded = math.isfinite(setting.low) and math.isfinite(setting.high)
     step = setting.step or ((high - low) / 10 if is_bounded else 0.1)
     box.setDecimals(max(2, min(6, 2 - math.floor(math.log10(step)))))
@@ -195,19 +204,25 @@ def _number(value: float, setting: Setting, edited: Callable[[Value], None]) -> 
 
 
 def _with_slider(
-    box: QSpinBox | QDoubleSpinBox, put: Callable[[float], object], value: float, setting: Setting,
-    edited: Callable[[Value], None], bend: float,
-) -> ParameterControl:  # fmt: skip
+    box: QSpinBox | QDoubleSpinBox,
+    put: Callable[[float], object],
+    value: float,
+    setting: Setting,
+    edited: Callable[[Value], None],
+    bend: float,
+) -> ParameterControl:
     """Return a spin box with a slider whose values grow by the power `bend`; without one for 0."""
     box.setKeyboardTracking(False)
     put(value)
     box.valueChanged.connect(edited)
     if not bend:
         return _quiet(box, put)
-    both, slider = QWidget(), QSlider(Qt.Orientation.Horizontal)
+    both = QWidget()
+    slider = QSlider(Qt.Orientation.Horizontal)
     row = QHBoxLayout(both)
     row.setContentsMargins(0, 0, 0, 0)
-    low, span = setting.low, setting.high - setting.low
+    low = setting.low
+    span = setting.high - setting.low
     slider.setRange(0, _SLIDER_STEPS)
     slider.setMinimumWidth(_SLIDER_PX)
 

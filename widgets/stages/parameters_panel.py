@@ -17,14 +17,16 @@ from widgets.stages.parameter_controls import (
 from widgets.style.base import FixedSizeLabel, VerticalScrollArea
 from widgets.style.styling import fill, make_bold, make_icon_button, set_spacing
 
-_LABEL_PX = 112  # width of all labels, which wrap: a form takes the room of wider ones from the values
+# width of all labels, which wrap: a form takes the room of wider ones from the values
+_LABEL_PX = 112
 
 
 class ParametersPanel(VerticalScrollArea):
     """One group per method; `params_edited(key, params)` carries the complete new parameters."""
 
     params_edited = pyqtSignal(str, object)
-    slider_held = pyqtSignal(str)  # key of the slider that is held: its values are drafts; "" = let go
+    # key of the slider that is held: its values are drafts; "" = let go
+    slider_held = pyqtSignal(str)
 
     def __init__(self) -> None:
         super().__init__()
@@ -39,11 +41,13 @@ class ParametersPanel(VerticalScrollArea):
         self._groups: dict[str, QWidget] = {}
         self._titles: dict[str, str] = {}
         self._heads: dict[str, QWidget] = {}
-        self._only: list[tuple[str, QFormLayout, QWidget, Setting]] = []  # rows of one kind of sensor only
+        # rows of one kind of sensor only
+        self._only: list[tuple[str, QFormLayout, QWidget, Setting]] = []
 
     def add_group(self, key: str, title: str, params: object, tip: str = "") -> None:
         """Add the controls of a method with a tooltip; nothing for a method without parameters."""
-        self._params[key], self._titles[key] = params, title
+        self._params[key] = params
+        self._titles[key] = title
         group, form = self._group(key, title, tip)
         self._controls[key] = {}
         for name, (value, setting) in list_settings(params).items():
@@ -77,7 +81,8 @@ class ParametersPanel(VerticalScrollArea):
     def show_groups(self, kinds: Mapping[str, str]) -> None:
         """Show the groups of the methods of the route only.
 
-        `kinds` maps a method's key to the kind of its sensor ("" = unknown); settings of other kinds are hidden.
+        `kinds` maps a method's key to the kind of its sensor ("" = unknown); settings of other
+        kinds are hidden.
         """
         for key, form, control, setting in self._only:
             form.setRowVisible(control, setting.applies_to(kinds.get(key, "")))

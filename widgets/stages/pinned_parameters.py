@@ -7,11 +7,18 @@ from PyQt6.QtCore import QEvent, pyqtSignal
 from PyQt6.QtWidgets import QBoxLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.core.params import Setting, Value, list_settings, replace_value
-from widgets.stages.parameter_controls import ParameterControl, describe_setting, make_control, mark_unused
+from widgets.stages.parameter_controls import (
+    ParameterControl,
+    describe_setting,
+    make_control,
+    mark_unused,
+)
 from widgets.style.base import EventListener, resize_font
 from widgets.style.styling import fill, set_spacing
 
-_LABEL_PX, _ROW_PX, _COMPACT_ROW_PX = 54, 22, 19
+_LABEL_PX = 54
+_ROW_PX = 22
+_COMPACT_ROW_PX = 19
 _NUMBER_LETTERS = 4
 _SLIDERS_FROM_PX = 126  # width from which on a slider fits between label and number
 
@@ -27,8 +34,11 @@ class PinnedParameters(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self._key, self._params, self._height_px = "", object(), 0
-        self._controls: dict[str, dict[Setting, ParameterControl]] = {}  # one per range; the shown one is in `_shown`
+        self._key = ""
+        self._params = object()
+        self._height_px = 0
+        # one per range; the shown one is in `_shown`
+        self._controls: dict[str, dict[Setting, ParameterControl]] = {}
         self._shown: dict[str, tuple[Setting, ParameterControl]] = {}
         self._rows: dict[str, QHBoxLayout] = {}
         self._labels: dict[str, QLabel] = {}
@@ -67,7 +77,9 @@ class PinnedParameters(QWidget):
             self.setFixedHeight(height_px)
 
     def set_wide(self, wide: bool) -> None:
-        """Place all controls in one line if wide, numbers without labels and sliders where these find no room."""
+        """Place all controls in one line if wide, numbers without labels and sliders where these
+        find no room.
+        """
         self._is_wide = wide
         self._leave_room_to_numbers()
         self._arrange()
@@ -91,7 +103,9 @@ class PinnedParameters(QWidget):
         way = QBoxLayout.Direction
         one_line = self._is_wide or self._is_compact
         self._lines.setDirection(way.LeftToRight if one_line else way.TopToBottom)
-        self._lines.setSpacing((2 if self._is_narrow else 12) if self._is_wide else 2 if self._is_compact else 1)
+        self._lines.setSpacing(
+            (2 if self._is_narrow else 12) if self._is_wide else 2 if self._is_compact else 1
+        )
         for index, name in enumerate(self._rows):
             n_letters = len(self._shown[name][0].pinned) + _NUMBER_LETTERS
             self._lines.setStretch(index, n_letters if one_line else 1)
@@ -108,8 +122,12 @@ class PinnedParameters(QWidget):
             slider.setHidden(compact or self._is_narrow)
 
     def show_params(self, key: str, params: object, reasons: Mapping[str, str]) -> None:
-        """Show the values of a method without emitting a signal; `reasons`: name -> why it cannot act."""
-        self._key, self._params = key, params
+        """Show the values of a method without emitting a signal.
+
+        `reasons`: name -> why it cannot act.
+        """
+        self._key = key
+        self._params = params
         values = list_settings(params)
         for name in self._rows:
             if name in values:
@@ -119,7 +137,10 @@ class PinnedParameters(QWidget):
             self._shown[name][1].set_unavailable(reasons.get(name, ""))
 
     def show_unused(self, reason: str) -> None:
-        """Strike out the parameters of a method that did not answer, with the reason; "" = it did."""
+        """Strike out the parameters of a method that did not answer, with the reason.
+
+        "" = it did.
+        """
         for name, label in self._labels.items():
             for widget in (label, self._shown[name][1].widget):
                 mark_unused(widget, reason)

@@ -62,22 +62,34 @@ class TracePanel(QScrollArea):
         self.show_steps(steps, pinned=pinned, ending=ending, is_waiting=waits)
 
     def show_steps(
-        self, steps: Sequence[tuple[str, str]], *, pinned: bool = False, ending: str = "", is_waiting: bool = False
+        self,
+        steps: Sequence[tuple[str, str]],
+        *,
+        pinned: bool = False,
+        ending: str = "",
+        is_waiting: bool = False,
     ) -> None:
-        """Show (stage title, text) pairs in order, and why the trace ends; in plain colour while `is_waiting`."""
+        """Show (stage title, text) pairs in order, and why the trace ends.
+
+        In plain colour while `is_waiting`.
+        """
         self._shown = steps, pinned, ending, is_waiting
         self.text = " → ".join(text for _, text in steps)
         if not steps:
             self._label.setText(_INVITATION)
             return
-        soft, alarm = (
-            to_hex(get_theme_colours(self.palette()).secondary_text),
-            to_hex(get_theme_colours(self.palette()).warning_text),
-        )
-        parts = [f"<span style='color:{soft}'>{escape(title)}</span> <b>{escape(text)}</b>" for title, text in steps]
+        soft = to_hex(get_theme_colours(self.palette()).secondary_text)
+        alarm = to_hex(get_theme_colours(self.palette()).warning_text)
+        parts = [
+            f"<span style='color:{soft}'>{escape(title)}</span> <b>{escape(text)}</b>"
+            for title, text in steps
+        ]
         sentence = " &nbsp;→&nbsp; ".join(parts)
         if ending:
-            sentence += f" &nbsp; <span style='color:{soft if is_waiting else alarm}'>{escape(ending)}</span>"
+            sentence += (
+                " &nbsp; <span "
+                f"style='color:{soft if is_waiting else alarm}'>{escape(ending)}</span>"
+            )
         self._label.setText(sentence + (" &nbsp; <i>pinned</i>" if pinned else ""))
 
 
@@ -97,7 +109,8 @@ class ProbesPanel(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.table, self.clear_button = QTableWidget(0, 0), QPushButton("Release all")
+        self.table = QTableWidget(0, 0)
+        self.clear_button = QPushButton("Release all")
         columns = prepare_table(self.table, "probes", "pinned pixels")
         columns.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         self.table.cellClicked.connect(self._choose)

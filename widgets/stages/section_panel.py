@@ -14,7 +14,9 @@ from widgets.views.preview_key_filter import get_arrow_step_px
 _NAMES = ("A, mm", "", "B, mm", "")
 _TIPS = ("across", "down", "across", "down")
 _PLACES = {"": "both sensors", "source": "source", "target": "target"}
-_REACH_MM, _STEP_MM, _DIGITS = 999.0, 0.1, 2
+_REACH_MM = 999.0
+_STEP_MM = 0.1
+_DIGITS = 2
 _HOW = "{:.2f} mm; Shift and drag draws a new line, drag A or B, P and arrow keys move it"
 _OFF = "no line"
 _NEAR_PX = 9.0
@@ -29,7 +31,8 @@ class SectionPanel(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.plot, self.message = SectionPlot(), FixedSizeLabel(_OFF)
+        self.plot = SectionPlot()
+        self.message = FixedSizeLabel(_OFF)
         self.line: SectionLine | None = None
         tip = "Copy the curves as a table: mm along the line, and mm of indentation for every stage"
         self.copy = make_button("Copy CSV", "section_copy", tip)
@@ -38,13 +41,16 @@ class SectionPanel(QWidget):
         self._head = set_spacing(QHBoxLayout(), 5)
         self.ends: list[NumberBox] = []
         for k, (name, tip) in enumerate(zip(_NAMES, _TIPS, strict=True)):
-            box, end = NumberBox(), "AB"[k // 2]
+            box = NumberBox()
+            end = "AB"[k // 2]
             box.setObjectName(f"section_{end.lower()}_{'xy'[k % 2]}")
             box.setAccessibleName(f"{end}, {'xy'[k % 2]} in mm")
             box.setRange(-_REACH_MM, _REACH_MM)
             box.setDecimals(_DIGITS)
             box.setSingleStep(_STEP_MM)
-            box.setToolTip(f"How far {tip} from the source camera's axis the line's end {end} lies, on the gel")
+            box.setToolTip(
+                f"How far {tip} from the source camera's axis the line's end {end} lies, on the gel"
+            )
             box.setKeyboardTracking(False)
             box.valueChanged.connect(self._emit_typed)
             fill(self._head, *([QLabel(name)] if name else []), box)
@@ -121,7 +127,8 @@ class SectionLineTool(QObject):
         return taken or super().eventFilter(a0, a1)
 
     def _drag(self, event: QMouseEvent) -> bool:
-        kind, at = event.type(), event.position()
+        kind = event.type()
+        at = event.position()
         if kind == QEvent.Type.MouseButtonPress and event.button() == Qt.MouseButton.LeftButton:
             return self._take(at, anew=bool(event.modifiers() & _Modifier.ShiftModifier))
         if self._fixed is None:
@@ -136,21 +143,26 @@ class SectionLineTool(QObject):
         return True
 
     def _step(self, key: QKeyEvent) -> bool:
-        step, how = QPointF(*get_arrow_step_px(key)), key.modifiers()
+        step = QPointF(*get_arrow_step_px(key))
+        how = key.modifiers()
         if step.isNull() or self._canvas.line is None:
             return False
         begin, end = self._canvas.line
-        only_a, only_b = (bool(how & one) for one in (_Modifier.ControlModifier, _Modifier.AltModifier))
+        only_a, only_b = (
+            bool(how & one) for one in (_Modifier.ControlModifier, _Modifier.AltModifier)
+        )
         self.line_moved.emit(begin if only_b else begin + step, end if only_a else end + step)
         return True
 
     def _take(self, at: QPointF, *, anew: bool) -> bool:
         begin, end = self._canvas.line or (QPointF(), QPointF())
         if anew:
-            self._fixed, self._begins = self._canvas.to_image(at), False
+            self._fixed = self._canvas.to_image(at)
+            self._begins = False
             return True
         for first, own, other in ((False, end, begin), (True, begin, end)):
             if (self._canvas.to_screen(own) - at).manhattanLength() < _NEAR_PX:
-                self._fixed, self._begins = QPointF(other), first
+                self._fixed = QPointF(other)
+                self._begins = first
                 return True
         return False

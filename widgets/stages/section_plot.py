@@ -12,7 +12,8 @@ from widgets.style.plots import Plot
 from widgets.style.theme import CATEGORY_COLOURS, ThemeColours, to_qcolor
 
 _Style = Qt.PenStyle
-_Stroke = tuple[Rgb | Literal["neutral", "accent", "text"], Qt.PenStyle, float]  # colour, dashes, width in px
+# colour, dashes, width in px
+_Stroke = tuple[Rgb | Literal["neutral", "accent", "text"], Qt.PenStyle, float]
 # Colours alone do not separate overlapping curves.
 _STROKES: dict[str, _Stroke] = {
     "source": ("neutral", _Style.SolidLine, 1.8),
@@ -28,7 +29,9 @@ _OTHER: _Stroke = "neutral", _Style.DashLine, 1.8
 
 
 class SectionPlot(Plot):
-    """Plots a `CrossSection`: mm along the line against mm of indentation, with gaps where nothing is known."""
+    """Plots a `CrossSection`: mm along the line against mm of indentation, with gaps where
+    nothing is known.
+    """
 
     preferred_px = 640, 180
 
@@ -41,7 +44,8 @@ class SectionPlot(Plot):
         self._edges: Any = None  # of contact
         self.setMinimumSize(280, 110)
         self.setToolTip(
-            "Indentation of every stage along the line, + toward the camera; marks at the bottom: start and "
+            "Indentation of every stage along the line, + toward the camera; marks at the bottom: "
+            "start and "
             "end of its contact. Cloud points: perpendicular to the target's rest surface"
         )
 
@@ -64,7 +68,11 @@ class SectionPlot(Plot):
     def visible_profiles(self) -> tuple[HeightProfile, ...]:
         """The curves that have a value anywhere."""
         profiles = () if self.section is None else self.section.profiles
-        return tuple(p for p in profiles if self.sensor_role in ("", p.place) and np.isfinite(p.heights_mm).any())
+        return tuple(
+            p
+            for p in profiles
+            if self.sensor_role in ("", p.place) and np.isfinite(p.heights_mm).any()
+        )
 
     def draw(self, pyqtgraph: Any, ink: ThemeColours) -> None:
         """Draw curves, contact edges and legend."""
@@ -89,7 +97,8 @@ class SectionPlot(Plot):
         self._show_profiles()
 
     def _show_profiles(self) -> None:
-        profiles, section = self.visible_profiles, self.section
+        profiles = self.visible_profiles
+        section = self.section
         if section is None or not profiles or not self.isVisible():
             return
         low = min(0.0, *(float(np.nanmin(profile.heights_mm)) for profile in profiles))
@@ -97,6 +106,9 @@ class SectionPlot(Plot):
         for profile in profiles:
             curve = self._curves[profile.name]
             curve.setData(section.along_mm, profile.heights_mm)
-            marks += [(edge, QBrush(curve.opts["pen"].color())) for edge in profile.contact_edges_mm]
-        places, brushes = [place for place, _ in marks], [brush for _, brush in marks]
+            marks += [
+                (edge, QBrush(curve.opts["pen"].color())) for edge in profile.contact_edges_mm
+            ]
+        places = [place for place, _ in marks]
+        brushes = [brush for _, brush in marks]
         self._edges.setData(places, [low] * len(marks), symbolBrush=brushes)

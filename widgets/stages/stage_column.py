@@ -44,7 +44,7 @@ class StageColumn(QFrame):
     pixel_clicked = pyqtSignal(str, int, int)
     method_chosen = pyqtSignal(str, str)  # stage, method; "" = the route's own
 
-    def __init__(self, name: str, title: str) -> None:
+    def __init__(self, name: str, title: str) -> None:  # noqa: PLR0915 - one statement a widget
         super().__init__()
         self.setObjectName(f"column_{name}")
         self.setFrameShape(QFrame.Shape.StyledPanel)
@@ -52,13 +52,18 @@ class StageColumn(QFrame):
         make_bold(self._title)
         resize_font(self._title)
         self._title.setToolTip(title)
-        self._sign, self._word, self._ms = StateIcon(), QLabel(), QLabel()
+        self._sign = StateIcon()
+        self._word = QLabel()
+        self._ms = QLabel()
         self._ms.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         self.view = PreviewView()
-        self._first, self._status = set_spacing(QHBoxLayout(), 4), QWidget()
+        self._first = set_spacing(QHBoxLayout(), 4)
+        self._status = QWidget()
         fill(set_spacing(QHBoxLayout(self._status), 4), self._sign, self._word, (self._ms, 1))
         self._method = ChoiceBox(f"method_{name}", f"method of {title}")
-        self._method.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        self._method.setSizeAdjustPolicy(
+            QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
+        )
         self._method.chosen.connect(partial(self.method_chosen.emit, name))
         self._unpin = QPushButton("Unpin")
         self._unpin.setObjectName(f"unpin_{name}")
@@ -87,7 +92,9 @@ class StageColumn(QFrame):
         fill(layout, self._head, (self.view, 1), self._note, self.pinned)
         self.setMinimumWidth(90)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
-        self.state, self.warnings, self._notes = "", tuple[str, ...](), tuple[str, ...]()
+        self.state = ""
+        self.warnings = tuple[str, ...]()
+        self._notes = tuple[str, ...]()
         self.view.pixel_hovered.connect(partial(self.pixel_hovered.emit, name))
         self.view.pixel_clicked.connect(partial(self.pixel_clicked.emit, name))
         self.show_state("waiting")
@@ -131,7 +138,9 @@ class StageColumn(QFrame):
         return self._title.fontMetrics().horizontalAdvance(self._title.text())
 
     def _show_lines(self, lines: int) -> None:
-        """Reserve the lines of caption and note whether they are used or not: previews stay aligned."""
+        """Reserve the lines of caption and note whether they are used or not: previews stay
+        aligned.
+        """
         self.view.caption.set_lines(lines)
         self._note.set_lines(lines)
 
@@ -145,7 +154,11 @@ class StageColumn(QFrame):
         self._ms.setHidden(room < words + self._ms.sizeHint().width())
         self._word.setHidden(self._joined or (at_side and room < words))
         hidden = self._ms.isHidden() or self._word.isHidden()
-        timed = [f"{self.state}, {self._ms.text()}" if self._ms.text() else self.state] if hidden else []
+        timed = (
+            [f"{self.state}, {self._ms.text()}" if self._ms.text() else self.state]
+            if hidden
+            else []
+        )
         tip = "\n".join([*timed, *self._notes])
         for label in (self._sign, self._word, self._ms, self._note):
             label.setToolTip(tip)
@@ -162,7 +175,8 @@ class StageColumn(QFrame):
 
     def enable_method(self, name: str, enabled: bool) -> None:
         """Let a method be chosen, or not."""
-        model, index = self._method.model(), self._method.findData(name)
+        model = self._method.model()
+        index = self._method.findData(name)
         item = model.item(index) if isinstance(model, QStandardItemModel) and index >= 0 else None
         if item is not None:
             item.setEnabled(enabled)
@@ -172,7 +186,9 @@ class StageColumn(QFrame):
         index = self._method.findData(name)
         with QSignalBlocker(self._method):
             self._method.setCurrentIndex(index)
-        self._method.setToolTip(str(self._method.itemData(index, Qt.ItemDataRole.ToolTipRole) or ""))
+        self._method.setToolTip(
+            str(self._method.itemData(index, Qt.ItemDataRole.ToolTipRole) or "")
+        )
         is_pinned = name == TRUTH
         if is_pinned == self._unpin.isHidden():
             self._unpin.setVisible(is_pinned)
@@ -180,10 +196,15 @@ class StageColumn(QFrame):
             frame = f"#{self.objectName()} {{ border: 2px solid {colour}; }}"
             self.setStyleSheet(frame if is_pinned else "")
 
-    def show_state(self, state: str, ms: float | None = None, notes: tuple[str, ...] = (), badge: str = "") -> None:
-        """Show the state of the stage; notes become the tooltip, and the reason over a skipped preview.
+    def show_state(
+        self, state: str, ms: float | None = None, notes: tuple[str, ...] = (), badge: str = ""
+    ) -> None:
+        """Show the state of the stage.
 
-        The badge, or else the first note up to its first colon or comma, is shown below the preview.
+        Notes become the tooltip, and the reason over a skipped preview.
+
+        The badge, or else the first note up to its first colon or comma, is shown below the
+        preview.
         """
         if state != self.state:
             self.state = state
@@ -210,7 +231,9 @@ class StageColumn(QFrame):
         *,
         is_fallback: bool = False,
     ) -> None:
-        """Show a result; warnings come before other notes, and they or a fallback set the state, unless a draft."""
+        """Show a result; warnings come before other notes, and they or a fallback set the state,
+        unless a draft.
+        """
         plain = tuple(note for note in notes if note not in warnings)
         self.warnings = warnings
         warns = (bool(warnings) or is_fallback) and state != "draft"

@@ -18,7 +18,8 @@ _TALL_BELOW = 1.15  # maximum height of a 3D view in widths: beyond it there is 
 class StageRows(FittingSplitter):
     """A row of columns over a row of cells; fits the previews until the user drags the handle.
 
-    `spare_height_changed` carries the height in pixels beyond what is needed; negative if there is too little.
+    `spare_height_changed` carries the height in pixels beyond what is needed; negative if there is
+    too little.
     """
 
     spare_height_changed = pyqtSignal(int)
@@ -30,17 +31,24 @@ class StageRows(FittingSplitter):
         self._watched: set[QObject] = set()
         self._told = False, False, True  # compact captions, states next to titles, room for scales
         self.setObjectName("split_rows")
-        self._above, self.lower_row = QWidget(), QWidget()
-        self._upper, self._lower = set_spacing(QHBoxLayout(self._above), 2), set_spacing(QHBoxLayout(self.lower_row), 2)
+        self._above = QWidget()
+        self.lower_row = QWidget()
+        self._upper, self._lower = (
+            set_spacing(QHBoxLayout(self._above), 2),
+            set_spacing(QHBoxLayout(self.lower_row), 2),
+        )
         self.addWidget(self._above)
         self.addWidget(self.lower_row)
 
-    def set_columns(self, pairs: Sequence[tuple[StageColumn, View3DPanel]], *, wide: bool = False) -> None:
+    def set_columns(
+        self, pairs: Sequence[tuple[StageColumn, View3DPanel]], *, wide: bool = False
+    ) -> None:
         """Show these columns and cells in this order; their own visibility decides which are seen.
 
         `wide` where few are visible, so that each has room next to its title.
         """
-        self._columns, self._cells = tuple(column for column, _ in pairs), tuple(cell for _, cell in pairs)
+        self._columns = tuple(column for column, _ in pairs)
+        self._cells = tuple(cell for _, cell in pairs)
         for column, cell in pairs:
             column.set_wide(wide)
             self._upper.addWidget(column, 1)
@@ -48,7 +56,13 @@ class StageRows(FittingSplitter):
             for seen in (column, column.view):  # the view too, because a note takes room from it
                 if seen not in self._watched:
                     self._watched.add(seen)
-                    EventListener(seen, self._soon.start, QEvent.Type.Show, QEvent.Type.Hide, QEvent.Type.Resize)
+                    EventListener(
+                        seen,
+                        self._soon.start,
+                        QEvent.Type.Show,
+                        QEvent.Type.Hide,
+                        QEvent.Type.Resize,
+                    )
                     if seen is column.view:
                         column.view.shape_changed.connect(self._soon.start)
                         column.view.scale_changed.connect(self._soon.start)
@@ -77,5 +91,7 @@ class StageRows(FittingSplitter):
         above = min(wanted, round((1.0 - _LEAST_BELOW) * room))
         if abs(self.sizes()[0] - above) > 1:
             self.setSizes([above, room - above])
-        below = [cell.compute_height_px(_TALL_BELOW) for cell in self._cells if cell.isVisibleTo(self)]
+        below = [
+            cell.compute_height_px(_TALL_BELOW) for cell in self._cells if cell.isVisibleTo(self)
+        ]
         self.spare_height_changed.emit(room - wanted - max(below, default=0))

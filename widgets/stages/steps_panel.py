@@ -11,32 +11,45 @@ from widgets.style.plots import Strip, StripPlot
 from widgets.style.styling import fill, set_spacing
 
 _NOTHING = "Step through keeps the steps and shows them one by one; the result stays the same"
-KEEP_STEPS, DISCARD_STEPS = "Step through", "Discard steps"
+KEEP_STEPS = "Step through"
+DISCARD_STEPS = "Discard steps"
 
 
 def make_curve_strips(curves: Sequence[StepCurve]) -> list[Strip]:
     """Return a strip per curve."""
     titles = [f"{curve.name}, {curve.unit}" if curve.unit else curve.name for curve in curves]
-    return [Strip(title=title, curves=(("", c.values),)) for title, c in zip(titles, curves, strict=True)]
+    return [
+        Strip(title=title, curves=(("", c.values),))
+        for title, c in zip(titles, curves, strict=True)
+    ]
 
 
 class StepsPanel(QWidget):
-    """Stage chooser, button that requests the steps, message, plot, and the current step as text."""
+    """Stage chooser, button that requests the steps, message, plot, and the current step as
+    text.
+    """
 
     keep_steps_requested = pyqtSignal(str, bool)
 
     def __init__(self) -> None:
         super().__init__()
         self.stage_box = ChoiceBox("steps_slot", "stage to step through")
-        self.keep_button, self.plot = QPushButton(KEEP_STEPS), StripPlot("steps_plot", "metrics of every step")
-        self.message, self.step_text = QLabel(_NOTHING), QLabel()  # why it stopped, or what can be done
+        self.keep_button = QPushButton(KEEP_STEPS)
+        self.plot = StripPlot("steps_plot", "metrics of every step")
+        # why it stopped, or what can be done
+        self.message = QLabel(_NOTHING)
+        self.step_text = QLabel()
         self._way: StepHistory | None = None
         self._kept = False
         self.keep_button.setObjectName("steps_keep")
         self.message.setWordWrap(True)
-        head = fill(set_spacing(QHBoxLayout(), 8), self.stage_box, self.keep_button, (self.message, 1))
+        head = fill(
+            set_spacing(QHBoxLayout(), 8), self.stage_box, self.keep_button, (self.message, 1)
+        )
         fill(set_spacing(QVBoxLayout(self), 2, (6, 4, 6, 4)), head, (self.plot, 1), self.step_text)
-        self.keep_button.clicked.connect(lambda: self.keep_steps_requested.emit(self.stage_box.choice, not self._kept))
+        self.keep_button.clicked.connect(
+            lambda: self.keep_steps_requested.emit(self.stage_box.choice, not self._kept)
+        )
 
     def offer_stages(self, stages: Mapping[str, str]) -> None:
         """Offer name -> title of stages with steps; the last one unless another was chosen."""
@@ -44,10 +57,18 @@ class StepsPanel(QWidget):
         self.stage_box.offer(stages, chosen if chosen in stages else ["", *stages][-1])
 
     def show_history(
-        self, history: StepHistory | None, *, keeps_steps: bool, can_keep_steps: bool, why_not: str = ""
+        self,
+        history: StepHistory | None,
+        *,
+        keeps_steps: bool,
+        can_keep_steps: bool,
+        why_not: str = "",
     ) -> None:
-        """Show the step history of a stage, whether steps are kept now, and whether the method can keep them."""
-        self._way, self._kept = history, keeps_steps
+        """Show the step history of a stage, whether steps are kept now, and whether the method
+        can keep them.
+        """
+        self._way = history
+        self._kept = keeps_steps
         self.keep_button.setText(DISCARD_STEPS if keeps_steps else KEEP_STEPS)
         self.keep_button.setEnabled(can_keep_steps)
         self.message.setText(history.stop_reason if history is not None else why_not or _NOTHING)
@@ -61,4 +82,6 @@ class StepsPanel(QWidget):
         """Mark a step and show its text."""
         self.plot.show_step(at)
         steps = () if self._way is None else self._way.descriptions
-        self.step_text.setText(f"step {at + 1} of {len(steps)}: {steps[at]}" if 0 <= at < len(steps) else "")
+        self.step_text.setText(
+            f"step {at + 1} of {len(steps)}: {steps[at]}" if 0 <= at < len(steps) else ""
+        )

@@ -10,7 +10,9 @@ from widgets.style.styling import fill, set_spacing
 from widgets.style.tables import prepare_table
 
 _HEADER = ("stage", "state", "time, ms", "share", "notes")
-_STATE, _NUMBERS = 1, (2, 3)  # columns
+# columns
+_STATE = 1
+_NUMBERS = (2, 3)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,8 +34,12 @@ class TimingsPanel(QWidget):
         columns = prepare_table(self.table, "timings", "times of the stages")
         self.table.setHorizontalHeaderLabels(_HEADER)
         columns.setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
-        for column, widest in enumerate(("  Target depth and mask ", "    unchanged  ", "time, ms  ", "100 %  ")):
-            self.table.setColumnWidth(column, self.table.fontMetrics().horizontalAdvance(widest) + 16)
+        for column, widest in enumerate(
+            ("  Target depth and mask ", "    unchanged  ", "time, ms  ", "100 %  ")
+        ):
+            self.table.setColumnWidth(
+                column, self.table.fontMetrics().horizontalAdvance(widest) + 16
+            )
         columns.setStretchLastSection(True)
         fill(set_spacing(QVBoxLayout(self), 3, (6, 3, 6, 2)), (self.table, 1))
 
@@ -59,4 +65,6 @@ class TimingsPanel(QWidget):
             item.setText(text)
             item.setToolTip(text)
             if column == _STATE:
-                item.setData(Qt.ItemDataRole.DecorationRole, make_state_icon(text) if text else None)
+                item.setData(
+                    Qt.ItemDataRole.DecorationRole, make_state_icon(text) if text else None
+                )

@@ -18,14 +18,18 @@ _A_REASON = re.compile("[:;]")  # what follows is the reason or the remedy
 
 
 class WarningLine(QWidget):
-    """The warnings of all stages in one line, with their remedies; the tooltip, also shown by a click, has all text."""
+    """The warnings of all stages in one line, with their remedies.
+
+    The tooltip, also shown by a click, has all text.
+    """
 
     def __init__(self) -> None:
         super().__init__()
         self.setObjectName("warning_line")
         self.text = ""  # all of it, whatever fits
         self._sentences: tuple[str, ...] = ()
-        self._sign, self.label = StateIcon(), FixedSizeLabel()
+        self._sign = StateIcon()
+        self.label = FixedSizeLabel()
         layout = set_spacing(QHBoxLayout(self), 5, (6, 0, 6, 0))
         layout.addWidget(self._sign)
         layout.addWidget(self.label, 1)
@@ -36,7 +40,8 @@ class WarningLine(QWidget):
         """Show (stage title, warning) pairs, the most important first."""
         sentences = tuple(f"{title}: {warning}" for title, warning in warnings)
         if sentences != self._sentences:
-            self._sentences, self.text = sentences, _BETWEEN.join(sentences)
+            self._sentences = sentences
+            self.text = _BETWEEN.join(sentences)
             self.setToolTip("\n".join(sentences))
             self._sign.show_state("warning" if sentences else "")
             self._fit()
@@ -62,20 +67,34 @@ class WarningLine(QWidget):
         QToolTip.showText(a0.globalPosition().toPoint(), self.toolTip(), self)
 
     def _fit(self) -> None:
-        metrics, layout = self.label.fontMetrics(), self.layout()
+        metrics = self.label.fontMetrics()
+        layout = self.layout()
         assert layout is not None
         around = layout.contentsMargins()
         taken = sum(button.sizeHint().width() + layout.spacing() for button in self.buttons)
-        room = max(60, self.width() - self._sign.width() - layout.spacing() - around.left() - around.right() - taken)
-        text = fit_sentences(self._sentences, lambda words: metrics.horizontalAdvance(words) <= room - _SPARE_PX)
+        room = max(
+            60,
+            self.width()
+            - self._sign.width()
+            - layout.spacing()
+            - around.left()
+            - around.right()
+            - taken,
+        )
+        text = fit_sentences(
+            self._sentences, lambda words: metrics.horizontalAdvance(words) <= room - _SPARE_PX
+        )
         self.label.setText(metrics.elidedText(text, Qt.TextElideMode.ElideRight, room))
 
 
 def fit_sentences(sentences: Sequence[str], fits: Callable[[str], bool]) -> str:
-    """Return as many sentences as fit, none cut: first what is wrong, then the reasons as far as there is room."""
+    """Return as many sentences as fit, none cut: first what is wrong, then the reasons as far as
+    there is room.
+    """
     brief = [_without_reason(sentence) for sentence in sentences]
     count = next(
-        (n for n in range(len(sentences), 1, -1) if fits(_join(brief[:n], len(sentences)))), min(1, len(sentences))
+        (n for n in range(len(sentences), 1, -1) if fits(_join(brief[:n], len(sentences)))),
+        min(1, len(sentences)),
     )
     shown = brief[:count]
     for i in range(count):

@@ -62,7 +62,10 @@ class AxisRow(QObject):
                 f"Rotate the touch about {along} of the {frame} frame, degrees, about the centre "
                 f"of the contact; the three form a rotation vector"
             )
-        tip += f"; offset from the open alignment. Wheel and arrow keys: steps of {_STEP[axis_unit(self.axis)]:g}"
+        tip += (
+            "; offset from the open alignment. Wheel and arrow keys: steps of "
+            f"{_STEP[axis_unit(self.axis)]:g}"
+        )
         tip += _SIGN[axis_unit(self.axis)]
         for widget in (self.label, self.slider, self.box):
             widget.setToolTip(tip)

@@ -1,4 +1,6 @@
-"""Small widgets and tools that the others are built from: painting, events, letters, labels, choices, numbers."""
+"""Small widgets and tools that the others are built from: painting, events, letters, labels,
+choices, numbers.
+"""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -21,17 +23,24 @@ from PyQt6.QtWidgets import (
 from widgets.style.theme import ThemeColours, get_theme_colours
 
 _Policy = QSizePolicy.Policy
-GROWS, FIXED, YIELDS = _Policy.Expanding, _Policy.Fixed, _Policy.Ignored  # how a widget takes width or height
+# how a widget takes width or height
+GROWS = _Policy.Expanding
+FIXED = _Policy.Fixed
+YIELDS = _Policy.Ignored
 MIN_FONT_PT = 8.5  # smallest letters of the window
 _UNDER_PX = 2
 
 
 class EventListener(QObject):
-    """Calls `then` at events of these kinds of a widget, before the widget handles them; lives as long as it."""
+    """Calls `then` at events of these kinds of a widget, before the widget handles them.
+
+    Lives as long as it.
+    """
 
     def __init__(self, widget: QWidget, then: Callable[[], object], *kinds: QEvent.Type) -> None:
         super().__init__(widget)
-        self._then, self._kinds = then, kinds
+        self._then = then
+        self._kinds = kinds
         widget.installEventFilter(self)
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
@@ -43,11 +52,16 @@ class EventListener(QObject):
 
 
 class PaintedWidget(QWidget):
-    """Paints itself in the theme's colours; subclasses have a preferred size and override `paint`."""
+    """Paints itself in the theme's colours.
+
+    Subclasses have a preferred size and override `paint`.
+    """
 
     preferred_px = 200, 160  # width, height
 
-    def __init__(self, name: str = "", description: str = "", across: _Policy = GROWS, down: _Policy = GROWS) -> None:
+    def __init__(
+        self, name: str = "", description: str = "", across: _Policy = GROWS, down: _Policy = GROWS
+    ) -> None:
         """`name` finds the widget, `description` is what a screen reader says."""
         super().__init__()
         self.setObjectName(name)
@@ -95,7 +109,9 @@ class VerticalScrollArea(QScrollArea):
 
     def minimumSizeHint(self) -> QSize:  # noqa: N802
         """Return the width of the content next to a scroll bar."""
-        hint, body, bar = super().minimumSizeHint(), self.widget(), self.verticalScrollBar()
+        hint = super().minimumSizeHint()
+        body = self.widget()
+        bar = self.verticalScrollBar()
         if body is None or bar is None:
             return hint
         return QSize(body.minimumSizeHint().width() + bar.sizeHint().width(), hint.height())
@@ -106,7 +122,8 @@ class FixedSizeLabel(QLabel):
 
     def __init__(self, text: str = "") -> None:
         super().__init__()
-        self._said, self._lines = text, 1
+        self._said = text
+        self._lines = 1
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.setTextFormat(Qt.TextFormat.PlainText)
 
@@ -140,21 +157,30 @@ class FixedSizeLabel(QLabel):
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
         """Paint the text."""
         del a0
-        painter, room, how = QPainter(self), self.contentsRect(), self.alignment()
+        painter = QPainter(self)
+        room = self.contentsRect()
+        how = self.alignment()
         painter.setPen(self.palette().color(self.foregroundRole()))
         if self.wordWrap():
             painter.drawText(room, int(how) | int(Qt.TextFlag.TextWordWrap), self._said)
         else:
             end = Qt.TextElideMode.ElideRight
-            painter.drawText(room, int(how), self.fontMetrics().elidedText(self._said, end, room.width()))
+            painter.drawText(
+                room, int(how), self.fontMetrics().elidedText(self._said, end, room.width())
+            )
 
 
 class ChoiceBox(QComboBox):
-    """Offers names by their texts; a text that does not fit ends in dots. `chosen` carries what the user chose."""
+    """Offers names by their texts.
+
+    A text that does not fit ends in dots. `chosen` carries what the user chose.
+    """
 
     chosen = pyqtSignal(str)
 
-    def __init__(self, name: str, description: str, choices: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self, name: str, description: str, choices: Mapping[str, str] | None = None
+    ) -> None:
         """`name` finds the box, `description` is what a screen reader says."""
         super().__init__()
         self.setObjectName(name)
@@ -169,9 +195,14 @@ class ChoiceBox(QComboBox):
         return str(self.currentData() or "")
 
     def offer(
-        self, choices: Mapping[str, str], chosen: str | None = None, tips: Mapping[str, str] | None = None
+        self,
+        choices: Mapping[str, str],
+        chosen: str | None = None,
+        tips: Mapping[str, str] | None = None,
     ) -> None:
-        """Offer name -> text and show `chosen`, by default the choice before, else the first; emits no signal.
+        """Offer name -> text and show `chosen`, by default the choice before, else the first.
+
+        Emits no signal.
 
         `tips` are tooltips by name.
         """
@@ -181,27 +212,38 @@ class ChoiceBox(QComboBox):
                 self.clear()
                 for name, text in choices.items():
                     self.addItem(text, name)
-                    self.setItemData(self.count() - 1, (tips or {}).get(name), Qt.ItemDataRole.ToolTipRole)
+                    self.setItemData(
+                        self.count() - 1, (tips or {}).get(name), Qt.ItemDataRole.ToolTipRole
+                    )
             self.setCurrentIndex(max(0, self.findData(chosen)))
 
     def paintEvent(self, e: Any) -> None:  # noqa: N802
         """Paint the box with the part of the text that fits."""
         del e
-        painter, option, style = QStylePainter(self), QStyleOptionComboBox(), self.style()
+        painter = QStylePainter(self)
+        option = QStyleOptionComboBox()
+        style = self.style()
         self.initStyleOption(option)
         if style is not None:
             part = QStyle.SubControl.SC_ComboBoxEditField
             room = style.subControlRect(QStyle.ComplexControl.CC_ComboBox, option, part, self)
             icon_px = 0 if option.currentIcon.isNull() else option.iconSize.width() + 4
             end = Qt.TextElideMode.ElideRight
-            option.currentText = option.fontMetrics.elidedText(option.currentText, end, room.width() - icon_px - 4)
+            option.currentText = option.fontMetrics.elidedText(
+                option.currentText, end, room.width() - icon_px - 4
+            )
         painter.drawComplexControl(QStyle.ComplexControl.CC_ComboBox, option)
         painter.drawControl(QStyle.ControlElement.CE_ComboBoxLabel, option)
 
 
 class NumberBox(QDoubleSpinBox):
-    """Writes a decimal point, as every figure of the window has, and takes a typed comma for one."""
+    """Writes a decimal point, as every figure of the window has, and takes a typed comma for
+    one.
+    """
 
     def validate(self, input: str | None, pos: int) -> tuple[QValidator.State, str, int]:  # noqa: A002 - Qt's name
-        """Return whether the text is a number, and the text with a point; without this, 2,5 became 25."""
+        """Return whether the text is a number, and the text with a point.
+
+        Without this, 2,5 became 25.
+        """
         return super().validate((input or "").replace(",", "."), pos)

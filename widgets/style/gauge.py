@@ -73,7 +73,9 @@ class Gauge(PaintedWidget):
         height = self.height()
         painter.setPen(self.palette().text().color())
         middle = int(Qt.AlignmentFlag.AlignVCenter)
-        painter.drawText(QRectF(0, 0, left, height), middle | int(Qt.AlignmentFlag.AlignLeft), self._scale.name)
+        painter.drawText(
+            QRectF(0, 0, left, height), middle | int(Qt.AlignmentFlag.AlignLeft), self._scale.name
+        )
         number = QRectF(self.width() - right, 0, right, height)
         painter.drawText(number, middle | int(Qt.AlignmentFlag.AlignRight), self.text)
         bar = QRectF(left, (height - _BAR_PX) / 2, max(10.0, self.width() - left - right), _BAR_PX)
@@ -82,7 +84,9 @@ class Gauge(PaintedWidget):
         painter.drawRoundedRect(bar, 2, 2)
         if self.value is not None and math.isfinite(self.value):
             painter.setBrush(to_qcolor(ink.gauge))
-            painter.drawRoundedRect(QRectF(bar.left(), bar.top(), bar.width() * self._share(self.value), _BAR_PX), 2, 2)
+            painter.drawRoundedRect(
+                QRectF(bar.left(), bar.top(), bar.width() * self._share(self.value), _BAR_PX), 2, 2
+            )
         if self.ghost is not None and math.isfinite(self.ghost):
             self._draw_ghost(painter, bar, to_qcolor(ink.ghost))
 
@@ -93,7 +97,9 @@ class Gauge(PaintedWidget):
         painter.setPen(Qt.PenStyle.NoPen)
         painter.setBrush(colour)
         top = bar.top() - 1
-        painter.drawPolygon(QPolygonF([QPointF(x - 3, top - 3), QPointF(x + 3, top - 3), QPointF(x, top + 1)]))
+        painter.drawPolygon(
+            QPolygonF([QPointF(x - 3, top - 3), QPointF(x + 3, top - 3), QPointF(x, top + 1)])
+        )
 
     def _share(self, value: float) -> float:
         return min(max(value / self._scale.full_value, 0.0), 1.0)

@@ -1,4 +1,6 @@
-"""Icons in the colours of the current palette: signs of stage states, and commands, from `widgets/style/drawings`."""
+"""Icons in the colours of the current palette: signs of stage states, and commands, from
+`widgets/style/drawings`.
+"""
 
 from functools import lru_cache
 from pathlib import Path
@@ -11,7 +13,8 @@ from PyQt6.QtWidgets import QWidget
 from pipeline.views.colours import Rgb
 from widgets.style.theme import get_theme_colours, to_hex
 
-DRAWINGS = Path(__file__).with_name("drawings")  # one SVG per icon, in currentColor; `state_*` are signs of states
+# one SVG per icon, in currentColor; `state_*` are signs of states
+DRAWINGS = Path(__file__).with_name("drawings")
 _FAINT = 0.35  # opacity of a disabled command
 
 
@@ -57,7 +60,8 @@ class _Engine(QIconEngine):
 
     def __init__(self, name: str, *, is_state: bool = False) -> None:
         super().__init__()
-        self._name, self._is_state = name, is_state
+        self._name = name
+        self._is_state = is_state
 
     def clone(self) -> QIconEngine:
         return _Engine(self._name, is_state=self._is_state)
@@ -70,7 +74,9 @@ class _Engine(QIconEngine):
         painter.end()
         return pixmap
 
-    def paint(self, painter: QPainter | None, rect: QRect, mode: QIcon.Mode, state: QIcon.State) -> None:
+    def paint(
+        self, painter: QPainter | None, rect: QRect, mode: QIcon.Mode, state: QIcon.State
+    ) -> None:
         del state
         if painter is None:
             return

@@ -1,4 +1,6 @@
-"""Notifications, never modal: a sentence with buttons of one action or menu each, stacked over the page."""
+"""Notifications, never modal: a sentence with buttons of one action or menu each, stacked over
+the page.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -21,12 +23,18 @@ from widgets.style.run_bar import RunBar
 from widgets.style.styling import fill, make_single_shot_timer
 
 Act = Callable[[], object]
-Choice = tuple[str, Act | Sequence[tuple[str, Act]]]  # label, and what it does or the entries of its menu
-_WIDTH_PX, _AROUND_PX, _BETWEEN_PX = 640, 10, 6
+# label, and what it does or the entries of its menu
+Choice = tuple[str, Act | Sequence[tuple[str, Act]]]
+_WIDTH_PX = 640
+_AROUND_PX = 10
+_BETWEEN_PX = 6
 
 
 def make_choice_button(choice: Choice, then: Act) -> QPushButton:
-    """Return a button that calls `then`, then acts; one with a menu does so with the chosen entry."""
+    """Return a button that calls `then`, then acts.
+
+    One with a menu does so with the chosen entry.
+    """
     words, act = choice
     button = QPushButton(escape_text(words))
     button.setObjectName(f"offer_{words.split(maxsplit=1)[0].lower()}")
@@ -50,11 +58,15 @@ def make_choice_button(choice: Choice, then: Act) -> QPushButton:
     return button
 
 
-_READ_MS, _ACT_MS = 10_000, 20_000  # until a notification leaves, without and with buttons
+# until a notification leaves, without and with buttons
+_READ_MS = 10_000
+_ACT_MS = 20_000
 
 
 class NotificationBar(QFrame):
-    """Hidden until `show_notification`; each button acts once and hides it. `run_bar` shows what the sentence is about.
+    """Hidden until `show_notification`.
+
+    Each button acts once and hides it. `run_bar` shows what the sentence is about.
 
     It leaves by itself after a time to read it, unless it is being read.
     """
@@ -64,7 +76,9 @@ class NotificationBar(QFrame):
         self.setObjectName(name)
         self.setFrameShape(QFrame.Shape.StyledPanel)
         self.setAutoFillBackground(True)
-        self._text, self.run_bar, self._away = QLabel(), RunBar(name), QToolButton()
+        self._text = QLabel()
+        self.run_bar = RunBar(name)
+        self._away = QToolButton()
         self._text.setTextFormat(Qt.TextFormat.PlainText)  # file names are no markup
         self._text.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         self._text.setWordWrap(True)
@@ -73,14 +87,17 @@ class NotificationBar(QFrame):
         self._away.setToolTip("Dismiss")
         self._away.setAccessibleName("Dismiss")
         self._away.clicked.connect(self.hide)
-        self._column, self._row, self._choices = QVBoxLayout(self), QHBoxLayout(), QHBoxLayout()
+        self._column = QVBoxLayout(self)
+        self._row = QHBoxLayout()
+        self._choices = QHBoxLayout()
         self._column.setContentsMargins(8, 3, 8, 3)
         fill(self._column, self._row)
         fill(self._row, (self._text, 1), self.run_bar)
         fill(self._column if choices_below else self._row, fill(self._choices, int(choices_below)))
         fill(self._row, self._away)
         self.buttons: list[QPushButton] = []
-        self._read, self._read_ms = make_single_shot_timer(self, read_ms, self._leave), read_ms
+        self._read = make_single_shot_timer(self, read_ms, self._leave)
+        self._read_ms = read_ms
         self.hide()
 
     @property
@@ -93,8 +110,13 @@ class NotificationBar(QFrame):
         """Whether it does not leave now: the pointer is over it."""
         return self.underMouse()
 
-    def show_notification(self, sentence: str, choices: Sequence[Choice] = (), *, stays: bool = False) -> None:
-        """Show one sentence and a button for each of `choices`; it does not leave while it `stays`."""
+    def show_notification(
+        self, sentence: str, choices: Sequence[Choice] = (), *, stays: bool = False
+    ) -> None:
+        """Show one sentence and a button for each of `choices`.
+
+        It does not leave while it `stays`.
+        """
         for button in self.buttons:
             self._choices.removeWidget(button)
             button.deleteLater()
@@ -114,13 +136,17 @@ class NotificationBar(QFrame):
 
 
 class NotificationStack(QWidget):
-    """Covers no more than the notifications need, at the lower right of `page` within `over`; empty without any."""
+    """Covers no more than the notifications need, at the lower right of `page` within `over`.
+
+    Empty without any.
+    """
 
     def __init__(self, over: QWidget, page: QWidget) -> None:
         super().__init__(over)
         self.setObjectName("notifications")
         self.setAccessibleName("notifications")
-        self._page, self._bars = page, list[QWidget]()
+        self._page = page
+        self._bars = list[QWidget]()
         self._place_soon = make_single_shot_timer(self, 0, self.place)
         for widget in (over, page):
             widget.installEventFilter(self)
@@ -146,16 +172,24 @@ class NotificationStack(QWidget):
         width_px = max(1, min(_WIDTH_PX, self._page.width() - 2 * _AROUND_PX))
         top_px = 0
         for bar in shown:
-            height_px = bar.heightForWidth(width_px) if bar.hasHeightForWidth() else bar.sizeHint().height()
+            height_px = (
+                bar.heightForWidth(width_px) if bar.hasHeightForWidth() else bar.sizeHint().height()
+            )
             bar.setGeometry(0, top_px, width_px, height_px)
             top_px += height_px + _BETWEEN_PX
         height_px = top_px - _BETWEEN_PX
-        self.setGeometry(corner.x() - _AROUND_PX - width_px, corner.y() - _AROUND_PX - height_px, width_px, height_px)
+        self.setGeometry(
+            corner.x() - _AROUND_PX - width_px,
+            corner.y() - _AROUND_PX - height_px,
+            width_px,
+            height_px,
+        )
         self.raise_()
 
     def eventFilter(self, a0: QObject | None, a1: Any) -> bool:  # noqa: N802
         """Place the notifications again when one changes, or what they lie on."""
-        kind, kinds = None if a1 is None else a1.type(), QEvent.Type
+        kind = None if a1 is None else a1.type()
+        kinds = QEvent.Type
         if kind == kinds.ShowToParent and a0 in self._bars:
             self.place()
         elif kind in (kinds.HideToParent, kinds.LayoutRequest, kinds.Resize, kinds.Move):

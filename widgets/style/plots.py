@@ -1,4 +1,7 @@
-"""Plots in the theme's colours, with pan, zoom and export; pyqtgraph is imported when the first one is shown."""
+"""Plots in the theme's colours, with pan, zoom and export.
+
+Pyqtgraph is imported when the first one is shown.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +22,18 @@ from widgets.style.theme import ThemeColours, get_theme_colours, to_hex, to_qcol
 
 _LABEL_PX = 52  # width of the numbers at the left: axes above each other begin at the same place
 _GRID_ALPHA = 40
-_N_LABELS, _BAND_ALPHA, _COVER_ALPHA = 8, 60, 200  # most names of steps; opacity of bands, and behind titles
-_STYLES = Qt.PenStyle.SolidLine, Qt.PenStyle.DashLine, Qt.PenStyle.DotLine  # of the curves of a strip
+# most names of steps; opacity of bands, and behind titles
+_N_LABELS = 8
+_BAND_ALPHA = 60
+_COVER_ALPHA = 200
+# of the curves of a strip
+_STYLES = Qt.PenStyle.SolidLine, Qt.PenStyle.DashLine, Qt.PenStyle.DotLine
 
 
 class Plot(QWidget):
-    """Axes above each other; subclasses override `draw`, and call `redraw` when their data change."""
+    """Axes above each other; subclasses override `draw`, and call `redraw` when their data
+    change.
+    """
 
     preferred_px = 320, 320  # width, height
 
@@ -57,7 +66,8 @@ class Plot(QWidget):
             self._view = pyqtgraph.GraphicsLayoutWidget()
             for part in (self._view, self._view.viewport()):
                 part.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-            self._view.setContextMenuPolicy(Qt.ContextMenuPolicy.NoContextMenu)  # this widget has one
+            # this widget has one
+            self._view.setContextMenuPolicy(Qt.ContextMenuPolicy.NoContextMenu)
             self._view.ci.layout.setSpacing(2)
             self._view.scene().sigMouseClicked.connect(self.handle_click)
             fill(self._layout, (self._view, 1))
@@ -79,11 +89,13 @@ class Plot(QWidget):
             self._axes.append(Axes(pyqtgraph, self._view, len(self._axes)))
             if len(self._axes) > 1:
                 self._axes[-1].view.setXLink(self._axes[0].view)
-        palette, axes = self.palette(), self._axes[row]
+        palette = self.palette()
+        axes = self._axes[row]
         for axis, label in ((axes.bottom, across), (axes.left, up)):
             axis.setPen(palette.color(QPalette.ColorRole.Mid))
             axis.setTextPen(palette.color(QPalette.ColorRole.WindowText))
-            axis.setLabel(label, siPrefixEnableRanges=())  # values as they are, in the unit of the label
+            # values as they are, in the unit of the label
+            axis.setLabel(label, siPrefixEnableRanges=())
         return axes
 
     def _view_all(self) -> None:
@@ -98,12 +110,17 @@ class Plot(QWidget):
 
 
 class Axes:
-    """A view of data with an axis at its left and one below; a `pyqtgraph.PlotItem` brings menus of 60 controls."""
+    """A view of data with an axis at its left and one below.
+
+    A `pyqtgraph.PlotItem` brings menus of 60 controls.
+    """
 
     def __init__(self, pyqtgraph: Any, layout: Any, row: int) -> None:
         self._pyqtgraph = pyqtgraph
         self.view = pyqtgraph.ViewBox(enableMenu=False)
-        self.left, self.bottom = (pyqtgraph.AxisItem(side, linkView=self.view) for side in ("left", "bottom"))
+        self.left, self.bottom = (
+            pyqtgraph.AxisItem(side, linkView=self.view) for side in ("left", "bottom")
+        )
         self.left.setWidth(_LABEL_PX)
         self.left.setGrid(_GRID_ALPHA)
         self.left.setZValue(-1000)  # its grid is below the curves
@@ -129,10 +146,14 @@ class Strip:
 
 
 class StripPlot(Plot):
-    """Strips over the same steps with a cursor; a click, a drag of the cursor or an arrow key chooses a step."""
+    """Strips over the same steps with a cursor.
+
+    A click, a drag of the cursor or an arrow key chooses a step.
+    """
 
     step_chosen = pyqtSignal(int)
-    preferred_px, across = (400, 130), "step"
+    preferred_px = (400, 130)
+    across = "step"
 
     def __init__(self, name: str, description: str) -> None:
         super().__init__(name, description)
@@ -146,15 +167,24 @@ class StripPlot(Plot):
         self.current_step = -1
 
     def show_strips(
-        self, strips: Sequence[Strip], labels: Sequence[str] = (), *, marks: Sequence[int] = (),
-        bands: Sequence[tuple[int, int, bool]] = (), turns: Sequence[int] = (),
-    ) -> None:  # fmt: skip
+        self,
+        strips: Sequence[Strip],
+        labels: Sequence[str] = (),
+        *,
+        marks: Sequence[int] = (),
+        bands: Sequence[tuple[int, int, bool]] = (),
+        turns: Sequence[int] = (),
+    ) -> None:
         """Show strips over steps that `labels` name, by default by their numbers.
 
-        `marks` are steps with a triangle at the top, `bands` (first, last, is bad) are steps with a background, and a
-        line stands before each of the `turns`.
+        `marks` are steps with a triangle at the top, `bands` (first, last, is bad) are steps with a
+        background, and a line stands before each of the `turns`.
         """
-        self.strips, self._labels, self.marks, self._bands, self._turns = strips, labels, marks, bands, turns
+        self.strips = strips
+        self._labels = labels
+        self.marks = marks
+        self._bands = bands
+        self._turns = turns
         self.redraw()
 
     def show_step(self, at: int) -> None:
@@ -174,40 +204,64 @@ class StripPlot(Plot):
             for item in (axes.left, axes.view, axes.bottom):
                 self._view.removeItem(item)
         del self._axes[len(self.strips) :]
-        self._cursors = [self._draw_strip(pyqtgraph, ink, row, strip) for row, strip in enumerate(self.strips)]
+        self._cursors = [
+            self._draw_strip(pyqtgraph, ink, row, strip) for row, strip in enumerate(self.strips)
+        ]
 
     def _draw_strip(self, pyqtgraph: Any, ink: ThemeColours, row: int, strip: Strip) -> Any:
         """Draw a strip; returns its cursor."""
-        is_last, palette = row == len(self.strips) - 1, self.palette()
+        is_last = row == len(self.strips) - 1
+        palette = self.palette()
         axes = self.prepare_axes(pyqtgraph, row, self.across if is_last else "")
         axes.bottom.setVisible(is_last)
         every = max(1, len(self._labels) // _N_LABELS)
         ticks = [(k, label) for k, label in enumerate(self._labels) if k % every == 0]
         axes.bottom.setTicks([ticks] if ticks else None)
         for first, last, is_bad in self._bands:
-            colour = to_qcolor(ink.worse, _BAND_ALPHA) if is_bad else palette.color(QPalette.ColorRole.Midlight)
+            colour = (
+                to_qcolor(ink.worse, _BAND_ALPHA)
+                if is_bad
+                else palette.color(QPalette.ColorRole.Midlight)
+            )
             limits = first - 0.5, last + 0.5
             axes.view.addItem(
-                pyqtgraph.LinearRegionItem(limits, movable=False, brush=colour, pen=pyqtgraph.mkPen(None))
+                pyqtgraph.LinearRegionItem(
+                    limits, movable=False, brush=colour, pen=pyqtgraph.mkPen(None)
+                )
             )
         for turn in self._turns:
             pen = pyqtgraph.mkPen(palette.color(QPalette.ColorRole.Mid), style=Qt.PenStyle.DashLine)
             axes.view.addItem(pyqtgraph.InfiniteLine(turn - 0.5, pen=pen))
         colours = ink.axes if strip.has_axis_colours else (ink.accent, ink.worse)
         words = [
-            f"<span style='color: {palette.color(QPalette.ColorRole.WindowText).name()}'>{escape(strip.title)}</span>"
+            "<span style='color: "
+            f"{palette.color(QPalette.ColorRole.WindowText).name()}'>{escape(strip.title)}</span>"
         ]
         for (name, values), colour, style in zip(strip.curves, colours, _STYLES, strict=False):
             pen = pyqtgraph.mkPen(to_qcolor(colour), width=1.5, style=style)
-            axes.plot(np.arange(len(values)), np.asarray(values, np.float64), pen=pen, connect="finite", antialias=True)
+            axes.plot(
+                np.arange(len(values)),
+                np.asarray(values, np.float64),
+                pen=pen,
+                connect="finite",
+                antialias=True,
+            )
             words.append(f"<span style='color: {to_hex(colour)}'>{escape(name)}</span>")
         known = [value for _, values in strip.curves for value in values if math.isfinite(value)]
-        low, high = min((0.0, *known)), max((0.0, *known))
+        low = min((0.0, *known))
+        high = max((0.0, *known))
         high = max(high, low + strip.least_span)
         axes.view.setYRange(low, high)
         if row == 0 and self.marks:
             brush = to_qcolor(ink.worse)
-            axes.plot(self.marks, [high] * len(self.marks), pen=None, symbol="t", symbolBrush=brush, symbolPen=None)
+            axes.plot(
+                self.marks,
+                [high] * len(self.marks),
+                pen=None,
+                symbol="t",
+                symbolBrush=brush,
+                symbolPen=None,
+            )
         cover = to_qcolor(palette.color(QPalette.ColorRole.Base).getRgb()[:3], _COVER_ALPHA)
         title = pyqtgraph.TextItem(html=" &nbsp; ".join(words), anchor=(0, 0), fill=cover)
         axes.view.addItem(title, ignoreBounds=True)
@@ -234,8 +288,12 @@ class StripPlot(Plot):
 
     def keyPressEvent(self, a0: Any) -> None:  # noqa: N802
         """Choose the next, previous, first or last step."""
-        ways = {Qt.Key.Key_Left: self.current_step - 1, Qt.Key.Key_Right: self.current_step + 1, Qt.Key.Key_Home: 0,
-                Qt.Key.Key_End: self.n_steps - 1}  # fmt: skip
+        ways = {
+            Qt.Key.Key_Left: self.current_step - 1,
+            Qt.Key.Key_Right: self.current_step + 1,
+            Qt.Key.Key_Home: 0,
+            Qt.Key.Key_End: self.n_steps - 1,
+        }
         if a0.key() in ways:
             self._choose(ways[a0.key()])
         else:

@@ -10,11 +10,15 @@ _BAR_PX = 140
 
 
 class RunBar(QWidget):
-    """Progress bar and *Cancel*, visible while something runs; with `keeps_room` nothing moves as they come and go."""
+    """Progress bar and *Cancel*, visible while something runs.
+
+    With `keeps_room` nothing moves as they come and go.
+    """
 
     def __init__(self, name: str, *, keeps_room: bool = False) -> None:
         super().__init__()
-        self.bar, self.cancel_button = QProgressBar(), QPushButton("Cancel")
+        self.bar = QProgressBar()
+        self.cancel_button = QPushButton("Cancel")
         self.cancel_button.setObjectName(f"{name}_cancel")
         self.bar.setRange(0, 1000)
         self.bar.setTextVisible(False)

@@ -5,7 +5,16 @@ from typing import TypeVar
 
 from PyQt6.QtCore import QEvent, QObject, Qt, QTimer
 from PyQt6.QtGui import QAction, QGuiApplication, QPalette
-from PyQt6.QtWidgets import QBoxLayout, QLabel, QLayout, QLineEdit, QPushButton, QSplitter, QToolButton, QWidget
+from PyQt6.QtWidgets import (
+    QBoxLayout,
+    QLabel,
+    QLayout,
+    QLineEdit,
+    QPushButton,
+    QSplitter,
+    QToolButton,
+    QWidget,
+)
 
 from pipeline.views.colours import Rgb
 from widgets.style.base import EventListener
@@ -16,15 +25,22 @@ _Layout = TypeVar("_Layout", bound=QLayout)
 _Box = TypeVar("_Box", bound=QBoxLayout)
 
 
-def set_spacing(layout: _Layout, between_px: int, around_px: tuple[int, int, int, int] = (0, 0, 0, 0)) -> _Layout:
-    """Return the layout with this spacing between its items and margins (left, top, right, bottom)."""
+def set_spacing(
+    layout: _Layout, between_px: int, around_px: tuple[int, int, int, int] = (0, 0, 0, 0)
+) -> _Layout:
+    """Return the layout with this spacing between its items and margins (left, top, right,
+    bottom).
+    """
     layout.setSpacing(between_px)
     layout.setContentsMargins(*around_px)
     return layout
 
 
 def fill(layout: _Box, *items: QWidget | QLayout | int | tuple[QWidget | QLayout, int]) -> _Box:
-    """Add widgets and layouts in order; (item, n) takes n shares of the spare room, a bare n leaves n shares empty."""
+    """Add widgets and layouts in order.
+
+    (item, n) takes n shares of the spare room, a bare n leaves n shares empty.
+    """
     for item in items:
         part, share = item if isinstance(item, tuple) else (item, 0)
         if isinstance(part, int):

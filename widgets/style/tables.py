@@ -1,11 +1,21 @@
-"""Tables: models of rows, filters by words and limits, their common look, and their copy as text."""
+"""Tables: models of rows, filters by words and limits, their common look, and their copy as
+text.
+"""
 
 import math
 import re
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from PyQt6.QtCore import QAbstractTableModel, QEvent, QModelIndex, QObject, QPoint, QSortFilterProxyModel, Qt
+from PyQt6.QtCore import (
+    QAbstractTableModel,
+    QEvent,
+    QModelIndex,
+    QObject,
+    QPoint,
+    QSortFilterProxyModel,
+    Qt,
+)
 from PyQt6.QtGui import QKeyEvent, QKeySequence
 from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QMenu, QTableView, QWidget
 
@@ -17,7 +27,9 @@ _LIMIT = re.compile(r"([<>])=?(-?\d+(?:\.\d*)?|-?\.\d+)$")
 
 
 def get_limits(words: str) -> tuple[float, float]:
-    """Return the range that the limits among the terms of a filter leave, infinite where there is none."""
+    """Return the range that the limits among the terms of a filter leave, infinite where there
+    is none.
+    """
     limits = [match for match in map(_LIMIT.match, words.split()) if match is not None]
     return (
         max((float(m.group(2)) for m in limits if m.group(1) == ">"), default=-math.inf),
@@ -28,7 +40,11 @@ def get_limits(words: str) -> tuple[float, float]:
 def replace_limits(words: str, low: float, high: float) -> str:
     """Return the filter with these limits in place of its own, none where they are infinite."""
     others = [word for word in words.split() if _LIMIT.match(word) is None]
-    limits = [f"{sign}{_format_limit(value)}" for sign, value in ((">", low), ("<", high)) if math.isfinite(value)]
+    limits = [
+        f"{sign}{_format_limit(value)}"
+        for sign, value in ((">", low), ("<", high))
+        if math.isfinite(value)
+    ]
     return " ".join((*others, *limits))
 
 
@@ -44,7 +60,10 @@ class RowsModel(QAbstractTableModel):
     def __init__(self, titles: Sequence[str], tips: Sequence[str], parent: QObject) -> None:
         super().__init__(parent)
         self.n_rows = 0
-        self._headings: dict[int, list[str]] = {_Role.DisplayRole: list(titles), _Role.ToolTipRole: list(tips)}
+        self._headings: dict[int, list[str]] = {
+            _Role.DisplayRole: list(titles),
+            _Role.ToolTipRole: list(tips),
+        }
 
     def rowCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
         """Return the number of rows."""
@@ -54,19 +73,25 @@ class RowsModel(QAbstractTableModel):
         """Return the number of columns."""
         return 0 if parent.isValid() else len(self._headings[_Role.DisplayRole])
 
-    def headerData(self, section: int, orientation: Qt.Orientation, role: int = _Role.DisplayRole) -> object:  # noqa: N802
+    def headerData(  # noqa: N802 - Qt's name
+        self, section: int, orientation: Qt.Orientation, role: int = _Role.DisplayRole
+    ) -> object:
         """Return title or tooltip of a column."""
         is_column = orientation == Qt.Orientation.Horizontal and 0 <= section < self.columnCount()
         return self._headings[role][section] if is_column and role in self._headings else None
 
 
 class RowFilter(QSortFilterProxyModel):
-    """Sorts by the table's sort role; lists the rows of the source for which all terms of a filter hold."""
+    """Sorts by the table's sort role.
+
+    Lists the rows of the source for which all terms of a filter hold.
+    """
 
     def __init__(self, model: QAbstractTableModel, matches: Callable[[int, str], bool]) -> None:
         """`matches(row, term)` returns whether a term holds."""
         super().__init__(model)
-        self._words, self._matches = tuple[str, ...](), matches
+        self._words = tuple[str, ...]()
+        self._matches = matches
         self.setSourceModel(model)
         self.setSortRole(SORT_ROLE)
 
@@ -79,11 +104,16 @@ class RowFilter(QSortFilterProxyModel):
 
     def filterAcceptsRow(self, source_row: int, source_parent: QModelIndex) -> bool:  # noqa: N802
         """Return whether a row is listed."""
-        return not source_parent.isValid() and all(self._matches(source_row, word) for word in self._words)
+        return not source_parent.isValid() and all(
+            self._matches(source_row, word) for word in self._words
+        )
 
 
 def matches_limit(word: str, value: float) -> bool | None:
-    """Return whether a value is beyond the limit that a term is, never if it is unknown; None for another term."""
+    """Return whether a value is beyond the limit that a term is, never if it is unknown.
+
+    None for another term.
+    """
     limit = _LIMIT.match(word)
     if limit is None:
         return None
@@ -92,14 +122,18 @@ def matches_limit(word: str, value: float) -> bool | None:
 
 
 def prepare_table(table: QTableView, name: str, description: str) -> QHeaderView:
-    """Show rows of one line, selected as a whole and edited nowhere; returns the header of the columns."""
+    """Show rows of one line, selected as a whole and edited nowhere.
+
+    Returns the header of the columns.
+    """
     table.setObjectName(name)
     table.setAccessibleName(description)
     table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
     table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
     table.setShowGrid(False)
     table.setWordWrap(False)
-    rows, columns = table.verticalHeader(), table.horizontalHeader()
+    rows = table.verticalHeader()
+    columns = table.horizontalHeader()
     assert rows is not None
     assert columns is not None
     rows.hide()
@@ -124,7 +158,11 @@ class TableCopier(QObject):
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
         """Take Ctrl+C from the window while a table has the focus."""
-        if isinstance(a1, QKeyEvent) and isinstance(a0, QTableView) and a1.matches(QKeySequence.StandardKey.Copy):
+        if (
+            isinstance(a1, QKeyEvent)
+            and isinstance(a0, QTableView)
+            and a1.matches(QKeySequence.StandardKey.Copy)
+        ):
             a1.accept()
             if a1.type() == QEvent.Type.KeyPress:
                 copy_table(a0, only_selected=True)
@@ -133,28 +171,45 @@ class TableCopier(QObject):
 
 
 def copy_table(table: QTableView, *, only_selected: bool = False) -> None:
-    """Copy a table as text with tabs, as spreadsheets take it: titles, then the rows in the order on screen."""
+    """Copy a table as text with tabs, as spreadsheets take it: titles, then the rows in the
+    order on screen.
+    """
     copy_text(format_table(table, only_selected=only_selected))
 
 
 def format_table(table: QTableView, *, only_selected: bool = False) -> str:
-    """Return the visible columns as text; the selected rows alone if asked for and there are any."""
-    model, selection = table.model(), table.selectionModel()
+    """Return the visible columns as text.
+
+    The selected rows alone if asked for and there are any.
+    """
+    model = table.model()
+    selection = table.selectionModel()
     if model is None:
         return ""
     columns = [column for column in range(model.columnCount()) if not table.isColumnHidden(column)]
     rows = list(range(model.rowCount()))
-    if only_selected and selection is not None and (chosen := {index.row() for index in selection.selectedIndexes()}):
+    if (
+        only_selected
+        and selection is not None
+        and (chosen := {index.row() for index in selection.selectedIndexes()})
+    ):
         rows = sorted(chosen)
-    titles = [model.headerData(column, Qt.Orientation.Horizontal, _Role.DisplayRole) for column in columns]
-    lines = [titles, *([model.index(row, column).data(_Role.DisplayRole) for column in columns] for row in rows)]
+    titles = [
+        model.headerData(column, Qt.Orientation.Horizontal, _Role.DisplayRole) for column in columns
+    ]
+    lines = [
+        titles,
+        *([model.index(row, column).data(_Role.DisplayRole) for column in columns] for row in rows),
+    ]
     return "".join(
-        "\t".join(("" if value is None else " ".join(str(value).split())) for value in line) + "\n" for line in lines
+        "\t".join(("" if value is None else " ".join(str(value).split())) for value in line) + "\n"
+        for line in lines
     )
 
 
 def _show_menu(table: QTableView, at: QPoint) -> None:
-    menu, viewport = QMenu(table), table.viewport()
+    menu = QMenu(table)
+    viewport = table.viewport()
     action = menu.addAction("Copy table")
     if action is not None and viewport is not None:
         action.triggered.connect(lambda: copy_table(table))

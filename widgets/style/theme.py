@@ -1,7 +1,8 @@
 """Colours of the window; those of quantities are in `pipeline.views.colours`.
 
-Overlays on images (outlines, crosshair) are the same in every theme. Text and signs on the window's background come
-from a `ThemeColours`, one for light and one for dark, with a contrast of at least 4.5 to 1.
+Overlays on images (outlines, crosshair) are the same in every theme. Text and signs on the window's
+background come from a `ThemeColours`, one for light and one for dark, with a contrast of at least
+4.5 to 1.
 """
 
 from collections.abc import Mapping
@@ -28,7 +29,8 @@ CATEGORY_COLOURS: tuple[
 )
 
 _OUTLINED = "QCheckBox", "QSlider", "QLineEdit", "QAbstractSpinBox", "QComboBox"
-_OUTLINE: dict[bool, Rgb] = {False: (122, 129, 140), True: (145, 152, 164)}  # of controls, by whether it is dark
+# of controls, by whether it is dark
+_OUTLINE: dict[bool, Rgb] = {False: (122, 129, 140), True: (145, 152, 164)}
 _FUSION_OUTLINE = 140  # per cent, as `QColor.darker` takes it
 
 
@@ -47,7 +49,8 @@ class ThemeColours:
 
     backdrop: Rgb  # behind images and 3D views
     no_value: Rgb  # pixels without a value
-    diverging: ColourMapName  # signed values: the centre is as bright as the window, so that images do not glare
+    # signed values: the centre is as bright as the window, so that images do not glare
+    diverging: ColourMapName
     icon: Rgb
     secondary_text: Rgb  # labels of other text
     warning_text: Rgb  # warnings
@@ -163,40 +166,59 @@ def get_backdrop(palette: QPalette) -> QColor:
 
 
 def make_palette(*, dark: bool) -> QPalette:
-    """Return the window's palette, set explicitly: without a desktop theme Qt does not know which to take."""
+    """Return the window's palette, set explicitly: without a desktop theme Qt does not know
+    which to take.
+    """
     palette = QPalette()
-    role, group = QPalette.ColorRole, QPalette.ColorGroup
+    role = QPalette.ColorRole
+    group = QPalette.ColorGroup
     table = (  # role, light, dark
-        (role.Window, (243, 244, 247), (38, 41, 47)), (role.WindowText, (28, 30, 34), (226, 229, 234)),
-        (role.Base, (255, 255, 255), (26, 28, 33)), (role.AlternateBase, (247, 248, 250), (33, 36, 41)),
-        (role.Text, (28, 30, 34), (226, 229, 234)), (role.Button, (238, 240, 244), (52, 56, 63)),
-        (role.ButtonText, (28, 30, 34), (226, 229, 234)), (role.BrightText, (190, 40, 40), (255, 138, 128)),
-        (role.ToolTipBase, (255, 255, 240), (58, 62, 70)), (role.ToolTipText, (28, 30, 34), (236, 238, 242)),
-        (role.Highlight, (45, 110, 190), (48, 106, 184)), (role.HighlightedText, (255, 255, 255), (255, 255, 255)),
-        (role.Link, (30, 95, 180), (125, 182, 245)), (role.PlaceholderText, (96, 102, 110), (160, 166, 175)),
-        (role.Light, (255, 255, 255), (66, 71, 80)), (role.Midlight, (226, 229, 234), (62, 66, 74)),
-        (role.Mid, (200, 204, 210), (84, 90, 100)), (role.Dark, (160, 165, 173), (18, 20, 24)),
+        (role.Window, (243, 244, 247), (38, 41, 47)),
+        (role.WindowText, (28, 30, 34), (226, 229, 234)),
+        (role.Base, (255, 255, 255), (26, 28, 33)),
+        (role.AlternateBase, (247, 248, 250), (33, 36, 41)),
+        (role.Text, (28, 30, 34), (226, 229, 234)),
+        (role.Button, (238, 240, 244), (52, 56, 63)),
+        (role.ButtonText, (28, 30, 34), (226, 229, 234)),
+        (role.BrightText, (190, 40, 40), (255, 138, 128)),
+        (role.ToolTipBase, (255, 255, 240), (58, 62, 70)),
+        (role.ToolTipText, (28, 30, 34), (236, 238, 242)),
+        (role.Highlight, (45, 110, 190), (48, 106, 184)),
+        (role.HighlightedText, (255, 255, 255), (255, 255, 255)),
+        (role.Link, (30, 95, 180), (125, 182, 245)),
+        (role.PlaceholderText, (96, 102, 110), (160, 166, 175)),
+        (role.Light, (255, 255, 255), (66, 71, 80)),
+        (role.Midlight, (226, 229, 234), (62, 66, 74)),
+        (role.Mid, (200, 204, 210), (84, 90, 100)),
+        (role.Dark, (160, 165, 173), (18, 20, 24)),
         (role.Shadow, (110, 115, 124), (8, 9, 11)),
-    )  # fmt: skip
+    )
     for which, light, night in table:
         palette.setColor(which, to_qcolor(night if dark else light))
     for which in (role.WindowText, role.Text, role.ButtonText):
-        palette.setColor(group.Disabled, which, to_qcolor((116, 122, 132) if dark else (150, 154, 160)))
-    palette.setColor(group.Disabled, role.Highlight, to_qcolor((84, 90, 100) if dark else (200, 204, 210)))  # sliders
+        palette.setColor(
+            group.Disabled, which, to_qcolor((116, 122, 132) if dark else (150, 154, 160))
+        )
+    # sliders
+    palette.setColor(
+        group.Disabled, role.Highlight, to_qcolor((84, 90, 100) if dark else (200, 204, 210))
+    )
     return palette
 
 
 def use_palette(*, dark: bool) -> None:
     """Set the palette of the application, unless it is set already.
 
-    Fusion outlines a control in its window colour, darker by `_FUSION_OUTLINE`: nearly invisible on a dark window. So
-    the controls of `_OUTLINED`, which paint nothing else in that colour, get a window colour that makes the outline
-    stand out 3 to 1.
+    Fusion outlines a control in its window colour, darker by `_FUSION_OUTLINE`: nearly invisible on
+    a dark window. So the controls of `_OUTLINED`, which paint nothing else in that colour, get a
+    window colour that makes the outline stand out 3 to 1.
     """
     palette = make_palette(dark=dark)
     if palette != QApplication.palette():
         QApplication.setPalette(palette)
         QToolTip.setPalette(palette)
-        palette.setColor(QPalette.ColorRole.Window, to_qcolor(_OUTLINE[dark]).lighter(_FUSION_OUTLINE))
+        palette.setColor(
+            QPalette.ColorRole.Window, to_qcolor(_OUTLINE[dark]).lighter(_FUSION_OUTLINE)
+        )
         for kind in _OUTLINED:
             QApplication.setPalette(palette, kind)

@@ -1,4 +1,6 @@
-"""Page of the *Task* layout: trials, the scene in 3D, touches, force against time, and the error of a decision."""
+"""Page of the *Task* layout: trials, the scene in 3D, touches, force against time, and the error
+of a decision.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -18,21 +20,25 @@ from widgets.timeline.timeline import Timeline
 from widgets.views.preview_view import PreviewView
 from widgets.views.view_3d_panel import View3DPanel
 
-_TABLE_SIZE, _SCENE_SIZE = 310, 400  # of 1000: the table in the page, the scene next to the touches
+# of 1000: the table in the page, the scene next to the touches
+_TABLE_SIZE = 310
+_SCENE_SIZE = 400
 TOUCHES = {"source": "Source", "touch": "Generated touch", "truth": "True touch"}
 
 
 class TaskPage(QWidget):
-    """Trials at the left; scene and touches over the plot, the ticks and the decision at the right."""
+    """Trials at the left; scene and touches over the plot, the ticks and the decision at the
+    right.
+    """
 
     def __init__(self) -> None:
         super().__init__()
-        self.trials, self.scene, self.plot = (
-            TrialsPanel(),
-            View3DPanel(),
-            StripPlot("rollout_plot", "force and motion against time"),
-        )
-        self.decision, self.ticks, self.message = DecisionPanel(), Timeline(unit="tick"), QLabel()
+        self.trials = TrialsPanel()
+        self.scene = View3DPanel()
+        self.plot = StripPlot("rollout_plot", "force and motion against time")
+        self.decision = DecisionPanel()
+        self.ticks = Timeline(unit="tick")
+        self.message = QLabel()
         self.plot.setMinimumHeight(90)
         self.plot.setToolTip("Triangles mark decisions")
         self.scene.view.setAccessibleName("scene of the rollout")
@@ -40,7 +46,8 @@ class TaskPage(QWidget):
         self.message.setWordWrap(True)
         self.place_box = ChoiceBox("task_place", "finger of the touches")  # by stream
         self.views = {name: PreviewView() for name in TOUCHES}
-        across, down = Qt.Orientation.Horizontal, Qt.Orientation.Vertical
+        across = Qt.Orientation.Horizontal
+        down = Qt.Orientation.Vertical
         upper = make_splitter(across, (self.scene, 4), (self._build_touches(), 5))
         lower = make_splitter(down, (upper, 5), (self._build_ticks(), 3), (self.decision, 2))
         self.split = make_splitter(across, (self.trials, 3), (lower, 7))
@@ -69,9 +76,13 @@ class TaskPage(QWidget):
         fill(set_spacing(QVBoxLayout(panel), 0), (self.plot, 1), self.ticks)
         return panel
 
-    def show_curves(self, curves: Sequence[StepCurve], times_s: Sequence[float], decisions: Sequence[int]) -> None:
+    def show_curves(
+        self, curves: Sequence[StepCurve], times_s: Sequence[float], decisions: Sequence[int]
+    ) -> None:
         """Show these curves over the times, with marks at the ticks of decisions."""
-        self.plot.show_strips(make_curve_strips(curves), [f"{time_s:.2f} s" for time_s in times_s], marks=decisions)
+        self.plot.show_strips(
+            make_curve_strips(curves), [f"{time_s:.2f} s" for time_s in times_s], marks=decisions
+        )
 
     def show_message(self, text: str) -> None:
         """Show why there is nothing to see; "" hides it."""
@@ -87,8 +98,10 @@ class TaskPage(QWidget):
         """Name the two poses by their colours and line styles."""
         lines = [f"<span style='color:{to_hex(truth)}'>\N{BLACK SQUARE}</span> true pose, solid"]
         if has_estimate:
-            lines.append(f"<span style='color:{to_hex(estimate)}'>\N{BOX DRAWINGS LIGHT TRIPLE DASH HORIZONTAL}"
-                         "\N{BOX DRAWINGS LIGHT TRIPLE DASH HORIZONTAL}</span> estimated pose, dashed")  # fmt: skip
+            dashes = 2 * "\N{BOX DRAWINGS LIGHT TRIPLE DASH HORIZONTAL}"
+            lines.append(
+                f"<span style='color:{to_hex(estimate)}'>{dashes}</span> estimated pose, dashed"
+            )
         self.scene.caption.set_texts(" &nbsp; ".join(lines))
         self.scene.show()
 

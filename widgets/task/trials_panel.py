@@ -12,18 +12,41 @@ from pipeline.lab.tasks.trial_rows import TrialRow
 from widgets.style.base import resize_font
 from widgets.style.icons import make_state_icon
 from widgets.style.styling import fill, make_search_line, set_spacing
-from widgets.style.tables import SORT_ROLE, RowFilter, RowsModel, copy_table, matches_limit, prepare_table
+from widgets.style.tables import (
+    SORT_ROLE,
+    RowFilter,
+    RowsModel,
+    copy_table,
+    matches_limit,
+    prepare_table,
+)
 
 _HINT = "filter: fails, t2t, hex_key, >0.5, a word"
 _FILTER_TIP = "Trials that match all terms: a limit of the error in mm, or a word of any column"
 _CAUSE_PX = 320
 TRIAL, CASE, TOUCH, TOLERANCE, OUTCOME, ERROR_MM, ERROR_DEG, CAUSE, TASK = range(9)
-_TITLES = ("trial", "case", "touch", "clear\nmm", "outcome", "error\nmm", "error\n°", "cause", "task")
+_TITLES = (
+    "trial",
+    "case",
+    "touch",
+    "clear\nmm",
+    "outcome",
+    "error\nmm",
+    "error\n°",
+    "cause",
+    "task",
+)
 _TIPS = (
-    "trial number: equal numbers start alike", "object or tool", "touch that the controller reads",
-    "clearance or tolerance, mm", "outcome of the rollout", "error of the worst decision, mm",
-    "error of its angle, degrees", "how the rollout ends, and the largest share of its error", "task",
-)  # fmt: skip
+    "trial number: equal numbers start alike",
+    "object or tool",
+    "touch that the controller reads",
+    "clearance or tolerance, mm",
+    "outcome of the rollout",
+    "error of the worst decision, mm",
+    "error of its angle, degrees",
+    "how the rollout ends, and the largest share of its error",
+    "task",
+)
 _ICONS = {"succeeds": "computed", "fails": "failed", "damaged": "warning"}
 _RIGHT = int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
 
@@ -38,17 +61,25 @@ class TrialsModel(RowsModel):
     def show_trials(self, trials: Sequence[TrialRow]) -> None:
         """Show these rollouts."""
         self.beginResetModel()
-        self.trials, self.n_rows = tuple(trials), len(trials)
+        self.trials = tuple(trials)
+        self.n_rows = len(trials)
         self.endResetModel()
 
     def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
         """Return the text of a cell, its sort value, its sign or its tooltip."""
         if not index.isValid():
             return None
-        trial, column = self.trials[index.row()], index.column()
+        trial = self.trials[index.row()]
+        column = index.column()
         number = _get_number(trial, column)
         if role == SORT_ROLE:
-            return format_cell(trial, column) if number is None else number if math.isfinite(number) else -math.inf
+            return (
+                format_cell(trial, column)
+                if number is None
+                else number
+                if math.isfinite(number)
+                else -math.inf
+            )
         if role == Qt.ItemDataRole.TextAlignmentRole:
             return _RIGHT if number is not None else None
         values = {
@@ -56,7 +87,9 @@ class TrialsModel(RowsModel):
             Qt.ItemDataRole.DecorationRole: lambda: (
                 make_state_icon(_ICONS[trial.outcome]) if column == OUTCOME else None
             ),
-            Qt.ItemDataRole.ToolTipRole: lambda: trial.problem or f"{trial.path.name}: {format_cell(trial, CAUSE)}",
+            Qt.ItemDataRole.ToolTipRole: lambda: (
+                trial.problem or f"{trial.path.name}: {format_cell(trial, CAUSE)}"
+            ),
         }
         value = values.get(Qt.ItemDataRole(role))
         return None if value is None else value()
@@ -69,21 +102,36 @@ def format_cell(trial: TrialRow, column: int) -> str:
     number = _get_number(trial, column)
     if number is not None:
         digits = {TRIAL: "d", TOLERANCE: "g", ERROR_MM: ".2f", ERROR_DEG: ".1f"}[column]
-        return format(int(number) if column == TRIAL else number, digits) if math.isfinite(number) else "-"
+        return (
+            format(int(number) if column == TRIAL else number, digits)
+            if math.isfinite(number)
+            else "-"
+        )
     cause = ": ".join(filter(None, (trial.cause, trial.share)))
-    return {TASK: trial.task, CASE: trial.case, TOUCH: trial.touch, OUTCOME: trial.outcome, CAUSE: cause}[column]
+    return {
+        TASK: trial.task,
+        CASE: trial.case,
+        TOUCH: trial.touch,
+        OUTCOME: trial.outcome,
+        CAUSE: cause,
+    }[column]
 
 
 def _get_number(trial: TrialRow, column: int) -> float | None:
     """Return the number of a cell; None for a column of texts."""
     numbers = {
-        TRIAL: float(trial.trial), TOLERANCE: trial.tolerance_mm, ERROR_MM: trial.error_mm, ERROR_DEG: trial.error_deg,
-    }  # fmt: skip
+        TRIAL: float(trial.trial),
+        TOLERANCE: trial.tolerance_mm,
+        ERROR_MM: trial.error_mm,
+        ERROR_DEG: trial.error_deg,
+    }
     return numbers.get(column)
 
 
 def matches_term(model: TrialsModel, row: int, word: str) -> bool:
-    """Return whether a filter term holds for a rollout: a limit of the error in mm, or a word of any cell."""
+    """Return whether a filter term holds for a rollout: a limit of the error in mm, or a word of
+    any cell.
+    """
     trial = model.trials[row]
     is_within = matches_limit(word, trial.error_mm)
     if is_within is not None:
@@ -92,7 +140,10 @@ def matches_term(model: TrialsModel, row: int, word: str) -> bool:
 
 
 class TrialsPanel(QWidget):
-    """Filter over table over the number of rows; `trial_chosen` carries the path of the selected rollout."""
+    """Filter over table over the number of rows.
+
+    `trial_chosen` carries the path of the selected rollout.
+    """
 
     trial_chosen = pyqtSignal(Path)
 
@@ -100,13 +151,21 @@ class TrialsPanel(QWidget):
         super().__init__()
         self.model = TrialsModel(self)
         self._listed = RowFilter(self.model, partial(matches_term, self.model))
-        self.filter_line = make_search_line("trials_filter", "filter of the trials", _HINT, _FILTER_TIP)
-        self.table, self._count = QTableView(), QLabel()
+        self.filter_line = make_search_line(
+            "trials_filter", "filter of the trials", _HINT, _FILTER_TIP
+        )
+        self.table = QTableView()
+        self._count = QLabel()
         self.filter_line.textChanged.connect(self._filter)
         resize_font(self._count)
         resize_font(self.table)
         self._prepare_table()
-        fill(set_spacing(QVBoxLayout(self), 3, (2, 2, 2, 2)), self.filter_line, self.table, self._count)
+        fill(
+            set_spacing(QVBoxLayout(self), 3, (2, 2, 2, 2)),
+            self.filter_line,
+            self.table,
+            self._count,
+        )
 
     def _prepare_table(self) -> None:
         table = self.table
@@ -125,7 +184,9 @@ class TrialsPanel(QWidget):
     @property
     def listed_trials(self) -> tuple[TrialRow, ...]:
         """The rollouts on display in their order."""
-        return tuple(self._get_trial(self._listed.index(row, 0)) for row in range(self._listed.rowCount()))
+        return tuple(
+            self._get_trial(self._listed.index(row, 0)) for row in range(self._listed.rowCount())
+        )
 
     def show_trials(self, trials: Sequence[TrialRow]) -> None:
         """Show these rollouts."""
@@ -136,7 +197,9 @@ class TrialsPanel(QWidget):
     def show_trial(self, path: Path | None) -> None:
         """Select the rollout on screen."""
         row = next((k for k, trial in enumerate(self.model.trials) if trial.path == path), -1)
-        index = self._listed.mapFromSource(self.model.index(row, TRIAL)) if row >= 0 else QModelIndex()
+        index = (
+            self._listed.mapFromSource(self.model.index(row, TRIAL)) if row >= 0 else QModelIndex()
+        )
         if not index.isValid():
             self.table.clearSelection()
         elif index.row() not in {one.row() for one in self.table.selectedIndexes()}:
@@ -147,7 +210,10 @@ class TrialsPanel(QWidget):
         """Choose the next or previous listed rollout that can be read."""
         trials = self.listed_trials
         rows = [k for k, trial in enumerate(trials) if not trial.problem]
-        at = next((n for n, k in enumerate(rows) if k == self.table.currentIndex().row()), -by if by > 0 else len(rows))
+        at = next(
+            (n for n, k in enumerate(rows) if k == self.table.currentIndex().row()),
+            -by if by > 0 else len(rows),
+        )
         if rows and 0 <= at + by < len(rows):
             self.trial_chosen.emit(trials[rows[at + by]].path)
 
@@ -161,7 +227,8 @@ class TrialsPanel(QWidget):
         self._show_count()
 
     def _show_count(self) -> None:
-        trials, listed = self.model.trials, self.listed_trials
+        trials = self.model.trials
+        listed = self.listed_trials
         fails = sum(trial.outcome == "fails" for trial in listed)
         of = "" if len(listed) == len(trials) else f" of {len(trials)}"
         self._count.setText(f"{len(listed)}{of} trials, {fails} fail" if trials else "")

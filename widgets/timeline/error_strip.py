@@ -1,4 +1,7 @@
-"""A value of every frame under the timeline slider: errors as bars, quantities as a curve; and frames with warnings."""
+"""A value of every frame under the timeline slider: errors as bars, quantities as a curve.
+
+And frames with warnings.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,7 +19,9 @@ _MARK_PX = 7.0
 _WIDEST_PX = 26.0
 _LEAST_PX = 24  # minimum height
 _CURVE_PX = 1.8
-_TOP_PX, _BASE_PX = _MARK_PX + 2.0, 2.0  # of the highest bar, from the top; of all bars, from the bottom
+# of the highest bar, from the top; of all bars, from the bottom
+_TOP_PX = _MARK_PX + 2.0
+_BASE_PX = 2.0
 _TICK_PX = 3.0  # length of a tick
 
 
@@ -31,7 +36,9 @@ class ErrorStrip(PaintedWidget):
         self.is_curve = False
         self.warnings: Mapping[int, Sequence[str]] = {}
         self.loop_range: tuple[int, int] | None = None  # range of a looped playback
-        self.frame, self._unit, self.height_px = 0, "", 28
+        self.frame = 0
+        self._unit = ""
+        self.height_px = 28
 
     @property
     def worst_frame(self) -> int:
@@ -45,10 +52,20 @@ class ErrorStrip(PaintedWidget):
         return max((value for value in self.values if math.isfinite(value)), default=0.0)
 
     def show_values(
-        self, values: Sequence[float], unit: str, warnings: Mapping[int, Sequence[str]], *, is_curve: bool = False
+        self,
+        values: Sequence[float],
+        unit: str,
+        warnings: Mapping[int, Sequence[str]],
+        *,
+        is_curve: bool = False,
     ) -> None:
-        """Show a value for every frame (NaN = unknown), as bars or as a curve, and the warnings of each."""
-        self.values, self._unit, self.warnings, self.is_curve = tuple(values), unit, warnings, is_curve
+        """Show a value for every frame (NaN = unknown), as bars or as a curve, and the warnings
+        of each.
+        """
+        self.values = tuple(values)
+        self._unit = unit
+        self.warnings = warnings
+        self.is_curve = is_curve
         self.update()
 
     def show_frame(self, frame: int) -> None:
@@ -82,7 +99,9 @@ class ErrorStrip(PaintedWidget):
         if not 0 <= frame < len(self.values):
             return ""
         value = self.values[frame]
-        text = f"frame {frame}: " + (f"{value:.3g} {self._unit}" if math.isfinite(value) else "value unknown")
+        text = f"frame {frame}: " + (
+            f"{value:.3g} {self._unit}" if math.isfinite(value) else "value unknown"
+        )
         return "\n".join((text, *self.warnings.get(frame, ())))
 
     def frame_at(self, x: float) -> int:
@@ -99,7 +118,8 @@ class ErrorStrip(PaintedWidget):
         if not n:
             return
         painter.setRenderHint(QPainter.RenderHint.Antialiasing, n < 200)
-        base, top = self.height() - _BASE_PX, _TOP_PX
+        base = self.height() - _BASE_PX
+        top = _TOP_PX
         painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Mid), 1))
         painter.drawLine(QPointF(_INSET_PX, base), QPointF(self.width() - _INSET_PX, base))
         step = (self.width() - 2 * _INSET_PX) / max(1, n - 1)
@@ -110,7 +130,8 @@ class ErrorStrip(PaintedWidget):
             painter.drawLine(QPointF(first, base), QPointF(last, base))
             for x in (first, last):
                 painter.drawLine(QPointF(x, base - 6.0), QPointF(x, base))
-        most, worst = self.max_value, self.worst_frame
+        most = self.max_value
+        worst = self.worst_frame
         for frame, value in enumerate(self.values):
             x = _INSET_PX + frame * step
             if frame == self.frame:
@@ -125,7 +146,10 @@ class ErrorStrip(PaintedWidget):
         if self.is_curve and most > 0:
             painter.setPen(QPen(to_qcolor(ink.accent), _CURVE_PX))
             for run in self._find_known_runs():
-                points = [QPointF(_INSET_PX + i * step, base - self.values[i] / most * (base - top)) for i in run]
+                points = [
+                    QPointF(_INSET_PX + i * step, base - self.values[i] / most * (base - top))
+                    for i in run
+                ]
                 painter.drawPolyline(QPolygonF(points if len(points) > 1 else 2 * points))
 
     def _find_known_runs(self) -> list[list[int]]:
@@ -145,7 +169,9 @@ class ErrorStrip(PaintedWidget):
         painter.save()
         painter.setPen(Qt.PenStyle.NoPen)
         painter.setBrush(to_qcolor(get_theme_colours(self.palette()).warning_mark))
-        painter.drawPolygon(QPolygonF([QPointF(x - half, 0), QPointF(x + half, 0), QPointF(x, _MARK_PX)]))
+        painter.drawPolygon(
+            QPolygonF([QPointF(x - half, 0), QPointF(x + half, 0), QPointF(x, _MARK_PX)])
+        )
         painter.restore()
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
@@ -159,7 +185,9 @@ class ErrorStrip(PaintedWidget):
     def event(self, a0: Any) -> bool:
         """Show a tooltip for the frame under the mouse."""
         if isinstance(a0, QHelpEvent):
-            QToolTip.showText(a0.globalPos(), self.describe_frame(self.frame_at(a0.pos().x())), self)
+            QToolTip.showText(
+                a0.globalPos(), self.describe_frame(self.frame_at(a0.pos().x())), self
+            )
             return True
         return super().event(a0)
 
@@ -189,8 +217,11 @@ class ErrorScale(PaintedWidget):
         del ink
         if not self.max_text:
             return
-        right, high = self.width() - 1.0, float(self.height())
-        top, base, letters = _TOP_PX, high - _BASE_PX, painter.fontMetrics().ascent()
+        right = self.width() - 1.0
+        high = float(self.height())
+        top = _TOP_PX
+        base = high - _BASE_PX
+        letters = painter.fontMetrics().ascent()
         painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Mid), 1))
         painter.drawLine(QPointF(right, top), QPointF(right, base))
         painter.setPen(self.palette().color(QPalette.ColorRole.WindowText))

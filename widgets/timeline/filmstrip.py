@@ -19,8 +19,11 @@ from widgets.style.theme import get_theme_colours
 from widgets.views.preview_renderer import MAX_ZOOM, PreviewRenderer
 
 _PICTURE_PX = QSize(132, 62)
-_SIGN_PX, _EDGE_PX = 16, 4
-_FEW, _AROUND = 0.3, 1.25  # below this share of pixels with a value, only those are shown, with this margin
+_SIGN_PX = 16
+_EDGE_PX = 4
+# below this share of pixels with a value, only those are shown, with this margin
+_FEW = 0.3
+_AROUND = 1.25
 
 
 class Thumbnail(QAbstractButton):
@@ -31,7 +34,8 @@ class Thumbnail(QAbstractButton):
         self.setText(title)
         self.setAccessibleName(title)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-        self.state, self.warnings = "waiting", tuple[str, ...]()
+        self.state = "waiting"
+        self.warnings = tuple[str, ...]()
         self.is_in_pane = self.is_active = self.is_collapsed = False
         self._picture: Preview | None = None
         self._pixmap: QPixmap | None = None
@@ -40,13 +44,15 @@ class Thumbnail(QAbstractButton):
     def show_preview(self, picture: Preview | None) -> None:
         """Take another preview, None for none; the thumbnail is rendered when it is painted."""
         if picture is not self._picture:
-            self._picture, self._pixmap = picture, None
+            self._picture = picture
+            self._pixmap = None
             self.update()
 
     def show_state(self, state: str, warnings: tuple[str, ...]) -> None:
         """Show the state and warnings of the stage."""
         if (state, warnings) != (self.state, self.warnings):
-            self.state, self.warnings = state, warnings
+            self.state = state
+            self.warnings = warnings
             self.setToolTip("\n".join((f"{self.text()}: {state}", *warnings)))
             self.update()
 
@@ -57,7 +63,8 @@ class Thumbnail(QAbstractButton):
 
     def show_pane_state(self, *, shown: bool, active: bool) -> None:
         """Show whether the stage is in a pane, and whether a click replaces that pane."""
-        self.is_in_pane, self.is_active = shown, active
+        self.is_in_pane = shown
+        self.is_active = active
         self.update()
 
     def sizeHint(self) -> QSize:  # noqa: N802
@@ -72,11 +79,16 @@ class Thumbnail(QAbstractButton):
     def paintEvent(self, e: Any) -> None:  # noqa: N802
         """Paint sign and title over the thumbnail, with a frame if it is in a pane."""
         del e
-        painter, palette = QPainter(self), self.palette()
+        painter = QPainter(self)
+        palette = self.palette()
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         room = QRectF(self.rect()).adjusted(1, 1, -1, -1)
-        painter.setBrush(palette.color(QPalette.ColorRole.Base if self.is_in_pane else QPalette.ColorRole.Window))
-        rim = palette.color(QPalette.ColorRole.Highlight if self.is_in_pane else QPalette.ColorRole.Mid)
+        painter.setBrush(
+            palette.color(QPalette.ColorRole.Base if self.is_in_pane else QPalette.ColorRole.Window)
+        )
+        rim = palette.color(
+            QPalette.ColorRole.Highlight if self.is_in_pane else QPalette.ColorRole.Mid
+        )
         painter.setPen(QPen(rim, 2.4 if self.is_active or self.hasFocus() else 1.0))
         painter.drawRoundedRect(room, 4, 4)
         line = self._line_px()
@@ -86,7 +98,11 @@ class Thumbnail(QAbstractButton):
         painter.setPen(palette.color(QPalette.ColorRole.WindowText))
         wide = self.width() - _SIGN_PX - 3 * _EDGE_PX
         title = QFontMetrics(font).elidedText(self.text(), Qt.TextElideMode.ElideRight, wide)
-        painter.drawText(QRectF(_SIGN_PX + 2 * _EDGE_PX, _EDGE_PX, wide, line), Qt.AlignmentFlag.AlignVCenter, title)
+        painter.drawText(
+            QRectF(_SIGN_PX + 2 * _EDGE_PX, _EDGE_PX, wide, line),
+            Qt.AlignmentFlag.AlignVCenter,
+            title,
+        )
         if self._picture is None or self.is_collapsed:
             return
         size = QSize(self.width() - 2 * _EDGE_PX, _PICTURE_PX.height())
@@ -108,10 +124,13 @@ class Thumbnail(QAbstractButton):
 
 
 def render_thumbnail(picture: Preview, size: QSize, dense: float, palette: QPalette) -> QPixmap:
-    """Render a preview with its contact outline on the theme's background, cropped to its values if they are few."""
+    """Render a preview with its contact outline on the theme's background, cropped to its values
+    if they are few.
+    """
     plate = PreviewRenderer()
     plate.set_theme(get_theme_colours(palette))
-    plate.set_preview(replace(picture, pixel_mm=math.nan, observed_outline_px=None))  # without a scale bar
+    # without a scale bar
+    plate.set_preview(replace(picture, pixel_mm=math.nan, observed_outline_px=None))
     plate.size = size
     plate.fit_view()
     known = None if picture.values is None else np.isfinite(picture.values)
@@ -119,7 +138,9 @@ def render_thumbnail(picture: Preview, size: QSize, dense: float, palette: QPale
         rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
         wide, high = (_AROUND * (float(at[-1] - at[0]) + 1.0) for at in (cols, rows))
         scale = min(size.width() / wide, size.height() / high)
-        plate.centre = QPointF(0.5 * float(cols[0] + cols[-1] + 1), 0.5 * float(rows[0] + rows[-1] + 1))
+        plate.centre = QPointF(
+            0.5 * float(cols[0] + cols[-1] + 1), 0.5 * float(rows[0] + rows[-1] + 1)
+        )
         plate.scale = min(max(scale, plate.scale), MAX_ZOOM)
     return plate.render(dense, palette.color(QPalette.ColorRole.Window), QFont())
 
@@ -147,7 +168,11 @@ class Filmstrip(QWidget):
     @property
     def collapsible_px(self) -> int:
         """Height that collapsing the thumbnails would free."""
-        return 0 if all(each.is_collapsed for each in self.thumbnails.values()) else _PICTURE_PX.height()
+        return (
+            0
+            if all(each.is_collapsed for each in self.thumbnails.values())
+            else _PICTURE_PX.height()
+        )
 
     def hide_stages(self, names: Collection[str]) -> None:
         """Hide the stages that the route does not have."""

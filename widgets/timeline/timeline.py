@@ -33,9 +33,11 @@ class Timeline(QWidget):
     def __init__(self, *, unit: str = "frame") -> None:
         super().__init__()
         self._unit = unit
-        self._n_frames, self._ready = 0, True
+        self._n_frames = 0
+        self._ready = True
         self.frame = 0  # the current frame
-        self._due = self._ticked_s = 0.0  # fraction of the next frame that playback has waited for, and until when
+        # fraction of the next frame that playback has waited for, and until when
+        self._due = self._ticked_s = 0.0
         self._clock = QTimer(self)
         self._clock.setTimerType(Qt.TimerType.PreciseTimer)
         self._clock.timeout.connect(self._tick)
@@ -46,11 +48,19 @@ class Timeline(QWidget):
         self.number.setObjectName(f"{unit}_number")
         self.number.setAccessibleName(f"{unit} number")
         self.number.setKeyboardTracking(False)
-        self.errors, self.scale, self._figure, self._worst = ErrorStrip(), ErrorScale(), QLabel(), QLabel()
-        self._of, self._time, self._left_out = QLabel(), QLabel(), QLabel()
+        self.errors = ErrorStrip()
+        self.scale = ErrorScale()
+        self._figure = QLabel()
+        self._worst = QLabel()
+        self._of = QLabel()
+        self._time = QLabel()
+        self._left_out = QLabel()
         self._left_out.setObjectName("left_out")
-        self._left_out.setToolTip("computing a frame takes longer than its display time: frames in between are skipped")
-        self._steps: deque[int] = deque(maxlen=_STEPS_SHOWN)  # frames advanced in recent playback steps
+        self._left_out.setToolTip(
+            "computing a frame takes longer than its display time: frames in between are skipped"
+        )
+        # frames advanced in recent playback steps
+        self._steps: deque[int] = deque(maxlen=_STEPS_SHOWN)
         self._time.setMinimumWidth(self.fontMetrics().horizontalAdvance("t = 0000.00 s"))
         self.speed = QComboBox()
         self.speed.setAccessibleName("playback speed")
@@ -58,9 +68,12 @@ class Timeline(QWidget):
             self.speed.addItem(f"{value:g}\N{MULTIPLICATION SIGN}", value)
         self.speed.setCurrentIndex(SPEEDS.index(1.0))
         self.speed.setToolTip(
-            f"playback speed; 1\N{MULTIPLICATION SIGN} shows {FRAMES_PER_SECOND:g} frames per second at most"
+            f"playback speed; 1\N{MULTIPLICATION SIGN} shows {FRAMES_PER_SECOND:g} frames per "
+            "second at most"
         )
-        self._looping, self.loop_range = False, (0, 0)  # first and last frame of the loop
+        # first and last frame of the loop
+        self._looping = False
+        self.loop_range = (0, 0)
         self._buttons = QHBoxLayout()
         self._lay_out()
         self.slider.valueChanged.connect(self._choose)
@@ -76,7 +89,8 @@ class Timeline(QWidget):
         self._buttons.setSpacing(1)
         layout.addLayout(self._buttons, 0, 0)
         layout.addWidget(self.slider, 0, 1)
-        words, speed = QLabel(self._unit), QLabel("speed")
+        words = QLabel(self._unit)
+        speed = QLabel("speed")
         right = (words, self.number, self._of, self._time, self._left_out, speed, self.speed)
         layout.addLayout(fill(set_spacing(QHBoxLayout(), 6), *right), 0, 2)
         layout.addLayout(fill(set_spacing(QHBoxLayout(), 4), (self._figure, 1), self.scale), 1, 0)
@@ -86,7 +100,8 @@ class Timeline(QWidget):
             widget.setVisible(self._unit == "frame")
         for label in (self._figure, self._worst):
             resize_font(label)
-            label.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)  # at the upper end of the bars
+            # at the upper end of the bars
+            label.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
 
     def add_command(self, action: QAction) -> None:
         """Add a button for a command at the left of the slider."""
@@ -145,7 +160,9 @@ class Timeline(QWidget):
         known = sum(math.isfinite(value) for value in values)
         self._figure.setText(metric if known else f"{name}: not known" if values else "")
         text = (
-            f"{'largest' if is_quantity else 'worst'}: frame {worst}, {values[worst]:.3g} {unit}" if worst >= 0 else ""
+            f"{'largest' if is_quantity else 'worst'}: frame {worst}, {values[worst]:.3g} {unit}"
+            if worst >= 0
+            else ""
         )
         self._worst.setText(text)
 
@@ -153,7 +170,8 @@ class Timeline(QWidget):
         """Set whether the current frame is on screen: playback waits for it."""
         self._ready = ready
         if ready and self._due >= 1.0 and self.is_playing:
-            self._clock.start(0)  # overdue: advance soon, but not from within the call that shows this frame
+            # overdue: advance soon, but not from within the call that shows this frame
+            self._clock.start(0)
 
     def play(self, *, on: bool) -> None:
         """Start or stop playback."""
@@ -163,7 +181,8 @@ class Timeline(QWidget):
         if on:
             if self.frame >= self._n_frames - 1:
                 self.step_to(0)
-            self._due, self._ticked_s = 0.0, time.monotonic()
+            self._due = 0.0
+            self._ticked_s = time.monotonic()
             self._clock.start(self._until_due_ms())
         else:
             self._clock.stop()
@@ -196,7 +215,8 @@ class Timeline(QWidget):
         now_s = (
             time.monotonic()
         )  # ticks are late on a busy machine: the clock tells what is due, not the number of ticks
-        waited_s, self._ticked_s = now_s - self._ticked_s, now_s
+        waited_s = now_s - self._ticked_s
+        self._ticked_s = now_s
         self._due = min(self._due + waited_s * self._rate, _MOST_DUE)
         by = int(self._due + _ROUNDING)
         if by and self._ready:
@@ -212,12 +232,18 @@ class Timeline(QWidget):
         return FRAMES_PER_SECOND * float(self.speed.currentData())
 
     def _until_due_ms(self) -> int:
-        """Return the time until the next frame is due, in ms; polling would be late by half of its interval."""
-        return max(1, math.ceil(1e3 * (1.0 - self._due) / self._rate)) if self._due < 1.0 else _LATE_MS
+        """Return the time until the next frame is due, in ms.
+
+        Polling would be late by half of its interval.
+        """
+        return (
+            max(1, math.ceil(1e3 * (1.0 - self._due) / self._rate)) if self._due < 1.0 else _LATE_MS
+        )
 
     def _tell_left_out(self, by: int) -> None:
         self._steps.append(by)
-        shown, passed = len(self._steps), sum(self._steps)
+        shown = len(self._steps)
+        passed = sum(self._steps)
         self._left_out.setText(f"{shown} of {passed} shown" if passed > shown else "")
 
     def _go_on(self, by: int) -> None:

@@ -1,4 +1,6 @@
-"""Page of the *Track* layout: how the touched object moves over the frames, and its fused surface in 3D."""
+"""Page of the *Track* layout: how the touched object moves over the frames, and its fused
+surface in 3D.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -23,13 +25,19 @@ _STRIPS = (  # title, curves (field of a row, and its name), least span: noise d
 
 
 class TrackPlot(StripPlot):
-    """One strip per quantity over the frames; a click, a drag of the cursor or an arrow key chooses a frame."""
+    """One strip per quantity over the frames.
 
-    preferred_px, across = (560, 380), "frame"
+    A click, a drag of the cursor or an arrow key chooses a frame.
+    """
+
+    preferred_px = (560, 380)
+    across = "frame"
 
     def __init__(self) -> None:
         super().__init__("track_plot", "motion of the object over the frames")
-        self.setToolTip("Motion since the first frame; red: lost, grey: no contact, triangles: key frames")
+        self.setToolTip(
+            "Motion since the first frame; red: lost, grey: no contact, triangles: key frames"
+        )
         self.rows: tuple[TrackRow, ...] = ()
 
     def show_track(self, rows: Sequence[TrackRow], key_frames: Sequence[int]) -> None:
@@ -37,16 +45,21 @@ class TrackPlot(StripPlot):
         self.rows = tuple(rows)
         strips = [
             Strip(
-                title=title, curves=[(name, [getattr(row, field) for row in rows]) for field, name in curves],
-                has_axis_colours=len(curves) == 3, least_span=span,
+                title=title,
+                curves=[(name, [getattr(row, field) for row in rows]) for field, name in curves],
+                has_axis_colours=len(curves) == 3,
+                least_span=span,
             )
             for title, curves, span in _STRIPS
-        ]  # fmt: skip
+        ]
         self.show_strips(
-            strips if rows else (), [str(row.frame) for row in rows],
+            strips if rows else (),
+            [str(row.frame) for row in rows],
             marks=[k for k, row in enumerate(rows) if row.frame in key_frames],
-            bands=[(k, k, row.state == "lost") for k, row in enumerate(rows) if row.state != "tracked"],
-        )  # fmt: skip
+            bands=[
+                (k, k, row.state == "lost") for k, row in enumerate(rows) if row.state != "tracked"
+            ],
+        )
 
 
 class TrackPage(QWidget):
@@ -54,16 +67,23 @@ class TrackPage(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.stage_box, self.run_bar = ChoiceBox("tracked_stage", "touch to follow"), StartBar("track", "Track")
-        self.plot, self.scene, self.sentence = TrackPlot(), View3DPanel(), QLabel()
-        self.stage_box.setToolTip("Membrane to follow: the source's, or that of the generated touch")
+        self.stage_box = ChoiceBox("tracked_stage", "touch to follow")
+        self.run_bar = StartBar("track", "Track")
+        self.plot = TrackPlot()
+        self.scene = View3DPanel()
+        self.sentence = QLabel()
+        self.stage_box.setToolTip(
+            "Membrane to follow: the source's, or that of the generated touch"
+        )
         make_bold(self.sentence)
         self.sentence.setTextFormat(Qt.TextFormat.PlainText)
         self.sentence.setWordWrap(True)
         self.scene.view.setAccessibleName("touched surface")
         self.scene.view.setMinimumSize(220, 160)
         self.scene.caption.set_texts("sensor frame of the first frame, mm")
-        self._head = fill(set_spacing(QHBoxLayout(), 6), QLabel("follow"), self.stage_box, self.run_bar, 1)
+        self._head = fill(
+            set_spacing(QHBoxLayout(), 6), QLabel("follow"), self.stage_box, self.run_bar, 1
+        )
         split = make_splitter(Qt.Orientation.Horizontal, (self.plot, 1), (self.scene, 1))
         split.setObjectName("track_split")
         split.setSizes([_PLOT_SIZE, 1000 - _PLOT_SIZE])
@@ -83,7 +103,9 @@ class TrackPage(QWidget):
         """Show a track and its summary."""
         self.plot.show_track(record.rows, record.key_frames)
         self.sentence.setText(f"{name}: {describe_record(record)}")
-        self.scene.legend.setText("fused surface and the sensor's path on it" if record.patch is not None else "")
+        self.scene.legend.setText(
+            "fused surface and the sensor's path on it" if record.patch is not None else ""
+        )
         self.scene.setVisible(record.patch is not None)
 
     def clear(self, text: str) -> None:
@@ -95,15 +117,19 @@ class TrackPage(QWidget):
 
 def describe_record(record: TrackRecord) -> str:
     """Return the counts of a track, its drift, and what was not measured."""
-    counts = [f"{record.count('tracked')} of {len(record.rows)} frames tracked", f"{record.count('lost')} lost",
-              f"{record.count('no contact')} without contact"]  # fmt: skip
+    counts = [
+        f"{record.count('tracked')} of {len(record.rows)} frames tracked",
+        f"{record.count('lost')} lost",
+        f"{record.count('no contact')} without contact",
+    ]
     counts += [f"{len(record.problems)} not read"] if record.problems else []
     counts += [f"{record.n_parts} parts"] if record.n_parts > 1 else []
     counts += [f"key frames: {len(record.key_frames)}", f"closed loops: {record.n_loops}"]
     text = ", ".join(counts)
     if record.error is not None:
         text += (
-            f"; largest error {record.error.drift_mm:.3f} mm and {record.error.drift_deg:.2f}° over "
+            f"; largest error {record.error.drift_mm:.3f} mm and {record.error.drift_deg:.2f}° "
+            "over "
             f"{record.error.path_mm:.1f} mm and {record.error.turned_deg:.0f}°"
         )
     if record.weak_directions:

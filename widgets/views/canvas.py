@@ -27,8 +27,11 @@ from widgets.views.preview_renderer import MAX_ZOOM, MIN_ZOOM, PreviewRenderer
 _A_CLICK_PX = 4.0  # a release closer to its press than this is a click
 _ZOOM_STEP = 1.25
 _PER_NOTCH = 120.0  # Qt's units per wheel notch
-_NEAR_PX, _END_PX = 6.0, 6.5
-_MARK_PX, _MARK_SHARE = (6.5, 8.0), 0.05  # radius of a pinned pixel's mark: limits, and share of the height
+_NEAR_PX = 6.0
+_END_PX = 6.5
+# radius of a pinned pixel's mark: limits, and share of the height
+_MARK_PX = (6.5, 8.0)
+_MARK_SHARE = 0.05
 
 
 class Canvas(QWidget):
@@ -50,9 +53,11 @@ class Canvas(QWidget):
         self._kept: QPixmap | None = None
         self.crosshair: tuple[int, int] | None = None  # row, col
         self.crosshair_text = ""  # value shown at the crosshair
-        self.marks: tuple[tuple[int, tuple[int, int]], ...] = ()  # number, (row, col) of the pinned pixels
+        # number, (row, col) of the pinned pixels
+        self.marks: tuple[tuple[int, tuple[int, int]], ...] = ()
         self.line: tuple[QPointF, QPointF] | None = None  # section line, in image pixels
-        self.handle_share: float | None = None  # share of the width where the overlay begins, None = no handle
+        # share of the width where the overlay begins, None = no handle
+        self.handle_share: float | None = None
         self._pressed: QPointF | None = None
         self._dragged: QPointF | None = None
         self.n_renders = 0  # number of times the image was rendered
@@ -68,7 +73,10 @@ class Canvas(QWidget):
         self.invalidate()
 
     def show_overlay(self, pixels: Image | None, share: float = 0.0) -> None:
-        """Show an image of the same size over the first, from `share` of the width on; None removes it."""
+        """Show an image of the same size over the first, from `share` of the width on.
+
+        None removes it.
+        """
         self._plate.set_overlay(pixels, share)
         self.invalidate()
 
@@ -87,7 +95,8 @@ class Canvas(QWidget):
     def show_crosshair(self, pixel: tuple[int, int] | None, tag: str = "") -> None:
         """Show the crosshair at (row, col) with a value; None hides it."""
         if (pixel, tag) != (self.crosshair, self.crosshair_text):
-            self.crosshair, self.crosshair_text = pixel, tag
+            self.crosshair = pixel
+            self.crosshair_text = tag
             self.update()
 
     def show_marks(self, marks: tuple[tuple[int, tuple[int, int]], ...]) -> None:
@@ -112,7 +121,8 @@ class Canvas(QWidget):
     def set_view(self, centre: QPointF, scale: float) -> None:
         """Centre the view on an image pixel, with `scale` screen pixels per image pixel."""
         self.is_fitted = False
-        self._plate.centre, self._plate.scale = centre, min(max(scale, MIN_ZOOM), MAX_ZOOM)
+        self._plate.centre = centre
+        self._plate.scale = min(max(scale, MIN_ZOOM), MAX_ZOOM)
         self.invalidate()
 
     @property
@@ -189,7 +199,8 @@ class Canvas(QWidget):
             painter.drawRect(QRectF(self.rect()).adjusted(1, 1, -1, -1))
 
     def _draw_line(self, painter: QPainter, begin: QPointF, end: QPointF) -> None:
-        one, other = self.to_screen(begin), self.to_screen(end)
+        one = self.to_screen(begin)
+        other = self.to_screen(end)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         for colour, wide in ((CASING_COLOUR, 4.0), (SECTION_COLOUR, 1.8)):
             painter.setPen(QPen(to_qcolor(colour), wide))
@@ -201,7 +212,9 @@ class Canvas(QWidget):
             painter.setBrush(to_qcolor(SECTION_COLOUR if named or name == "A" else CASING_COLOUR))
             painter.drawEllipse(at, *(2 * [_END_PX if named else 0.4 * _END_PX]))
             if named:
-                painter.drawText(QRectF(at.x() - 8, at.y() - 8, 16, 16), Qt.AlignmentFlag.AlignCenter, name)
+                painter.drawText(
+                    QRectF(at.x() - 8, at.y() - 8, 16, 16), Qt.AlignmentFlag.AlignCenter, name
+                )
         painter.setRenderHint(QPainter.RenderHint.Antialiasing, False)
 
     def _draw_cross(self, painter: QPainter, row: int, col: int) -> None:
@@ -239,22 +252,34 @@ class Canvas(QWidget):
         """Record where a click or drag begins."""
         left = a0.button() == Qt.MouseButton.LeftButton
         self._pressed = a0.position() if left else None
-        self._dragged = a0.position() if left or a0.button() == Qt.MouseButton.MiddleButton else None
+        self._dragged = (
+            a0.position() if left or a0.button() == Qt.MouseButton.MiddleButton else None
+        )
 
     def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
         """Drag the overlay's handle, else pan; without a button, emit the position."""
         at: QPointF = a0.position()
         if self._dragged is None:
-            self.setCursor(Qt.CursorShape.SplitHCursor if self.is_near_handle(at) else Qt.CursorShape.ArrowCursor)
+            self.setCursor(
+                Qt.CursorShape.SplitHCursor
+                if self.is_near_handle(at)
+                else Qt.CursorShape.ArrowCursor
+            )
             self.mouse_moved.emit(at)
         elif self._pressed is None or (at - self._pressed).manhattanLength() >= _A_CLICK_PX:
-            self.set_view(self._plate.centre - (at - self._dragged) / max(self._plate.scale, 1e-3), self._plate.scale)
+            self.set_view(
+                self._plate.centre - (at - self._dragged) / max(self._plate.scale, 1e-3),
+                self._plate.scale,
+            )
             self._dragged = at
             self.view_changed.emit()
 
     def mouseReleaseEvent(self, a0: Any) -> None:  # noqa: N802
         """Emit a click for a release close to its press, else end the drag."""
-        if self._pressed is not None and (a0.position() - self._pressed).manhattanLength() < _A_CLICK_PX:
+        if (
+            self._pressed is not None
+            and (a0.position() - self._pressed).manhattanLength() < _A_CLICK_PX
+        ):
             self.clicked.emit(a0.position())
         self._pressed = self._dragged = None
 
@@ -271,12 +296,15 @@ class Canvas(QWidget):
         at = a0.position()
         fixed = self.to_image(at)
         wanted = self._plate.scale * _ZOOM_STEP ** (a0.angleDelta().y() / _PER_NOTCH)
-        if wanted <= self._plate.fitted_scale:  # the sensor fills the view: there is nothing around it to see
+        # the sensor fills the view: there is nothing around it to see
+        if wanted <= self._plate.fitted_scale:
             self.fit_view()
             self.view_changed.emit()
             return
         scale = min(wanted, MAX_ZOOM)
-        self.set_view(fixed - (at - QPointF(0.5 * self.width(), 0.5 * self.height())) / scale, scale)
+        self.set_view(
+            fixed - (at - QPointF(0.5 * self.width(), 0.5 * self.height())) / scale, scale
+        )
         self.view_changed.emit()
 
     def leaveEvent(self, a0: Any) -> None:  # noqa: N802
@@ -290,5 +318,7 @@ class Canvas(QWidget):
 
     def _handle_x(self) -> float:
         image = self._plate.image
-        wide = 0 if image is None or self.handle_share is None else self.handle_share * image.width()
+        wide = (
+            0 if image is None or self.handle_share is None else self.handle_share * image.width()
+        )
         return self.to_screen(QPointF(wide, 0.0)).x()

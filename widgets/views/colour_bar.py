@@ -15,13 +15,16 @@ from widgets.style.base import FIXED, YIELDS, PaintedWidget, resize_font
 from widgets.style.styling import make_single_shot_timer
 from widgets.style.theme import ThemeColours, get_colour_map, to_qcolor
 
-_STRIP_PX, _BARS_PX, _EDGE_PX = 8, 22, 2
+_STRIP_PX = 8
+_BARS_PX = 22
+_EDGE_PX = 2
 _N_BARS = 64
 _HOW = {False: "absolute", True: "fitted"}
 _EVERY = 2  # stride of the pixels that are counted: the same histogram for a quarter of the time
 _NEAR_PX = 12.0  # distance to an end of the bar within which it can be dragged
 _THROTTLE_MS = 33
-_BELOW, _ABOVE = "\N{BLACK LEFT-POINTING SMALL TRIANGLE} {}", "{} \N{BLACK RIGHT-POINTING SMALL TRIANGLE}"
+_BELOW = "\N{BLACK LEFT-POINTING SMALL TRIANGLE} {}"
+_ABOVE = "{} \N{BLACK RIGHT-POINTING SMALL TRIANGLE}"
 _OUTSIDE = 1.0  # per cent of the values that fitted limits leave out on either side
 _MIN_SHARE = 0.001  # a smaller share beyond a limit gets no mark
 _NOISE = 0.01  # share of the range: values this little below the lowest colour are noise
@@ -41,9 +44,13 @@ def compute_histogram(values: Floats, scale: ColourScale) -> ValueHistogram:
     seen = values[::_EVERY, ::_EVERY] if values.ndim == 2 else values
     known = seen[np.isfinite(seen)]
     counts, _ = np.histogram(known, bins=_N_BARS, range=(scale.low, scale.high))
-    n, noise = max(1, known.size), _NOISE * (scale.high - scale.low)
-    below, above = np.count_nonzero(known < scale.low - noise), np.count_nonzero(known > scale.high)
-    return ValueHistogram(counts=counts.astype(np.float64), share_below=below / n, share_above=above / n)
+    n = max(1, known.size)
+    noise = _NOISE * (scale.high - scale.low)
+    below = np.count_nonzero(known < scale.low - noise)
+    above = np.count_nonzero(known > scale.high)
+    return ValueHistogram(
+        counts=counts.astype(np.float64), share_below=below / n, share_above=above / n
+    )
 
 
 def fit_limits(values: Floats, scale: ColourScale) -> dict[str, float]:
@@ -52,7 +59,11 @@ def fit_limits(values: Floats, scale: ColourScale) -> dict[str, float]:
     Empty where no setting controls a limit, or where all values are equal.
     """
     known = values[np.isfinite(values)]
-    low, high = (float(v) for v in np.percentile(known, (_OUTSIDE, 100 - _OUTSIDE))) if known.size else (0.0, 0.0)
+    low, high = (
+        (float(v) for v in np.percentile(known, (_OUTSIDE, 100 - _OUTSIDE)))
+        if known.size
+        else (0.0, 0.0)
+    )
     if scale.low_setting == scale.high_setting:
         low, high = 0.0, max(abs(low), abs(high))
     limits = {scale.low_setting: low, scale.high_setting: high}
@@ -62,8 +73,8 @@ def fit_limits(values: Floats, scale: ColourScale) -> dict[str, float]:
 class ColourBar(PaintedWidget):
     """Histogram over a colour strip over its numbers; empty for images in true colour.
 
-    An end with a setting can be dragged: `limit_dragged` carries setting and value, at most thirty times a second. A
-    double click fits the limits: `limits_fitted` carries setting -> value.
+    An end with a setting can be dragged: `limit_dragged` carries setting and value, at most thirty
+    times a second. A double click fits the limits: `limits_fitted` carries setting -> value.
     """
 
     limit_dragged = pyqtSignal(str, float)
@@ -74,7 +85,8 @@ class ColourBar(PaintedWidget):
         self._scale: ColourScale | None = None
         self._values: Floats | None = None
         self._spread: ValueHistogram | None = None
-        self._held: tuple[str, ColourScale, float] | None = None  # setting, scale and side of the drag
+        # setting, scale and side of the drag
+        self._held: tuple[str, ColourScale, float] | None = None
         self._wanted = math.nan
         self._bars_px = _BARS_PX
         self._soon = make_single_shot_timer(self, _THROTTLE_MS, self._tell)
@@ -94,10 +106,15 @@ class ColourBar(PaintedWidget):
             self.update()
 
     def show_scale(self, scale: ColourScale | None, values: Floats | None = None) -> None:
-        """Show the colours and limits of `scale` and the histogram of `values`; None clears the bar."""
+        """Show the colours and limits of `scale` and the histogram of `values`.
+
+        None clears the bar.
+        """
         if scale == self._scale and values is self._values:
             return
-        self._scale, self._values, self._spread = scale, values, None
+        self._scale = scale
+        self._values = values
+        self._spread = None
         self.update()
 
     @property
@@ -109,13 +126,19 @@ class ColourBar(PaintedWidget):
         return self._spread
 
     def _words(self, scale: ColourScale, spread: ValueHistogram) -> str:
-        lines = [f"{scale.quantity}, {scale.low:g} to {scale.high:g} {scale.unit} ({_HOW[scale.is_fitted]} limits)"]
+        lines = [
+            f"{scale.quantity}, {scale.low:g} to {scale.high:g} {scale.unit} "
+            f"({_HOW[scale.is_fitted]} limits)"
+        ]
         for share, where in (
             (spread.share_below, f"below {scale.low:g}"),
             (spread.share_above, f"above {scale.high:g}"),
         ):
             if share >= _MIN_SHARE:
-                lines.append(f"{100 * share:.1f} % of the values lie {where} {scale.unit}, in the colour of that end")
+                lines.append(
+                    f"{100 * share:.1f} % of the values lie {where} {scale.unit}, in the colour "
+                    "of that end"
+                )
         can = "drag an end to set the limit; double-click to fit both to 98 % of the values"
         lines.append(can if scale.high_setting else "these limits follow another scale")
         return "\n".join(lines)
@@ -124,7 +147,9 @@ class ColourBar(PaintedWidget):
         """Paint bars, strip and numbers."""
         if self._scale is None:
             return
-        scale, palette, strip = self._scale, self.palette(), self._room
+        scale = self._scale
+        palette = self.palette()
+        strip = self._room
         if self.histogram is not None and self._bars_px:
             self._draw_bars(painter, ink, strip, self.histogram)
         painter.drawImage(strip, _make_strip(get_colour_map(ink, scale)))
@@ -132,18 +157,23 @@ class ColourBar(PaintedWidget):
         painter.drawRect(strip)
         painter.setPen(palette.text().color())
         row = QRectF(2, strip.bottom() + 1, self.width() - 4, self.fontMetrics().height() + 2)
-        low, middle, high = f"{scale.low:g}", f"{0.5 * (scale.low + scale.high):g}", f"{scale.high:g} {scale.unit}"
+        low = f"{scale.low:g}"
+        middle = f"{0.5 * (scale.low + scale.high):g}"
+        high = f"{scale.high:g} {scale.unit}"
         painter.drawText(row, int(Qt.AlignmentFlag.AlignLeft), low)
         painter.drawText(row, int(Qt.AlignmentFlag.AlignRight), high)
         wide = self.fontMetrics().horizontalAdvance
-        if 0.5 * wide(middle) + max(wide(low), wide(high)) + _EDGE_PX < 0.5 * row.width():  # only where there is room
+        # only where there is room
+        if 0.5 * wide(middle) + max(wide(low), wide(high)) + _EDGE_PX < 0.5 * row.width():
             painter.drawText(row, int(Qt.AlignmentFlag.AlignHCenter), middle)
 
     @property
     def _room(self) -> QRectF:
         return QRectF(_EDGE_PX, self._bars_px, self.width() - 2 * _EDGE_PX, _STRIP_PX)
 
-    def _draw_bars(self, painter: QPainter, ink: ThemeColours, strip: QRectF, spread: ValueHistogram) -> None:
+    def _draw_bars(
+        self, painter: QPainter, ink: ThemeColours, strip: QRectF, spread: ValueHistogram
+    ) -> None:
         """Paint bars with logarithmic heights: the contact is a small part of an image."""
         tall = np.log1p(spread.counts) * (
             (self._bars_px - 2) / max(1e-9, float(np.log1p(spread.counts).max(initial=0.0)))
@@ -151,7 +181,9 @@ class ColourBar(PaintedWidget):
         wide = strip.width() / _N_BARS
         for i, high in enumerate(tall):
             if high > 0:
-                bar = QRectF(strip.left() + i * wide, strip.top() - high, max(1.0, wide - 0.5), high)
+                bar = QRectF(
+                    strip.left() + i * wide, strip.top() - high, max(1.0, wide - 0.5), high
+                )
                 painter.fillRect(bar, to_qcolor(ink.secondary_text, 150))
         painter.setPen(to_qcolor(ink.warning_mark))
         line = QRectF(strip.left() + 4, 0, strip.width() - 8, self.fontMetrics().height())
@@ -161,7 +193,9 @@ class ColourBar(PaintedWidget):
         ):
             if share >= _MIN_SHARE:
                 painter.fillRect(QRectF(x, 0, 3, strip.top()), to_qcolor(ink.warning_mark))
-                label = text.format(f"{100 * share:.0f} %" if share >= 0.01 else f"{100 * share:.1f} %")
+                label = text.format(
+                    f"{100 * share:.0f} %" if share >= 0.01 else f"{100 * share:.1f} %"
+                )
                 words = painter.boundingRect(line, int(place), label)
                 painter.fillRect(words.adjusted(-1, 0, 1, 0), self.palette().window())
                 painter.drawText(line, int(place), label)
@@ -178,7 +212,9 @@ class ColourBar(PaintedWidget):
             return
         _, scale, side = self._held
         room = self._room
-        value = scale.low + (a0.position().x() - room.left()) / room.width() * (scale.high - scale.low)
+        value = scale.low + (a0.position().x() - room.left()) / room.width() * (
+            scale.high - scale.low
+        )
         mirrored = scale.low_setting == scale.high_setting
         self._wanted = max(side * value, 0.0) if mirrored else value
         if not self._soon.isActive():
@@ -196,7 +232,11 @@ class ColourBar(PaintedWidget):
         """Fit the limits to nearly all values."""
         del a0
         self._held = None
-        if self._scale is not None and self._values is not None and (fitted := fit_limits(self._values, self._scale)):
+        if (
+            self._scale is not None
+            and self._values is not None
+            and (fitted := fit_limits(self._values, self._scale))
+        ):
             self.limits_fitted.emit(fitted)
 
     def _tell(self) -> None:
@@ -204,10 +244,14 @@ class ColourBar(PaintedWidget):
             self.limit_dragged.emit(self._held[0], self._wanted)
 
     def _end_at(self, at: QPointF) -> tuple[str, ColourScale, float] | None:
-        scale, room = self._scale, self._room
+        scale = self._scale
+        room = self._room
         if scale is None:
             return None
-        for setting, x, side in ((scale.low_setting, room.left(), -1.0), (scale.high_setting, room.right(), 1.0)):
+        for setting, x, side in (
+            (scale.low_setting, room.left(), -1.0),
+            (scale.high_setting, room.right(), 1.0),
+        ):
             if setting and abs(at.x() - x) <= _NEAR_PX:
                 return setting, scale, side
         return None

@@ -28,7 +28,9 @@ class ComparisonOverlay(QObject):
         """Remove the overlay."""
         if self._picture is None:
             return
-        self._picture, self._canvas.handle_share, self.is_visible = None, None, False
+        self._picture = None
+        self._canvas.handle_share = None
+        self.is_visible = False
         self.blink_timer.stop()
         self._canvas.show_overlay(None)
 
@@ -42,7 +44,8 @@ class ComparisonOverlay(QObject):
 
     def show_blink(self, picture: Preview) -> None:
         """Alternate the overlay with the image below."""
-        self._picture, self._canvas.handle_share = picture, None
+        self._picture = picture
+        self._canvas.handle_share = None
         self._place(shown=True)
         if not self.blink_timer.isActive():
             self.blink_timer.start()
@@ -56,7 +59,11 @@ class ComparisonOverlay(QObject):
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
         """Let the handle take the drag before the canvas pans."""
-        if self._canvas.handle_share is None or self._picture is None or not isinstance(a1, QMouseEvent):
+        if (
+            self._canvas.handle_share is None
+            or self._picture is None
+            or not isinstance(a1, QMouseEvent)
+        ):
             return super().eventFilter(a0, a1)
         if a1.type() == QEvent.Type.MouseButtonPress and self._canvas.is_near_handle(a1.position()):
             self._held = True
@@ -65,7 +72,9 @@ class ComparisonOverlay(QObject):
             self._held = False
             return True
         if a1.type() == QEvent.Type.MouseMove and self._held:
-            self.move_handle(self._canvas.to_image(a1.position()).x() / self._picture.pixels.shape[1])
+            self.move_handle(
+                self._canvas.to_image(a1.position()).x() / self._picture.pixels.shape[1]
+            )
             return True
         return super().eventFilter(a0, a1)
 

@@ -1,4 +1,6 @@
-"""Gizmo over an image: arrows translate along x and y, the centre translates freely, the ring rotates."""
+"""Gizmo over an image: arrows translate along x and y, the centre translates freely, the ring
+rotates.
+"""
 
 import math
 from typing import Any, Literal
@@ -12,21 +14,26 @@ from widgets.style.theme import get_theme_colours, to_qcolor
 from widgets.views.canvas import Canvas
 
 GizmoPart = Literal["x", "y", "xy", "rz"]
-_ARROW_PX, _RING_PX, _MIDDLE_PX = 46.0, 66.0, 8.0
-_NEAR_PX, _TIP_PX = 7.0, 7.0
+_ARROW_PX = 46.0
+_RING_PX = 66.0
+_MIDDLE_PX = 8.0
+_NEAR_PX = 7.0
+_TIP_PX = 7.0
 
 
 class Gizmo(QWidget):
     """Lives in a canvas; its parts take a drag before the canvas pans."""
 
     grabbed = pyqtSignal()
-    dragged = pyqtSignal(str, float, float, float)  # part, translation x and y in image pixels, rotation in degrees
+    # part, translation x and y in image pixels, rotation in degrees
+    dragged = pyqtSignal(str, float, float, float)
     released = pyqtSignal()
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
         self.setObjectName("gizmo")
-        self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)  # the canvas' events are filtered instead
+        # the canvas' events are filtered instead
+        self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self._canvas = canvas
         self._at: QPointF | None = None  # image pixel
         self._held: tuple[GizmoPart, QPointF, QPointF] | None = (
@@ -55,7 +62,9 @@ class Gizmo(QWidget):
         if self._at is None:
             return None
         off = at - self._canvas.to_screen(self._at)
-        x, y, far = off.x(), off.y(), math.hypot(off.x(), off.y())
+        x = off.x()
+        y = off.y()
+        far = math.hypot(off.x(), off.y())
         if max(abs(x), abs(y)) <= _MIDDLE_PX:
             return "xy"
         if abs(y) < _NEAR_PX and 0 < x <= _ARROW_PX + _TIP_PX:
@@ -70,7 +79,8 @@ class Gizmo(QWidget):
             self.setGeometry(self._canvas.rect())
         if self.isHidden() or not isinstance(a1, QMouseEvent):
             return super().eventFilter(a0, a1)
-        kind, left = a1.type(), Qt.MouseButton.LeftButton
+        kind = a1.type()
+        left = Qt.MouseButton.LeftButton
         if kind == QEvent.Type.MouseButtonPress and a1.button() == left:
             part = self.part_at(a1.position())
             if part is not None and self._at is not None:
@@ -99,7 +109,8 @@ class Gizmo(QWidget):
 
     def _drag(self, part: GizmoPart, pressed: QPointF, middle: QPointF, at: QPointF) -> None:
         off = (at - pressed) / max(self._canvas.scale, 1e-6)
-        x, y = off.x() if part != "y" else 0.0, off.y() if part != "x" else 0.0
+        x = off.x() if part != "y" else 0.0
+        y = off.y() if part != "x" else 0.0
         if part != "rz":
             self.dragged.emit(part, x, y, 0.0)
             return
@@ -119,7 +130,9 @@ class Gizmo(QWidget):
         self._ring(painter, middle, blue)
         self._arrow(painter, middle, QPointF(1, 0), red, part="x")
         self._arrow(painter, middle, QPointF(0, 1), green, part="y")
-        square = QRectF(middle.x() - _MIDDLE_PX, middle.y() - _MIDDLE_PX, 2 * _MIDDLE_PX, 2 * _MIDDLE_PX)
+        square = QRectF(
+            middle.x() - _MIDDLE_PX, middle.y() - _MIDDLE_PX, 2 * _MIDDLE_PX, 2 * _MIDDLE_PX
+        )
         painter.setPen(QPen(QColor(255, 255, 255), 2.0))
         painter.setBrush(QColor(20, 24, 30, 220 if self._lit("xy") else 130))
         painter.drawRect(square)
@@ -129,14 +142,23 @@ class Gizmo(QWidget):
 
     def _ring(self, painter: QPainter, middle: QPointF, colour: Rgb) -> None:
         painter.setBrush(Qt.BrushStyle.NoBrush)
-        for ink, wide in ((QColor(255, 255, 255, 190), 5.0), (to_qcolor(colour), 3.5 if self._lit("rz") else 2.0)):
+        for ink, wide in (
+            (QColor(255, 255, 255, 190), 5.0),
+            (to_qcolor(colour), 3.5 if self._lit("rz") else 2.0),
+        ):
             painter.setPen(QPen(ink, wide))
             painter.drawEllipse(middle, _RING_PX, _RING_PX)
 
-    def _arrow(self, painter: QPainter, middle: QPointF, way: QPointF, colour: Rgb, part: GizmoPart) -> None:
-        end, aside = middle + way * _ARROW_PX, QPointF(-way.y(), way.x())
+    def _arrow(
+        self, painter: QPainter, middle: QPointF, way: QPointF, colour: Rgb, part: GizmoPart
+    ) -> None:
+        end = middle + way * _ARROW_PX
+        aside = QPointF(-way.y(), way.x())
         tip = QPolygonF([end + way * _TIP_PX * 1.6, end + aside * _TIP_PX, end - aside * _TIP_PX])
-        for ink, wide in ((QColor(255, 255, 255, 190), 6.0), (to_qcolor(colour), 4.0 if self._lit(part) else 2.5)):
+        for ink, wide in (
+            (QColor(255, 255, 255, 190), 6.0),
+            (to_qcolor(colour), 4.0 if self._lit(part) else 2.5),
+        ):
             painter.setPen(QPen(ink, wide))
             painter.setBrush(ink)
             painter.drawLine(middle, end)

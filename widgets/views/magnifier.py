@@ -1,4 +1,6 @@
-"""Magnifier: the pixels around the cursor, enlarged and with their values, in a corner of the image."""
+"""Magnifier: the pixels around the cursor, enlarged and with their values, in a corner of the
+image.
+"""
 
 import math
 from typing import Any
@@ -14,7 +16,9 @@ from widgets.views.canvas import Canvas
 
 MAX_RADIUS_PX = 3  # pixels on either side, fewer in a small image
 _SHARE = 0.5  # share of the image that may be covered
-_WIDEST_VALUE, _LINE_PX = "-0.00", 3  # that a cell has room for; margin to the image's edge
+# that a cell has room for; margin to the image's edge
+_WIDEST_VALUE = "-0.00"
+_LINE_PX = 3
 _DARK = 140  # of 255: text on darker pixels is light
 
 
@@ -35,7 +39,8 @@ class Magnifier(QWidget):
 
     def show_pixel(self, canvas: Canvas, picture: Preview, row: int, col: int) -> None:
         """Show the surroundings of a pixel in the corner of its canvas that is farthest from it."""
-        self.preview, self.centre_pixel = picture, (row, col)
+        self.preview = picture
+        self.centre_pixel = (row, col)
         if self.parentWidget() is not canvas:
             self.setParent(canvas)
         wide, high = self._cell_px
@@ -53,9 +58,14 @@ class Magnifier(QWidget):
         self.update()
 
     def format_value(self, row: int, col: int) -> str:
-        """Return the value of a pixel as text: mm with two digits, or the mean grey level; "" if there is none."""
+        """Return the value of a pixel as text: mm with two digits, or the mean grey level.
+
+        "" if there is none.
+        """
         picture = self.preview
-        if picture is None or not (0 <= row < picture.pixels.shape[0] and 0 <= col < picture.pixels.shape[1]):
+        if picture is None or not (
+            0 <= row < picture.pixels.shape[0] and 0 <= col < picture.pixels.shape[1]
+        ):
             return ""
         if picture.values is None:
             return f"{float(picture.pixels[row, col].mean()):.0f}"
@@ -73,13 +83,16 @@ class Magnifier(QWidget):
         reach = self.radius_px
         for i in range(2 * reach + 1):
             for j in range(2 * reach + 1):
-                row, col = self.centre_pixel[0] + i - reach, self.centre_pixel[1] + j - reach
+                row = self.centre_pixel[0] + i - reach
+                col = self.centre_pixel[1] + j - reach
                 if 0 <= row < rows and 0 <= col < cols:
                     red, green, blue = (int(level) for level in self.preview.pixels[row, col])
                     cell = QRectF(1 + j * wide, 1 + i * high, wide, high)
                     painter.fillRect(cell, QColor(red, green, blue))
                     dark = 0.3 * red + 0.59 * green + 0.11 * blue < _DARK
                     painter.setPen(QColor(255, 255, 255) if dark else QColor(20, 24, 30))
-                    painter.drawText(cell, Qt.AlignmentFlag.AlignCenter, self.format_value(row, col))
+                    painter.drawText(
+                        cell, Qt.AlignmentFlag.AlignCenter, self.format_value(row, col)
+                    )
         painter.setPen(QPen(to_qcolor(CROSSHAIR_COLOUR), 2))
         painter.drawRect(QRectF(1 + reach * wide, 1 + reach * high, wide, high))

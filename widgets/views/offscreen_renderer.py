@@ -9,7 +9,14 @@ import vtkmodules.vtkRenderingOpenGL2  # pyright: ignore[reportUnusedImport]  # 
 from numpy.typing import NDArray
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
-from vtkmodules.vtkRenderingCore import vtkActor, vtkCamera, vtkLight, vtkPolyDataMapper, vtkRenderer, vtkRenderWindow
+from vtkmodules.vtkRenderingCore import (
+    vtkActor,
+    vtkCamera,
+    vtkLight,
+    vtkPolyDataMapper,
+    vtkRenderer,
+    vtkRenderWindow,
+)
 
 from pipeline.core.arrays import Doubles, Image
 from pipeline.views.colours import Rgb, darken_diverging
@@ -21,7 +28,10 @@ _BEHIND = 4.0, 4.0  # polygon offset: slope factor and units of the depth buffer
 
 
 class OffscreenRenderer:
-    """Renders one view after the other into one window; points are updated in place, actors are never rebuilt."""
+    """Renders one view after the other into one window.
+
+    Points are updated in place, actors are never rebuilt.
+    """
 
     def __init__(self, columns: int, samples: int) -> None:
         self.window = vtkRenderWindow()
@@ -32,7 +42,9 @@ class OffscreenRenderer:
             renderer.SetDraw(False)
             renderer.SetInteractive(False)
             self.window.AddRenderer(renderer)
-        self._kept: list[dict[str, tuple[Layer, Any, Any, ThemeColours]]] = [{} for _ in range(columns)]
+        self._kept: list[dict[str, tuple[Layer, Any, Any, ThemeColours]]] = [
+            {} for _ in range(columns)
+        ]
         self._axes = [[_arrow(renderer, axis) for axis in range(3)] for renderer in self.renderers]
 
     def render_pixels(self, column: int, width_px: int, height_px: int, ink: ThemeColours) -> Image:
@@ -78,7 +90,8 @@ class OffscreenRenderer:
                 _write(mesh, layer, None, ink)
                 actor = _add_layer(self.renderers[column], mesh, layer)
             else:
-                mesh, actor = old[1], old[2]
+                mesh = old[1]
+                actor = old[2]
                 if old[0] is not layer or old[3] is not ink:
                     _write(mesh, layer, old[0], ink)
             at = placed.get(layer.name, layer.view_from_layer)
@@ -88,7 +101,12 @@ class OffscreenRenderer:
     def get_camera(self, column: int) -> tuple[float, ...]:
         """Return the camera of a view; equal for equal views."""
         camera = self.renderers[column].GetActiveCamera()
-        return (*camera.GetPosition(), *camera.GetFocalPoint(), *camera.GetViewUp(), camera.GetViewAngle())
+        return (
+            *camera.GetPosition(),
+            *camera.GetFocalPoint(),
+            *camera.GetViewUp(),
+            camera.GetViewAngle(),
+        )
 
     def set_camera(self, column: int, numbers: tuple[float, ...]) -> None:
         """Set the camera of a view as `get_camera` returns it."""
@@ -101,20 +119,29 @@ class OffscreenRenderer:
     def find_linked_views(self, column: int) -> list[int]:
         """Return the views that share this view's camera, itself first."""
         own = self.renderers[column].GetActiveCamera()
-        others = [i for i, r in enumerate(self.renderers) if i != column and r.GetActiveCamera() is own]
+        others = [
+            i for i, r in enumerate(self.renderers) if i != column and r.GetActiveCamera() is own
+        ]
         return [column, *others]
 
     def project_point(
         self, column: int, place_mm: tuple[float, float, float], aspect: float
     ) -> tuple[float, float] | None:
-        """Return a point's position as shares of width and height from the upper left; None if it is not visible."""
+        """Return a point's position as shares of width and height from the upper left.
+
+        None if it is not visible.
+        """
         x, y, _, w = self._get_projection(column, aspect) @ (*place_mm, 1.0)
         if w <= 0 or max(abs(x), abs(y)) > w:
             return None
         return 0.5 + 0.5 * float(x / w), 0.5 - 0.5 * float(y / w)
 
-    def project_points(self, column: int, points_mm: Doubles, aspect: float) -> tuple[Doubles, Doubles]:
-        """Return the positions (n, 2) of points (n, 3) as shares, and their distances (n,) relative to the nearest."""
+    def project_points(
+        self, column: int, points_mm: Doubles, aspect: float
+    ) -> tuple[Doubles, Doubles]:
+        """Return the positions (n, 2) of points (n, 3) as shares, and their distances (n,)
+        relative to the nearest.
+        """
         matrix = self._get_projection(column, aspect)
         seen = points_mm @ matrix[:, :3].T + matrix[:, 3]
         w = np.where(seen[:, 3] > 0, seen[:, 3], np.nan)
@@ -124,7 +151,9 @@ class OffscreenRenderer:
     def _get_projection(self, column: int, aspect: float) -> Doubles:
         camera = self.renderers[column].GetActiveCamera()
         camera.SetUseHorizontalViewAngle(aspect < 1.0)
-        return pv.array_from_vtkmatrix(camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0))
+        return pv.array_from_vtkmatrix(
+            camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0)
+        )
 
     def fit_cameras(self, bounds: Mapping[int, ViewBounds], linked: bool) -> None:
         """Set cameras on the sensor's side, so that indentation bulges toward the viewer."""
@@ -142,10 +171,13 @@ class OffscreenRenderer:
 
 
 def _view() -> Any:
-    """Return an empty sub-view with a headlight for true colours and a light from the upper left for relief."""
+    """Return an empty sub-view with a headlight for true colours and a light from the upper left
+    for relief.
+    """
     renderer: Any = vtkRenderer()
     renderer.SetAutomaticLightCreation(False)
-    headlight, side = vtkLight(), vtkLight()
+    headlight = vtkLight()
+    side = vtkLight()
     headlight.SetLightTypeToHeadlight()
     headlight.SetIntensity(0.55)
     side.SetLightTypeToCameraLight()
@@ -153,7 +185,8 @@ def _view() -> Any:
     side.SetPosition(-1.0, 1.0, 0.6)
     for light in (headlight, side):
         renderer.AddLight(light)
-    # Cameras may be shared and layers may come later: every view sets its clipping range when it is rendered.
+    # Cameras may be shared and layers may come later: every view sets its clipping range when it is
+    # rendered.
     renderer.AddObserver("StartEvent", _cut_to_its_own)
     return renderer
 
@@ -175,7 +208,8 @@ def _camera(sight: ViewBounds) -> Any:
 
 def _actor(renderer: Any, mesh: Any, *, own_colours: bool = True) -> Any:
     """Return an actor of a mesh, coloured by its points or by one colour that is set later."""
-    mapper, actor = vtkPolyDataMapper(), vtkActor()
+    mapper = vtkPolyDataMapper()
+    actor = vtkActor()
     mapper.SetInputData(mesh)
     if own_colours:
         mapper.SetScalarModeToUsePointFieldData()
@@ -224,7 +258,9 @@ def _shares(colour: Rgb) -> tuple[float, float, float]:
 
 
 def _write(mesh: Any, layer: Layer, old: Layer | None, ink: ThemeColours) -> None:
-    """Write a layer's arrays into its mesh: in place while the counts stay, replaced when they change."""
+    """Write a layer's arrays into its mesh: in place while the counts stay, replaced when they
+    change.
+    """
     same = old is not None and len(old.points_mm) == len(layer.points_mm)
     is_darkened = layer.colour_map == "diverging" and ink.diverging != layer.colour_map
     rgb = darken_diverging(layer.rgb) if is_darkened else layer.rgb
@@ -233,7 +269,12 @@ def _write(mesh: Any, layer: Layer, old: Layer | None, ink: ThemeColours) -> Non
         mesh.GetPoints().Modified()
     else:
         mesh.points = np.array(layer.points_mm, dtype=np.float32)
-    if not same or old is None or old.triangles is not layer.triangles or old.segments is not layer.segments:
+    if (
+        not same
+        or old is None
+        or old.triangles is not layer.triangles
+        or old.segments is not layer.segments
+    ):
         _write_cells(mesh, layer)
     if same:
         mesh.point_data["rgb"][:] = rgb

@@ -1,4 +1,7 @@
-"""Keys of a preview: its pixel, overlay and zoom; keys and wheel of controls: Tab enters them, Enter leaves them."""
+"""Keys of a preview: its pixel, overlay and zoom.
+
+Keys and wheel of controls: Tab enters them, Enter leaves them.
+"""
 
 import numpy as np
 from PyQt6.QtCore import QEvent, QObject, QPointF, Qt, pyqtSignal
@@ -19,7 +22,12 @@ from widgets.style.styling import make_single_shot_timer
 from widgets.views.preview_view import PreviewView
 
 Key = Qt.Key
-ARROW_STEPS = {Key.Key_Left: (-1, 0), Key.Key_Right: (1, 0), Key.Key_Up: (0, -1), Key.Key_Down: (0, 1)}
+ARROW_STEPS = {
+    Key.Key_Left: (-1, 0),
+    Key.Key_Right: (1, 0),
+    Key.Key_Up: (0, -1),
+    Key.Key_Down: (0, 1),
+}
 SHIFT_STEP_PX = 10  # step with Shift
 _ENTER = (Key.Key_Return, Key.Key_Enter)
 _TABS = {Key.Key_Tab: 1, Key.Key_Backtab: -1}
@@ -28,7 +36,8 @@ _HANDLE = {Key.Key_Comma: -0.05, Key.Key_Period: 0.05}  # steps as shares of the
 _KNOWN = frozenset((*ARROW_STEPS, *_ENTER, *_TABS, *_ZOOMS, *_HANDLE))
 _END_KEYS = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
 _TYPED = (QAbstractSpinBox, QLineEdit)
-_Key, _Why = Qt.Key, Qt.FocusReason
+_Key = Qt.Key
+_Why = Qt.FocusReason
 _ALONG = frozenset((_Key.Key_Left, _Key.Key_Right, _Key.Key_Home, _Key.Key_End))
 _OWN = {  # keys that are commands of the window as well
     QAbstractButton: frozenset((_Key.Key_Space, *_END_KEYS)),
@@ -50,7 +59,8 @@ def get_arrow_step_px(event: QKeyEvent) -> tuple[int, int]:
 class PreviewKeyFilter(QObject):
     """Handles the keys of a focused preview before they become shortcuts of the window.
 
-    A preview does not take the focus by itself: a click leaves the window its shortcuts, and Tab skips it.
+    A preview does not take the focus by itself: a click leaves the window its shortcuts, and Tab
+    skips it.
     """
 
     pixel_pointed = pyqtSignal(int, int)  # row, col
@@ -59,7 +69,8 @@ class PreviewKeyFilter(QObject):
 
     def __init__(self, view: PreviewView) -> None:
         super().__init__(view)
-        self._view, self._canvas = view, view.canvas
+        self._view = view
+        self._canvas = view.canvas
         self._canvas.installEventFilter(self)
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
@@ -72,7 +83,8 @@ class PreviewKeyFilter(QObject):
         return a1.type() == QEvent.Type.KeyPress and self._press(a1)
 
     def _press(self, event: QKeyEvent) -> bool:
-        key, picture = Key(event.key()), self._view.preview
+        key = Key(event.key())
+        picture = self._view.preview
         if key in _TABS:
             self.focus_passed.emit(_TABS[key])
         elif picture is None:
@@ -89,7 +101,8 @@ class PreviewKeyFilter(QObject):
             right, down = (
                 get_arrow_step_px(event) if self._canvas.crosshair is not None else (0, 0)
             )  # the first key shows the cursor only
-            row, col = int(at.y()) + down, int(at.x()) + right
+            row = int(at.y()) + down
+            col = int(at.x()) + right
             text = self.pixel_pinned if key in _ENTER else self.pixel_pointed
             text.emit(min(max(row, 0), rows - 1), min(max(col, 0), cols - 1))
         return True
@@ -98,7 +111,8 @@ class PreviewKeyFilter(QObject):
         """Return the cursor pixel, else the highest value in contact, else the centre."""
         if self._canvas.crosshair is not None:
             return QPointF(self._canvas.crosshair[1] + 0.5, self._canvas.crosshair[0] + 0.5)
-        box, picture = self._view.find_contact_box_px(), self._view.preview
+        box = self._view.find_contact_box_px()
+        picture = self._view.preview
         if box is None or picture is None:
             return self._canvas.centre
         left, top, right, below = (max(0, round(side)) for side in box)
@@ -139,14 +153,23 @@ class KeyboardFocusFilter(QObject):
             if a1.type() == QEvent.Type.ShortcutOverride:
                 a1.accept()
                 return True
-            if a1.type() == QEvent.Type.KeyPress and isinstance(a0, QAbstractButton) and a1.key() in _END_KEYS:
+            if (
+                a1.type() == QEvent.Type.KeyPress
+                and isinstance(a0, QAbstractButton)
+                and a1.key() in _END_KEYS
+            ):
                 a0.click()
                 return True
         if a1.type() == QEvent.Type.Wheel and not a0.hasFocus() and not isinstance(a0, QLineEdit):
             a1.ignore()
             return True
         typed = isinstance(a0, _TYPED) and a0.window() is self._window
-        if typed and a1.type() == QEvent.Type.KeyPress and isinstance(a1, QKeyEvent) and a1.key() in _END_KEYS:
+        if (
+            typed
+            and a1.type() == QEvent.Type.KeyPress
+            and isinstance(a1, QKeyEvent)
+            and a1.key() in _END_KEYS
+        ):
             self._soon.start()  # after the spin box has taken the number
         return False
 

@@ -13,10 +13,19 @@ from pipeline.views.colours import NO_VALUE_COLOUR, ColourScale, darken_divergin
 from pipeline.views.drawing import Line, list_outlines, make_scale_bar
 from pipeline.views.preview import Preview
 from widgets.style.base import make_caption_font
-from widgets.style.theme import LIGHT_COLOURS, ThemeColours, get_colour_map, get_theme_colours, to_qcolor
+from widgets.style.theme import (
+    LIGHT_COLOURS,
+    ThemeColours,
+    get_colour_map,
+    get_theme_colours,
+    to_qcolor,
+)
 
-MAX_ZOOM, MIN_ZOOM = 60.0, 0.02
-_NARROWEST_PX, _LABEL_PX = 60.0, 100.0  # screen pixels: images without a scale bar; half the room for its text
+MAX_ZOOM = 60.0
+MIN_ZOOM = 0.02
+# screen pixels: images without a scale bar; half the room for its text
+_NARROWEST_PX = 60.0
+_LABEL_PX = 100.0
 _DIMMED = 0.45
 
 
@@ -26,18 +35,25 @@ class PreviewRenderer:
     def __init__(self) -> None:
         self.preview: Preview | None = None
         self.image: QImage | None = None
-        self.overlay: tuple[QImage, float] | None = None  # and the share of the width that shows the lower image
+        # and the share of the width that shows the lower image
+        self.overlay: tuple[QImage, float] | None = None
         self._ink = LIGHT_COLOURS
         self._overlay_pixels: Image | None = None  # pixels of the overlay
         self.is_dimmed = False
-        self.centre, self.scale = QPointF(), 0.0  # image pixel at the centre; screen pixels per image pixel
+        # image pixel at the centre; screen pixels per image pixel
+        self.centre = QPointF()
+        self.scale = 0.0
         self.size = QSize()
 
     def set_preview(self, picture: Preview | None) -> bool:
-        """Set another image, None for no image, and return whether it needs another view than the one before."""
-        old, self.preview = self.preview, picture
+        """Set another image, None for no image, and return whether it needs another view than
+        the one before.
+        """
+        old = self.preview
+        self.preview = picture
         if picture is None:
-            self.image, self.overlay = None, None
+            self.image = None
+            self.overlay = None
             return False
         self.image = make_qimage(self._recolour(picture.pixels))
         return old is None or old.pixels.shape[:2] != picture.pixels.shape[:2]
@@ -69,10 +85,16 @@ class PreviewRenderer:
 
     @property
     def fitted_scale(self) -> float:
-        """Screen pixels per image pixel at which the whole image fits the view; 0 without an image."""
+        """Screen pixels per image pixel at which the whole image fits the view.
+
+        0 without an image.
+        """
         if self.image is None:
             return 0.0
-        return max(1e-3, min(self.size.width() / self.image.width(), self.size.height() / self.image.height()))
+        return max(
+            1e-3,
+            min(self.size.width() / self.image.width(), self.size.height() / self.image.height()),
+        )
 
     def to_screen(self, at: QPointF) -> QPointF:
         """Return the screen position of a point in image pixels."""
@@ -80,7 +102,11 @@ class PreviewRenderer:
 
     def to_image(self, at: QPointF) -> QPointF:
         """Return the point in image pixels at a screen position."""
-        return (at - self._middle) / self.scale + self.centre if self.scale > 0 else QPointF(-1.0, -1.0)
+        return (
+            (at - self._middle) / self.scale + self.centre
+            if self.scale > 0
+            else QPointF(-1.0, -1.0)
+        )
 
     @property
     def _middle(self) -> QPointF:
@@ -88,7 +114,9 @@ class PreviewRenderer:
 
     def render(self, dense: float, behind: QColor, font: QFont) -> QPixmap:
         """Return the rendering at `dense` physical pixels per logical pixel."""
-        pixmap = QPixmap(max(1, round(dense * self.size.width())), max(1, round(dense * self.size.height())))
+        pixmap = QPixmap(
+            max(1, round(dense * self.size.width())), max(1, round(dense * self.size.height()))
+        )
         pixmap.setDevicePixelRatio(dense)
         pixmap.fill(behind)
         painter = QPainter(pixmap)
@@ -97,7 +125,9 @@ class PreviewRenderer:
         return pixmap
 
     def paint(self, painter: QPainter, dense: float, font: QFont) -> None:
-        """Paint image, outlines and scale bar into the area of `size`, at `dense` physical pixels per logical pixel."""
+        """Paint image, outlines and scale bar into the area of `size`, at `dense` physical
+        pixels per logical pixel.
+        """
         if self.image is None or self.preview is None:
             return
         painter.setOpacity(_DIMMED if self.is_dimmed else 1.0)
@@ -110,26 +140,41 @@ class PreviewRenderer:
             self._draw_line(painter, line)
         self._draw_scale_bar(painter, self.preview, font)
 
-    def _draw_image(self, painter: QPainter, image: QImage, from_share: float, dense: float) -> None:
+    def _draw_image(
+        self, painter: QPainter, image: QImage, from_share: float, dense: float
+    ) -> None:
         first = round(from_share * image.width())
-        ends = self.to_image(QPointF(0, 0)), self.to_image(QPointF(self.size.width(), self.size.height()))
-        left, top = max(first, math.floor(ends[0].x())), max(0, math.floor(ends[0].y()))
-        right, below = min(image.width(), math.ceil(ends[1].x())), min(image.height(), math.ceil(ends[1].y()))
+        ends = (
+            self.to_image(QPointF(0, 0)),
+            self.to_image(QPointF(self.size.width(), self.size.height())),
+        )
+        left = max(first, math.floor(ends[0].x()))
+        top = max(0, math.floor(ends[0].y()))
+        right = min(image.width(), math.ceil(ends[1].x()))
+        below = min(image.height(), math.ceil(ends[1].y()))
         if left >= right or top >= below:
             return
         part = QRect(left, top, right - left, below - top)
-        place = QRectF(self.to_screen(QPointF(left, top)), QSizeF(part.width(), part.height()) * self.scale)
+        place = QRectF(
+            self.to_screen(QPointF(left, top)), QSizeF(part.width(), part.height()) * self.scale
+        )
         drawn = image.copy(part)
         if self.scale * dense < 1.0:  # average the image pixels that fall on a screen pixel
-            size = QSize(max(1, round(dense * place.width())), max(1, round(dense * place.height())))
-            ratio, how = Qt.AspectRatioMode.IgnoreAspectRatio, Qt.TransformationMode.SmoothTransformation
+            size = QSize(
+                max(1, round(dense * place.width())), max(1, round(dense * place.height()))
+            )
+            ratio = Qt.AspectRatioMode.IgnoreAspectRatio
+            how = Qt.TransformationMode.SmoothTransformation
             drawn = drawn.scaled(size, ratio, how)
         painter.drawImage(place, drawn)
 
     def _draw_line(self, painter: QPainter, line: Line) -> None:
-        colour, flat = to_qcolor(line.rgb, round(255 * line.opacity)), Qt.PenCapStyle.FlatCap
-        painter.setPen(QPen(colour, line.width, Qt.PenStyle.SolidLine, flat))  # a square cap lengthens a scale bar
-        middle, centre = self._middle, self.centre
+        colour = to_qcolor(line.rgb, round(255 * line.opacity))
+        flat = Qt.PenCapStyle.FlatCap
+        # a square cap lengthens a scale bar
+        painter.setPen(QPen(colour, line.width, Qt.PenStyle.SolidLine, flat))
+        middle = self._middle
+        centre = self.centre
         at = (line.points_px - (centre.x(), centre.y())) * self.scale + (middle.x(), middle.y())
         step = max(1, math.floor(0.7 / self.scale))
         gaps = np.flatnonzero(np.isnan(at[:, 0]))
@@ -140,7 +185,8 @@ class PreviewRenderer:
 
     def _draw_scale_bar(self, painter: QPainter, picture: Preview, font: QFont) -> None:
         rows, cols = picture.pixels.shape[:2]
-        low, high = self.to_image(QPointF(0, 0)), self.to_image(QPointF(self.size.width(), self.size.height()))
+        low = self.to_image(QPointF(0, 0))
+        high = self.to_image(QPointF(self.size.width(), self.size.height()))
         visible = max(0.0, low.x()), max(0.0, low.y()), min(cols, high.x()), min(rows, high.y())
         bar = make_scale_bar(picture, visible, self._recolour)
         if bar is None or (visible[2] - visible[0]) * self.scale < _NARROWEST_PX:
@@ -150,7 +196,10 @@ class PreviewRenderer:
         painter.setFont(make_caption_font(font) if font.pointSizeF() > 0 else font)
         x, y = bar.line.points_px.mean(axis=0)
         tall = painter.fontMetrics().height()
-        room = QRectF(self.to_screen(QPointF(x, y)) - QPointF(_LABEL_PX, 3 + tall), QSizeF(2 * _LABEL_PX, tall))
+        room = QRectF(
+            self.to_screen(QPointF(x, y)) - QPointF(_LABEL_PX, 3 + tall),
+            QSizeF(2 * _LABEL_PX, tall),
+        )
         painter.drawText(room, Qt.AlignmentFlag.AlignCenter, bar.text)
 
 
@@ -168,14 +217,22 @@ def make_qimage(pixels: Image) -> QImage:
     """Convert pixels (rows, cols, 3) uint8 to the image format that Qt paints fastest."""
     rows, cols = pixels.shape[:2]
     held = pixels.tobytes()
-    return QImage(held, cols, rows, 3 * cols, QImage.Format.Format_RGB888).convertToFormat(QImage.Format.Format_RGB32)
+    return QImage(held, cols, rows, 3 * cols, QImage.Format.Format_RGB888).convertToFormat(
+        QImage.Format.Format_RGB32
+    )
 
 
 def recolour_for_theme(pixels: Image, scale: ColourScale, ink: ThemeColours) -> Image:
-    """Return the pixels of a scale in the colours of a theme: pixels without a value, and signed values."""
+    """Return the pixels of a scale in the colours of a theme: pixels without a value, and signed
+    values.
+    """
     if ink is LIGHT_COLOURS:
         return pixels
-    out = pixels.copy() if get_colour_map(ink, scale) == scale.colour_map else darken_diverging(pixels).copy()
+    out = (
+        pixels.copy()
+        if get_colour_map(ink, scale) == scale.colour_map
+        else darken_diverging(pixels).copy()
+    )
     out[(pixels == NO_VALUE_COLOUR).all(axis=-1)] = ink.no_value  # that grey is in no colour map
     return out
 

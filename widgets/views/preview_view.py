@@ -59,7 +59,9 @@ class PreviewView(QWidget):
         way = QBoxLayout.Direction.LeftToRight if at_side else QBoxLayout.Direction.TopToBottom
         if way != self._both.direction():
             self._both.setDirection(way)
-            self.text_area.setFixedWidth(SIDE_TEXT_PX) if at_side else self.text_area.setMaximumWidth(_NO_LIMIT)
+            self.text_area.setFixedWidth(
+                SIDE_TEXT_PX
+            ) if at_side else self.text_area.setMaximumWidth(_NO_LIMIT)
             self.text_area.setMinimumWidth(SIDE_TEXT_PX if at_side else 0)
 
     def show_preview(self, picture: Preview | None) -> None:
@@ -84,8 +86,13 @@ class PreviewView(QWidget):
         if other:
             self.scale_changed.emit()
 
-    def show_compared(self, preview: Preview, truth: Preview | None, difference: Preview | None, mode: str) -> None:
-        """Show a preview, or where known its truth, their difference, or both by wipe or blink; "" = itself."""
+    def show_compared(
+        self, preview: Preview, truth: Preview | None, difference: Preview | None, mode: str
+    ) -> None:
+        """Show a preview, or where known its truth, their difference, or both by wipe or blink.
+
+        "" = itself.
+        """
         self.show_preview({"truth": truth, "difference": difference}.get(mode) or preview)
         if truth is not None and mode == "wipe":
             self.overlay.show_wipe(truth)
@@ -100,7 +107,10 @@ class PreviewView(QWidget):
         return self.preview is not None and self.preview.scale is not None
 
     def show_message(self, text: str) -> None:
-        """Show a message over the image (why it was skipped, or that it is out of date); "" removes it."""
+        """Show a message over the image (why it was skipped, or that it is out of date).
+
+        "" removes it.
+        """
         if text == self.message.text():
             return
         self.message.setText(text)
@@ -113,10 +123,13 @@ class PreviewView(QWidget):
         return self._shape[0] / self._shape[1] if self._shape is not None else 0.75
 
     def fit_to_box(self, box_px: tuple[float, float, float, float]) -> None:
-        """Fit a part of the image, given by left, top, right and bottom in pixels, with a margin."""
+        """Fit a part of the image, given by left, top, right and bottom in pixels, with a
+        margin.
+        """
         left, top, right, below = box_px
         room = self.canvas.size()
-        wide, high = max(right - left, 4.0) * _AROUND, max(below - top, 4.0) * _AROUND
+        wide = max(right - left, 4.0) * _AROUND
+        high = max(below - top, 4.0) * _AROUND
         scale = min(room.width() / wide, room.height() / high)
         self.canvas.set_view(QPointF(0.5 * (left + right), 0.5 * (top + below)), scale)
 
@@ -138,12 +151,19 @@ class PreviewView(QWidget):
         room = self.canvas.size()
         width = max(60, room.width() - 12)
         height = min(room.height() - 8, max(20, self.message.heightForWidth(width) + 4))
-        self.message.setGeometry((room.width() - width) // 2, (room.height() - height) // 2, width, height)
+        self.message.setGeometry(
+            (room.width() - width) // 2, (room.height() - height) // 2, width, height
+        )
 
     def _pixel_at(self, place: QPointF) -> tuple[int, int] | None:
         point = self.canvas.to_image(place)
-        row, col = math.floor(point.y()), math.floor(point.x())
-        if self.preview is None or self._shape is None or not (0 <= row < self._shape[0] and 0 <= col < self._shape[1]):
+        row = math.floor(point.y())
+        col = math.floor(point.x())
+        if (
+            self.preview is None
+            or self._shape is None
+            or not (0 <= row < self._shape[0] and 0 <= col < self._shape[1])
+        ):
             return None
         return row, col
 

@@ -1,4 +1,7 @@
-"""3D views by VTK: each is rendered off screen when it is visible and has changed; images are cached."""
+"""3D views by VTK: each is rendered off screen when it is visible and has changed.
+
+Images are cached.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,9 @@ Point3 = tuple[float, float, float]
 CameraState = tuple[float, ...]  # position, focal point, up vector (x, y, z each), and view angle
 _TOGETHER_MS = 10  # changes within this time are rendered once
 _KEPT_BYTES = 24 * 1024 * 1024  # 18 frames of 6 views of 240 x 240 px
-_NEAR_PX, _ONE_SURFACE = 6.0, 0.02  # search radius; thickness of a surface as a share of its distance
+# search radius; thickness of a surface as a share of its distance
+_NEAR_PX = 6.0
+_ONE_SURFACE = 0.02
 _ONE_TURN = 120  # Qt's wheel units of one notch
 _BUTTONS = {
     Qt.MouseButton.LeftButton: "LeftButton",  # rotate
@@ -37,14 +42,18 @@ _BUTTONS = {
 }
 _ENDS = {"press": "PressEvent", "release": "ReleaseEvent"}
 
-CachedImage = tuple[QImage, tuple["ref[Layer]", ...]]  # it shows these very layers, which live in other caches
+# it shows these very layers, which live in other caches
+CachedImage = tuple[QImage, tuple["ref[Layer]", ...]]
 
 
 class SceneRenderer(QObject):
-    """All 3D views, controlled by mouse; one view is rendered per turn of the event loop, so that the window responds.
+    """All 3D views, controlled by mouse.
 
-    Until `open` has loaded OpenGL it only keeps what the views will show. An OpenGL widget would make Qt compose every
-    repaint in OpenGL, which is slow without a graphics card; reading an image back takes less than a millisecond.
+    One view is rendered per turn of the event loop, so that the window responds.
+
+    Until `open` has loaded OpenGL it only keeps what the views will show. An OpenGL widget would
+    make Qt compose every repaint in OpenGL, which is slow without a graphics card; reading an image
+    back takes less than a millisecond.
     """
 
     def __init__(self, views: Sequence[View3D]) -> None:
@@ -55,11 +64,14 @@ class SceneRenderer(QObject):
         self._layers: dict[int, tuple[Layer, ...]] = {}
         self._placed: dict[int, dict[str, Doubles]] = {}
         self._marks: dict[int, Point3] = {}
-        self._bounds, self._cameras = dict[int, ViewBounds](), dict[int, CameraState]()  # asked for before it is open
+        # asked for before it is open
+        self._bounds = dict[int, ViewBounds]()
+        self._cameras = dict[int, CameraState]()
         self._is_linked = False
         self._due: list[int] = []
         self._kept: Memo[object, CachedImage] = Memo(most_bytes=_KEPT_BYTES, weigh=_size_bytes)
-        self._finished, self._turned = False, 0
+        self._finished = False
+        self._turned = 0
         self.n_renders = 0  # images rendered by OpenGL
         self.render_time_s = 0.0  # and their processor time
         self._soon = make_single_shot_timer(self, _TOGETHER_MS, self._draw_one)
@@ -110,7 +122,9 @@ class SceneRenderer(QObject):
         """Show exactly these layers in a view."""
         shown = tuple(layers)
         old = self._layers.get(column, ())
-        if self._placed.pop(column, None) or [id(layer) for layer in old] != [id(layer) for layer in shown]:
+        if self._placed.pop(column, None) or [id(layer) for layer in old] != [
+            id(layer) for layer in shown
+        ]:
             self._layers[column] = shown
             self._draw_soon(column)
 
@@ -122,7 +136,9 @@ class SceneRenderer(QObject):
     def fit_cameras(self, bounds: Mapping[int, ViewBounds], *, linked: bool) -> None:
         """Set the cameras; views of one frame share theirs when `linked`."""
         if not self.is_open:
-            self._bounds, self._is_linked, self._cameras = {**self._bounds, **bounds}, linked, {}
+            self._bounds = {**self._bounds, **bounds}
+            self._is_linked = linked
+            self._cameras = {}
             return
         self._stage.fit_cameras(bounds, linked)
         for column in range(len(self.views)):
@@ -134,7 +150,11 @@ class SceneRenderer(QObject):
 
     def get_cameras(self) -> dict[int, CameraState]:
         """Return the camera of each view; {} until it is open."""
-        return {} if not self.is_open else {column: self._stage.get_camera(column) for column in range(len(self.views))}
+        return (
+            {}
+            if not self.is_open
+            else {column: self._stage.get_camera(column) for column in range(len(self.views))}
+        )
 
     def set_cameras(self, cameras: Mapping[int, CameraState]) -> None:
         """Set these cameras; other views keep theirs."""
@@ -154,12 +174,19 @@ class SceneRenderer(QObject):
         self._show_dot(column)
 
     def find_nearest_point(self, column: int, at: QPointF, points_mm: Doubles) -> int:
-        """Return the foremost of the points (n, 3) drawn within a few pixels of a position; -1 for none."""
+        """Return the foremost of the points (n, 3) drawn within a few pixels of a position.
+
+        -1 for none.
+        """
         view = self.views[column]
         if not self.is_open:
             return -1
-        shares, depth = self._stage.project_points(column, points_mm, view.width() / max(1, view.height()))
-        off_px = np.hypot(shares[:, 0] * view.width() - at.x(), shares[:, 1] * view.height() - at.y())
+        shares, depth = self._stage.project_points(
+            column, points_mm, view.width() / max(1, view.height())
+        )
+        off_px = np.hypot(
+            shares[:, 0] * view.width() - at.x(), shares[:, 1] * view.height() - at.y()
+        )
         near = np.flatnonzero(off_px < _NEAR_PX)
         # Of points behind each other the foremost counts; of neighbours on one surface the nearest.
         front = near[depth[near] <= depth[near].min() + _ONE_SURFACE] if near.size else near
@@ -205,9 +232,11 @@ class SceneRenderer(QObject):
 
     def _show(self, column: int) -> bool:
         """Show a view and return whether it had to be rendered."""
-        view, layers = self.views[column], self._layers.get(column, ())
+        view = self.views[column]
+        layers = self._layers.get(column, ())
         ink = get_theme_colours(view.palette())
-        if not layers:  # OpenGL takes tens of milliseconds for nothing, before the first frame is computed
+        # OpenGL takes tens of milliseconds for nothing, before the first frame is computed
+        if not layers:
             blank = QImage(QSize(*view.size_px), QImage.Format.Format_RGB32)
             blank.fill(to_qcolor(ink.backdrop))
             view.show_image(blank)
@@ -215,11 +244,17 @@ class SceneRenderer(QObject):
             return False
         placed = self._placed.get(column, {})
         key = (
-            column, view.size_px, ink.backdrop, tuple(id(layer) for layer in layers), self._stage.get_camera(column),
+            column,
+            view.size_px,
+            ink.backdrop,
+            tuple(id(layer) for layer in layers),
+            self._stage.get_camera(column),
             tuple((name, at.tobytes()) for name, at in placed.items()),
-        )  # fmt: skip
+        )
         kept = self._kept.get(key)
-        is_kept = kept is not None and all(one() is layer for one, layer in zip(kept[1], layers, strict=True))
+        is_kept = kept is not None and all(
+            one() is layer for one, layer in zip(kept[1], layers, strict=True)
+        )
         if kept is None or not is_kept:
             begun_s = time.thread_time()
             self._stage.show_layers(column, layers, placed, ink)
@@ -241,11 +276,18 @@ class SceneRenderer(QObject):
             return
         place = self._marks.get(column)
         view = self.views[column]
-        at = None if place is None else self._stage.project_point(column, place, view.width() / max(1, view.height()))
+        at = (
+            None
+            if place is None
+            else self._stage.project_point(column, place, view.width() / max(1, view.height()))
+        )
         view.show_dot(None if at is None else QPointF(*at))
 
     def _tell(self, column: int, event: Any, what: str) -> None:
-        """Pass a mouse event to VTK in pixels of its image; small touch pad turns are accumulated."""
+        """Pass a mouse event to VTK in pixels of its image.
+
+        Small touch pad turns are accumulated.
+        """
         if not self.is_open:
             return
         name = {"move": "MouseMoveEvent"}.get(what, "")
@@ -259,11 +301,16 @@ class SceneRenderer(QObject):
         if not name:
             return
         view = self.views[column]
-        place, dense, keys = event.position(), view.devicePixelRatioF(), Qt.KeyboardModifier
-        control, shift = (bool(event.modifiers() & key) for key in (keys.ControlModifier, keys.ShiftModifier))
+        place = event.position()
+        dense = view.devicePixelRatioF()
+        keys = Qt.KeyboardModifier
+        control, shift = (
+            bool(event.modifiers() & key) for key in (keys.ControlModifier, keys.ShiftModifier)
+        )
         self._stage.activate_view(column, *view.size_px)
         self._mouse.SetSize(*view.size_px)
-        x, y = round(place.x() * dense), round(place.y() * dense)
+        x = round(place.x() * dense)
+        y = round(place.y() * dense)
         self._mouse.SetEventInformationFlipY(x, y, control, shift, chr(0), 0, None)
         before = self._stage.get_camera(column)
         self._mouse.InvokeEvent(name)

@@ -1,4 +1,6 @@
-"""One 3D view as a plain widget: the last rendering, a marker, and mouse events for the renderer."""
+"""One 3D view as a plain widget: the last rendering, a marker, and mouse events for the
+renderer.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -34,8 +36,10 @@ class View3D(QWidget):
         self._pressed: QPointF | None = None
         self.setMouseTracking(True)
         kinds = QEvent.Type.Resize, QEvent.Type.Show, QEvent.Type.PaletteChange
-        EventListener(self, self.image_requested.emit, *kinds)  # nothing is rendered while it is hidden
-        self.mouse_handler: Callable[[Any, str], None] | None = None  # (event, press, release, move or wheel)
+        # nothing is rendered while it is hidden
+        EventListener(self, self.image_requested.emit, *kinds)
+        # of an event and what it is: press, release, move or wheel
+        self.mouse_handler: Callable[[Any, str], None] | None = None
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -71,7 +75,9 @@ class View3D(QWidget):
         if self.image is None:
             painter.fillRect(self.rect(), get_backdrop(self.palette()))
             room = self.rect().adjusted(_MARGIN_PX, 0, -_MARGIN_PX, 0)
-            painter.drawText(room, Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap, self.notice)
+            painter.drawText(
+                room, Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap, self.notice
+            )
             return
         painter.drawImage(QRectF(self.rect()), self.image)
         if self.marker is not None:
@@ -89,7 +95,10 @@ class View3D(QWidget):
     def mouseReleaseEvent(self, a0: Any) -> None:  # noqa: N802
         """Stop moving the camera; without a motion, emit a click."""
         self._pass_on(a0, "release")
-        if self._pressed is not None and (a0.position() - self._pressed).manhattanLength() < _A_CLICK_PX:
+        if (
+            self._pressed is not None
+            and (a0.position() - self._pressed).manhattanLength() < _A_CLICK_PX
+        ):
             self.clicked.emit(a0.position())
         self._pressed = None
 

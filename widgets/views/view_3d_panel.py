@@ -2,7 +2,15 @@
 
 from PyQt6.QtCore import QEvent, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QTextDocumentFragment
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QSlider, QToolButton, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import (
+    QHBoxLayout,
+    QLabel,
+    QSizePolicy,
+    QSlider,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
 
 from pipeline.core.values.results import PoseStep, TouchStep
 from widgets.style.base import EventListener, FixedSizeLabel, resize_font
@@ -17,7 +25,9 @@ class View3DPanel(QWidget):
 
     def __init__(self, under: QWidget | None = None) -> None:
         super().__init__()
-        self.view, self.legend, self.caption = View3D(), FixedSizeLabel(), FittingLabel()
+        self.view = View3D()
+        self.legend = FixedSizeLabel()
+        self.caption = FittingLabel()
         resize_font(self.legend)
         self.legend.setAlignment(Qt.AlignmentFlag.AlignHCenter)
         fill(set_spacing(QVBoxLayout(self), 0), (self.view, 1), under or self.legend, self.caption)
@@ -53,13 +63,20 @@ class FittingLabel(QLabel):
         return self.sizeHint().width()
 
     def _fit(self) -> None:
-        fitting = [t for t, width in zip(self._tellings, self._widths, strict=True) if width <= self.width()]
+        fitting = [
+            t
+            for t, width in zip(self._tellings, self._widths, strict=True)
+            if width <= self.width()
+        ]
         if self._tellings:
             self.setText((fitting or self._tellings[-1:])[0])
 
 
 class StepsSlider(QWidget):
-    """Selects a kept step and shows its quality; `step_chosen` carries stage, step and its number."""
+    """Selects a kept step and shows its quality.
+
+    `step_chosen` carries stage, step and its number.
+    """
 
     step_chosen = pyqtSignal(str, object, int)
     keep_steps_requested = pyqtSignal(str)
@@ -72,17 +89,21 @@ class StepsSlider(QWidget):
         self.slider.setObjectName(f"{stage}_steps")
         self.slider.setAccessibleName(f"step of the {stage}")
         self.slider.setToolTip(f"Steps of the {stage}")
-        self._text, self.keep_button = QLabel(), QToolButton()
+        self._text = QLabel()
+        self.keep_button = QToolButton()
         self.keep_button.setText("Step through")
         self.keep_button.setObjectName(f"{stage}_keep")
-        self.keep_button.setToolTip("Keep the steps and show them one by one; the result stays the same")
+        self.keep_button.setToolTip(
+            "Keep the steps and show them one by one; the result stays the same"
+        )
         self.keep_button.setAutoRaise(True)
         self.keep_button.clicked.connect(lambda: self.keep_steps_requested.emit(self._slot))
         self._keeps = False
         self.slider.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         for widget in (self._text, self.keep_button):
             resize_font(widget)
-            widget.setFixedHeight(widget.fontMetrics().height() + 1)  # the height of the legends next to it
+            # the height of the legends next to it
+            widget.setFixedHeight(widget.fontMetrics().height() + 1)
         fill(set_spacing(QHBoxLayout(self), 4), (self.slider, 1), self._text, self.keep_button)
         self.slider.valueChanged.connect(self._choose_step)
         self.show_steps(())
@@ -114,11 +135,14 @@ class StepsSlider(QWidget):
             self._text.setText("no steps kept")
             self._text.setToolTip("enable them in the method's parameters")
             return
-        step, place = self._steps[at], f"{at + 1}/{len(self._steps)}"
+        step = self._steps[at]
+        place = f"{at + 1}/{len(self._steps)}"
         if isinstance(step, TouchStep):
             self._text.setText(f"{place}: {step.label}")
             self._text.setToolTip(f"state {at + 1} of {len(self._steps)}: {step.label}")
             return
         self._text.setText(f"{place}: {step.rmse_mm:.2f} mm")
         matched = f"{100 * step.fitness:.0f} % of the points matched"
-        self._text.setToolTip(f"iteration {at + 1} of {len(self._steps)}: rms {step.rmse_mm:.3f} mm, {matched}")
+        self._text.setToolTip(
+            f"iteration {at + 1} of {len(self._steps)}: rms {step.rmse_mm:.3f} mm, {matched}"
+        )

@@ -15,19 +15,22 @@ from numpy.typing import ArrayLike, NDArray
 from pipeline.core.arrays import Doubles, Mask
 from pipeline.core.errors import CalibrationError
 
-WIDEST_VIEW = 10.0  # image side over focal length, 157 degrees; a lens's focal length in mm exceeds it
+# image side over focal length, 157 degrees; a lens's focal length in mm exceeds it
+WIDEST_VIEW = 10.0
 MOST_FOCAL_PX = 1e5  # a pixel covers 0.01 mm at a metre
 MOST_OFFSET = 4.0  # image sides from the middle of a cropped image to the optical axis
 MIN_DEPTH_MM = 1e-3  # points nearer to the lens plane have no image
-_SHORTEST_PX, _FARTHEST_PX = (
-    1e-3,
-    1e9,
-)  # bounds of focal lengths, and of those and the principal point; float32 holds what follows
+# bounds of focal lengths, and of those and the principal point; float32 holds what follows
+_SHORTEST_PX = 1e-3
+_FARTHEST_PX = 1e9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
-    """Intrinsics K of an image of `rows` x `cols` pixels; no lens distortion (files are rectified where read)."""
+    """Intrinsics K of an image of `rows` x `cols` pixels.
+
+    No lens distortion (files are rectified where read).
+    """
 
     rows: int
     cols: int
@@ -43,14 +46,18 @@ class Camera:
             raise CalibrationError(f"camera intrinsics must be finite, got {values}")
         if not (self.fx_px > 0 and self.fy_px > 0):
             raise CalibrationError(
-                f"the camera matrix is singular: focal lengths {self.fx_px:g} and {self.fy_px:g} px must be positive"
+                f"the camera matrix is singular: focal lengths {self.fx_px:g} and {self.fy_px:g} "
+                "px must be positive"
             )
         if not (min(values[:2]) >= _SHORTEST_PX and max(map(abs, values)) <= _FARTHEST_PX):
             raise CalibrationError(
-                f"camera intrinsics of {values} px cannot be right; check their unit and that the file is whole"
+                f"camera intrinsics of {values} px cannot be right; check their unit and that the "
+                "file is whole"
             )
         if self.rows < 1 or self.cols < 1:
-            raise CalibrationError(f"a camera image needs at least one pixel, got {self.rows} x {self.cols}")
+            raise CalibrationError(
+                f"a camera image needs at least one pixel, got {self.rows} x {self.cols}"
+            )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -60,7 +67,9 @@ class Camera:
     @property
     def matrix(self) -> Doubles:
         """Return K (3, 3)."""
-        return np.array([[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]])
+        return np.array(
+            [[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]]
+        )
 
     def rays(self) -> tuple[Doubles, Doubles]:
         """Return x/z of every column (cols,) and y/z of every row (rows,): K^-1 (u, v, 1)."""
@@ -76,28 +85,47 @@ class Camera:
     def back_project_at(self, x_px: NDArray[Any], y_px: NDArray[Any], z_mm: Doubles) -> Doubles:
         """Return the points (..., 3) in the sensor frame of depths (...) at image positions."""
         return np.stack(
-            [(x_px - self.cx_px) / self.fx_px * z_mm, (y_px - self.cy_px) / self.fy_px * z_mm, z_mm], axis=-1
+            [
+                (x_px - self.cx_px) / self.fx_px * z_mm,
+                (y_px - self.cy_px) / self.fy_px * z_mm,
+                z_mm,
+            ],
+            axis=-1,
         )
 
     def project(self, points_mm: ArrayLike) -> tuple[Doubles, Doubles, Mask]:
-        """Return (x_px, y_px, visible) of points (n, 3); points behind the lens or outside the image are invisible."""
+        """Return (x_px, y_px, visible) of points (n, 3).
+
+        Points behind the lens or outside the image are invisible.
+        """
         p = np.asarray(points_mm, dtype=np.float64)
         in_front = p[..., 2] > MIN_DEPTH_MM
         z = np.where(in_front, p[..., 2], 1.0)
         x_px = self.fx_px * p[..., 0] / z + self.cx_px
         y_px = self.fy_px * p[..., 1] / z + self.cy_px
-        inside = (x_px >= -0.5) & (x_px < self.cols - 0.5) & (y_px >= -0.5) & (y_px < self.rows - 0.5)
+        inside = (
+            (x_px >= -0.5) & (x_px < self.cols - 0.5) & (y_px >= -0.5) & (y_px < self.rows - 0.5)
+        )
         return x_px, y_px, in_front & inside
 
     def scale(self, factor: float) -> Camera:
-        """Return the same view with `factor` times as many pixels along each side, pixel areas aligned."""
+        """Return the same view with `factor` times as many pixels along each side, pixel areas
+        aligned.
+        """
         return self.resize(max(1, round(self.rows * factor)), max(1, round(self.cols * factor)))
 
     def resize(self, rows: int, cols: int) -> Camera:
         """Return the same view in `rows` x `cols` pixels, pixel areas aligned."""
-        sy, sx = rows / self.rows, cols / self.cols
-        return Camera(rows=rows, cols=cols, fx_px=self.fx_px * sx, fy_px=self.fy_px * sy,
-                      cx_px=(self.cx_px + 0.5) * sx - 0.5, cy_px=(self.cy_px + 0.5) * sy - 0.5)  # fmt: skip
+        sy = rows / self.rows
+        sx = cols / self.cols
+        return Camera(
+            rows=rows,
+            cols=cols,
+            fx_px=self.fx_px * sx,
+            fy_px=self.fy_px * sy,
+            cx_px=(self.cx_px + 0.5) * sx - 0.5,
+            cy_px=(self.cy_px + 0.5) * sy - 0.5,
+        )
 
     def crop(self, top: int, left: int, rows: int, cols: int) -> Camera:
         """Return the window of `rows` x `cols` pixels whose first pixel is (top, left)."""
@@ -105,7 +133,10 @@ class Camera:
 
 
 def make_camera(k: ArrayLike, rows: int, cols: int, what: str = "the camera matrix K") -> Camera:
-    """Return the camera of K (3, 3); raises CalibrationError when K is singular, skewed or not finite."""
+    """Return the camera of K (3, 3).
+
+    Raises CalibrationError when K is singular, skewed or not finite.
+    """
     m = np.asarray(k, dtype=np.float64)
     if m.shape != (3, 3):
         raise CalibrationError(f"{what} must be 3x3, got shape {m.shape}")
@@ -116,12 +147,20 @@ def make_camera(k: ArrayLike, rows: int, cols: int, what: str = "the camera matr
     m = m / m[2, 2]
     if abs(m[0, 1]) > 1e-6 * abs(m[0, 0]) or np.abs(m[[1, 2, 2], [0, 0, 1]]).max() > 0:
         raise CalibrationError(f"{what} must be upper triangular without skew, got {m.tolist()}")
-    camera = Camera(rows=rows, cols=cols, fx_px=m[0, 0], fy_px=m[1, 1], cx_px=m[0, 2], cy_px=m[1, 2])
-    least_px, sides_px = max(rows, cols) / WIDEST_VIEW, np.array([cols, rows])
-    is_lens = least_px <= min(camera.fx_px, camera.fy_px) and max(camera.fx_px, camera.fy_px) <= MOST_FOCAL_PX
+    camera = Camera(
+        rows=rows, cols=cols, fx_px=m[0, 0], fy_px=m[1, 1], cx_px=m[0, 2], cy_px=m[1, 2]
+    )
+    least_px = max(rows, cols) / WIDEST_VIEW
+    sides_px = np.array([cols, rows])
+    is_lens = (
+        least_px <= min(camera.fx_px, camera.fy_px)
+        and max(camera.fx_px, camera.fy_px) <= MOST_FOCAL_PX
+    )
     if not is_lens or (np.abs(m[:2, 2] - sides_px / 2) > MOST_OFFSET * sides_px).any():
         raise CalibrationError(
-            f"{what} cannot be that of an image of {cols} x {rows} px: focal lengths lie within {least_px:.3g} and "
-            f"{MOST_FOCAL_PX:.0e} px and the axis near the image, got {m[:2].tolist()}; check its unit and order"
+            f"{what} cannot be that of an image of {cols} x {rows} px: focal lengths lie within "
+            f"{least_px:.3g} and "
+            f"{MOST_FOCAL_PX:.0e} px and the axis near the image, got {m[:2].tolist()}; check its "
+            "unit and order"
         )
     return camera

@@ -1,7 +1,9 @@
-"""Signed distance of a mesh on a grid: coarse in the whole neighbourhood, fine blocks at the surface.
+"""Signed distance of a mesh on a grid: coarse in the whole neighbourhood, fine blocks at the
+surface.
 
-A look-up takes about 30 ns and is as exact as the fine step allows: on planes to 1e-4 mm, at an edge to a third of that
-step. A registration looks up thousands of points, where a search tree would have to find correspondences.
+A look-up takes about 30 ns and is as exact as the fine step allows: on planes to 1e-4 mm, at an
+edge to a third of that step. A registration looks up thousands of points, where a search tree would
+have to find correspondences.
 """
 
 from __future__ import annotations
@@ -18,15 +20,21 @@ from pipeline.core.errors import MeshProblem
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.progress import SILENT, Progress
 
-OPEN_MESH_NOTE = "the mesh is not closed: inside and outside follow the orientation of its triangles"
+OPEN_MESH_NOTE = (
+    "the mesh is not closed: inside and outside follow the orientation of its triangles"
+)
 _CELLS = 8  # fine cells along a block's edge, as in the kernels
-_MIN_STEP_MM = 0.8  # coarse step: 0.1 mm at the surface, where a registration is within 1.2 of the possible accuracy
-_MAX_CELLS, _MAX_BLOCKS = 600_000, 7_000  # 5 MB and 10 MB
+# coarse step: 0.1 mm at the surface, where a registration is within 1.2 of the possible accuracy
+_MIN_STEP_MM = 0.8
+# 5 MB and 10 MB
+_MAX_CELLS = 600_000
+_MAX_BLOCKS = 7_000
 _MARGIN_MM = 3.0  # of grid around the object
 _BAND = 0.25  # of the coarse step, fine on both sides of the surface
 _OPEN_SHARE = 0.01  # share of grid lines that may miss a wall before the mesh counts as open
 _BATCH = 400  # blocks between two reports of progress
-_SHIFT = (0.00137, 0.00219, 0.00311)  # of a fine step: shifted lines do not hit the edges of axis-aligned meshes
+# of a fine step: shifted lines do not hit the edges of axis-aligned meshes
+_SHIFT = (0.00137, 0.00219, 0.00311)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,7 +44,8 @@ class DistanceGrid:
     origin_mm: Doubles  # (3,) of node (0, 0, 0)
     step_mm: float  # of the coarse lattice
     coarse_mm: Floats = field(repr=False)  # (nx, ny, nz)
-    block: Indices = field(repr=False)  # (nx - 1, ny - 1, nz - 1) -> number of the cell's fine block; -1 = none
+    # (nx - 1, ny - 1, nz - 1) -> number of the cell's fine block; -1 = none
+    block: Indices = field(repr=False)
     fine: NDArray[np.int16] = field(repr=False)  # (blocks, 9, 9, 9) in quanta
     quantum_mm: float
     notes: tuple[str, ...] = ()
@@ -48,7 +57,10 @@ class DistanceGrid:
         return (self.origin_mm, self.step_mm, self.coarse_mm.shape, *flat, self.quantum_mm)
 
     def at(self, points_mm: Doubles) -> tuple[Doubles, Doubles]:
-        """Return (distances (n,) in mm, gradients (n, 3)) at points (n, 3); NaN where a point is not finite."""
+        """Return (distances (n,) in mm, gradients (n, 3)) at points (n, 3).
+
+        NaN where a point is not finite.
+        """
         from pipeline.core.geometry.distance_grid_kernels import look_up_all
 
         found = np.empty((len(points_mm), 4))
@@ -57,10 +69,12 @@ class DistanceGrid:
 
 
 def build_grid(mesh: Mesh, progress: Progress = SILENT) -> DistanceGrid:
-    """Compute the grid of a mesh (a fraction of a second); raises MeshProblem when it has no surface.
+    """Compute the grid of a mesh (a fraction of a second).
 
-    Overlapping closed bodies count as their union. The inside of an open sheet follows the orientation of its
-    triangles.
+    Raises MeshProblem when it has no surface.
+
+    Overlapping closed bodies count as their union. The inside of an open sheet follows the
+    orientation of its triangles.
     """
     corners = _corners(mesh)
     origin, step_mm, cells = _choose_lattice(corners)
@@ -81,15 +95,22 @@ def build_grid(mesh: Mesh, progress: Progress = SILENT) -> DistanceGrid:
     block = np.full(cells, -1, dtype=np.int32)
     block[tuple(chosen[kept].T)] = np.arange(int(kept.sum()), dtype=np.int32)
     return DistanceGrid(
-        origin_mm=freeze(origin), step_mm=step_mm, coarse_mm=freeze(coarse.astype(np.float32)), block=freeze(block),
-        fine=freeze(fine[kept]), quantum_mm=quantum_mm, notes=surface.notes,
-    )  # fmt: skip
+        origin_mm=freeze(origin),
+        step_mm=step_mm,
+        coarse_mm=freeze(coarse.astype(np.float32)),
+        block=freeze(block),
+        fine=freeze(fine[kept]),
+        quantum_mm=quantum_mm,
+        notes=surface.notes,
+    )
 
 
 def _corners(mesh: Mesh) -> Doubles:
     vertices = np.asarray(mesh.vertices_mm, dtype=np.float64)
     if len(mesh.triangles) == 0 or not np.isfinite(vertices).all():
-        raise MeshProblem("the object mesh has no triangles, or vertices that are not finite; export it again")
+        raise MeshProblem(
+            "the object mesh has no triangles, or vertices that are not finite; export it again"
+        )
     corners = vertices[mesh.triangles]
     if not _area_mm2(corners) > 0:
         raise MeshProblem("every triangle of the object mesh has zero area; check its unit")
@@ -103,10 +124,12 @@ def _area_mm2(corners: Doubles) -> float:
 
 def _choose_lattice(corners: Doubles) -> tuple[Doubles, float, tuple[int, int, int]]:
     """Return (origin, coarse step, cells): the smallest step within the memory limit."""
-    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    low = corners.min(axis=(0, 1))
+    high = corners.max(axis=(0, 1))
     size = high - low + 2 * _MARGIN_MM
     by_cells = (float(size.prod()) / _MAX_CELLS) ** (1 / 3)
-    by_blocks = math.sqrt(2.2 * _area_mm2(corners) / _MAX_BLOCKS)  # a flat piece of a step squared touches about two
+    # a flat piece of a step squared touches about two
+    by_blocks = math.sqrt(2.2 * _area_mm2(corners) / _MAX_BLOCKS)
     step_mm = max(_MIN_STEP_MM, by_cells, by_blocks)
     cells = np.ceil(size / step_mm).astype(int)
     nx, ny, nz = (int(n) for n in cells)
@@ -114,7 +137,9 @@ def _choose_lattice(corners: Doubles) -> tuple[Doubles, float, tuple[int, int, i
 
 
 def _lattice_nodes(first: tuple[int, ...], shape: tuple[int, ...]) -> NDArray[np.int64]:
-    axes = np.meshgrid(*(np.arange(a, a + n) for a, n in zip(first, shape, strict=True)), indexing="ij")
+    axes = np.meshgrid(
+        *(np.arange(a, a + n) for a, n in zip(first, shape, strict=True)), indexing="ij"
+    )
     return np.stack([axis.ravel() for axis in axes], axis=-1)
 
 
@@ -130,38 +155,51 @@ class _Surface:
     notes: tuple[str, ...]
 
     @classmethod
-    def from_triangles(cls, corners: Doubles, step_mm: float, cells: tuple[int, int, int]) -> _Surface:
+    def from_triangles(
+        cls, corners: Doubles, step_mm: float, cells: tuple[int, int, int]
+    ) -> _Surface:
         """Build from triangles (m, 3, 3) in fine steps."""
         shape = np.array([_CELLS * n + 1 for n in cells])
         lines = [_find_line_crossings(corners, axis, shape) for axis in range(3)]
         crossed, unbalanced, odd = np.sum([_count_lines(*line) for line in lines], axis=0)
         is_open = bool(odd > _OPEN_SHARE * max(int(crossed), 1))
         return cls(
-            faces=_faces(corners * (step_mm / _CELLS)), lines=() if is_open else tuple(lines),
-            by_parity=bool(unbalanced > _OPEN_SHARE * max(int(crossed), 1)), step_mm=step_mm, cells=cells,
+            faces=_faces(corners * (step_mm / _CELLS)),
+            lines=() if is_open else tuple(lines),
+            by_parity=bool(unbalanced > _OPEN_SHARE * max(int(crossed), 1)),
+            step_mm=step_mm,
+            cells=cells,
             notes=(OPEN_MESH_NOTE,) if is_open else (),
-        )  # fmt: skip
+        )
 
     def list_blocks(self) -> tuple[NDArray[np.int64], tuple[Any, Any, Any]]:
-        """Return coarse cells (n, 3) within reach of the surface's band, and (number of each cell, first, faces).
+        """Return coarse cells (n, 3) within reach of the surface's band, and (number of each cell,
+        first, faces).
 
         The lists hold the faces that can be nearest to some node of a cell.
         """
         from pipeline.core.geometry.distance_build_kernels import visit_cells
 
-        half_diagonal, n_cells = self.step_mm * math.sqrt(3.0) / 2, math.prod(self.cells)
-        reach_mm, square = half_diagonal + _BAND * self.step_mm, np.full(n_cells, np.inf)
-        number, first = np.full(n_cells, -1, dtype=np.int32), np.zeros(1, np.int64)
-        none, no_faces, no_limit = np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0)
+        half_diagonal = self.step_mm * math.sqrt(3.0) / 2
+        n_cells = math.prod(self.cells)
+        reach_mm = half_diagonal + _BAND * self.step_mm
+        square = np.full(n_cells, np.inf)
+        number = np.full(n_cells, -1, dtype=np.int32)
+        first = np.zeros(1, np.int64)
+        none = np.zeros(0, np.int64)
+        no_faces = np.zeros(0, np.int32)
+        no_limit = np.zeros(0)
         seen = (self.faces, self.cells, self.step_mm)
         visit_cells(*seen, reach_mm, square, number, no_limit, none, none, no_faces)
         which = np.flatnonzero(square <= reach_mm**2)
         number[which] = np.arange(which.size, dtype=np.int32)
         limit_mm = (np.sqrt(square[which]) + 2 * half_diagonal) * (1.0 + 1e-9)
-        count, most_mm = np.zeros(which.size, np.int64), float(limit_mm.max(initial=0.0))
+        count = np.zeros(which.size, np.int64)
+        most_mm = float(limit_mm.max(initial=0.0))
         visit_cells(*seen, most_mm, square, number, limit_mm, count, none, no_faces)
         first = np.concatenate([first, np.cumsum(count)])
-        faces_of, count[:] = np.empty(first[-1], np.int32), 0
+        faces_of = np.empty(first[-1], np.int32)
+        count[:] = 0
         visit_cells(*seen, most_mm, square, number, limit_mm, count, first, faces_of)
         chosen = np.stack(np.unravel_index(which, self.cells), axis=-1).astype(np.int64)
         return chosen, (number, first, faces_of)
@@ -172,23 +210,40 @@ class _Surface:
         return np.full(shape, -1, dtype=np.int32), np.full(shape, np.inf)
 
     def measure_block_distances(
-        self, chosen: NDArray[np.int64], lists: tuple[Any, Any, Any], start: int, sweeping: tuple[Indices, Doubles]
+        self,
+        chosen: NDArray[np.int64],
+        lists: tuple[Any, Any, Any],
+        start: int,
+        sweeping: tuple[Indices, Doubles],
     ) -> Doubles:
-        """Return signed distances (n, 9, 9, 9) of the blocks `chosen`, the first of which has number `start`."""
+        """Return signed distances (n, 9, 9, 9) of the blocks `chosen`, the first of which has
+        number `start`.
+        """
         from pipeline.core.geometry.distance_build_kernels import measure_blocks
 
         size = (len(chosen), *(_CELLS + 1,) * 3)
-        lengths, nearest = np.empty(size), np.empty(size, dtype=np.int32)
+        lengths = np.empty(size)
+        nearest = np.empty(size, dtype=np.int32)
         _, first, faces_of = lists
         longest = int(np.diff(first).max())
-        room, fine_mm = (np.empty(longest, np.int32), np.empty(longest)), self.step_mm / _CELLS
-        measure_blocks(self.faces, chosen, first, faces_of, fine_mm, start, room, (lengths, nearest), sweeping)
-        nodes = (_CELLS * chosen[:, None] + _lattice_nodes((0, 0, 0), size[1:])[None]).reshape(-1, 3)
+        room = (np.empty(longest, np.int32), np.empty(longest))
+        fine_mm = self.step_mm / _CELLS
+        measure_blocks(
+            self.faces, chosen, first, faces_of, fine_mm, start, room, (lengths, nearest), sweeping
+        )
+        nodes = (_CELLS * chosen[:, None] + _lattice_nodes((0, 0, 0), size[1:])[None]).reshape(
+            -1, 3
+        )
         return np.where(self._inside(nodes, nearest.reshape(-1)).reshape(size), -lengths, lengths)
 
-    def sweep_coarse_nodes(self, lists: tuple[Any, Any, Any], sweeping: tuple[Indices, Doubles]) -> Doubles:
+    def sweep_coarse_nodes(
+        self, lists: tuple[Any, Any, Any], sweeping: tuple[Indices, Doubles]
+    ) -> Doubles:
         """Return signed distances of all coarse nodes, propagated from the measured ones."""
-        from pipeline.core.geometry.distance_build_kernels import refine_nearest_faces, sweep_nearest_faces
+        from pipeline.core.geometry.distance_build_kernels import (
+            refine_nearest_faces,
+            sweep_nearest_faces,
+        )
 
         nearest, square = sweeping
         sweep_nearest_faces(self.faces, self.step_mm, nearest, square)
@@ -202,8 +257,12 @@ class _Surface:
 
         if not self.lines:
             face = self.faces[nearest]
-            return np.einsum("ij,ij->i", face[:, 12:15], nodes * (self.step_mm / _CELLS) - face[:, :3]) < 0.0
-        votes, shape = np.zeros(len(nodes), dtype=np.int8), np.array([_CELLS * n + 1 for n in self.cells])
+            return (
+                np.einsum("ij,ij->i", face[:, 12:15], nodes * (self.step_mm / _CELLS) - face[:, :3])
+                < 0.0
+            )
+        votes = np.zeros(len(nodes), dtype=np.int8)
+        shape = np.array([_CELLS * n + 1 for n in self.cells])
         for axis, (first, where, sign) in enumerate(self.lines):
             vote_inside(nodes, axis, shape, first, where, sign, self.by_parity, votes)
         return votes >= 2
@@ -211,33 +270,45 @@ class _Surface:
 
 def _faces(corners: Doubles) -> Doubles:
     """Return (m, 19) of triangles (m, 3, 3), as the kernels define it."""
-    a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    a = corners[:, 0]
+    b = corners[:, 1] - corners[:, 0]
+    c = corners[:, 2] - corners[:, 0]
     across = np.cross(b, c)
     length = np.linalg.norm(across, axis=1, keepdims=True)
     middle = a + (b + c) / 3.0
-    products = [np.einsum("ij,ij->i", one, other)[:, None] for one, other in ((b, b), (b, c), (c, c))]
+    products = [
+        np.einsum("ij,ij->i", one, other)[:, None] for one, other in ((b, b), (b, c), (c, c))
+    ]
     reach = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1, keepdims=True)
-    return np.hstack([a, b, c, *products, across / np.where(length > 0, length, 1.0), middle, reach])
+    return np.hstack(
+        [a, b, c, *products, across / np.where(length > 0, length, 1.0), middle, reach]
+    )
 
 
 def _find_line_crossings(
     corners: Doubles, axis: int, shape: NDArray[np.int64]
 ) -> tuple[Indices, Floats, NDArray[np.int8]]:
-    """Return (first (lines + 1,), where, sign) of crossings of grid lines along an axis with triangles."""
+    """Return (first (lines + 1,), where, sign) of crossings of grid lines along an axis with
+    triangles.
+    """
     from pipeline.core.geometry.distance_grid_kernels import find_crossings
 
     count = np.zeros(int(shape[axis - 2] * shape[axis - 1]), np.int32)
-    none, shift = (np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros(0, np.int8)), np.array(_SHIFT)
+    none = (np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros(0, np.int8))
+    shift = np.array(_SHIFT)
     find_crossings(corners, axis, shape, shift, count, *none)
     first = np.concatenate([[0], np.cumsum(count)]).astype(np.int32)
-    where, sign = np.empty(first[-1], np.float32), np.empty(first[-1], np.int8)
+    where = np.empty(first[-1], np.float32)
+    sign = np.empty(first[-1], np.int8)
     count[:] = 0
     find_crossings(corners, axis, shape, shift, count, first, where, sign)
     return first, where, sign
 
 
 def _count_lines(first: Indices, _where: Floats, sign: NDArray[np.int8]) -> tuple[int, int, int]:
-    """Count lines that cross anything, end with another winding than they begin, or cross an odd number of walls."""
+    """Count lines that cross anything, end with another winding than they begin, or cross an odd
+    number of walls.
+    """
     count = np.diff(first)
     total = np.bincount(np.repeat(np.arange(count.size), count), sign, count.size)
     return int((count > 0).sum()), int((total != 0).sum()), int((count % 2).sum())

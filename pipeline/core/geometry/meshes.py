@@ -16,10 +16,15 @@ from pipeline.core.geometry import urdf
 from pipeline.core.geometry.polygons import triangulate_polygon
 from pipeline.core.units import UNIT_MM
 
-SMALLEST_MM, LARGEST_MM = 1.0, 400.0  # extents of objects that a fingertip can touch: a screw to a long tool
-_SMALLEST_CERTAIN_MM = 5.0  # a contact is larger than anything below, which is mostly in cm, inches or metres
+# extents of objects that a fingertip can touch: a screw to a long tool
+SMALLEST_MM = 1.0
+LARGEST_MM = 400.0
+# a contact is larger than anything below, which is mostly in cm, inches or metres
+_SMALLEST_CERTAIN_MM = 5.0
 _MERGE_MM = 1e-6  # STL repeats each vertex in float32; true neighbours lie micrometres apart
-_HEADER, _TRIANGLE = 84, 50  # bytes of a binary STL
+# bytes of a binary STL
+_HEADER = 84
+_TRIANGLE = 50
 _MAX_VERTICES = 1 << 30
 
 
@@ -37,16 +42,20 @@ class UnitProblem(MeshProblem):
 
     def __init__(self, size: str, fits: tuple[str, ...], path: Path) -> None:
         """Build the sentence from a description of the size."""
-        self.size, self.fits, self.path = size, fits, path
+        self.size = size
+        self.fits = fits
+        self.path = path
         super().__init__(f"{size}; try --mesh-unit {' or '.join(fits)}: '{path}'")
 
 
 def load_mesh(path: Path, unit: str = "auto") -> Mesh:
-    """Load an STL, PLY or OBJ file in mm, duplicate vertices merged and triangles without area dropped.
+    """Load an STL, PLY or OBJ file in mm, duplicate vertices merged and triangles without area
+    dropped.
 
-    `unit` is the file's: "mm", "cm", "m", "in", or "auto", which takes mm when the largest extent then lies within 5
-    and 400 mm and refuses anything else, since no mesh file states its unit. A URDF names the mesh and its scale in
-    metres. Raises FileProblem when the file cannot be read, MeshProblem when it is empty, damaged or in a wrong unit.
+    `unit` is the file's: "mm", "cm", "m", "in", or "auto", which takes mm when the largest extent
+    then lies within 5 and 400 mm and refuses anything else, since no mesh file states its unit. A
+    URDF names the mesh and its scale in metres. Raises FileProblem when the file cannot be read,
+    MeshProblem when it is empty, damaged or in a wrong unit.
     """
     given = path = Path(path)
     if unit != "auto" and unit not in UNIT_MM:
@@ -54,11 +63,14 @@ def load_mesh(path: Path, unit: str = "auto") -> Mesh:
     stretch = np.ones(3)
     if path.suffix.lower() == urdf.SUFFIX:
         path, factors = urdf.read_mesh_place(path)
-        stretch, unit = np.array(factors), "m" if unit == "auto" else unit
+        stretch = np.array(factors)
+        unit = "m" if unit == "auto" else unit
     read = _READERS.get(path.suffix.lower())
     if read is None:
         raise FileProblem(
-            f"meshes are read from STL, PLY and OBJ files, and a URDF, not from {path.suffix or 'this'!r}", path
+            "meshes are read from STL, PLY and OBJ files, and a URDF, not from "
+            f"{path.suffix or 'this'!r}",
+            path,
         )
     vertices, triangles = read(read_bytes(path, "the mesh"), path)
     validate_mesh(vertices, triangles, path)
@@ -80,7 +92,10 @@ def validate_mesh(vertices: Doubles, triangles: NDArray[np.integer], path: Path)
 
 
 def sample_surface(mesh: Mesh, n: int, seed: int) -> tuple[Doubles, Doubles]:
-    """Return (points (n, 3) in mm, unit normals (n, 3)), uniform over the area; equal seeds give equal bytes."""
+    """Return (points (n, 3) in mm, unit normals (n, 3)), uniform over the area.
+
+    Equal seeds give equal bytes.
+    """
     corners = mesh.vertices_mm[mesh.triangles]  # (m, 3, 3)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     doubled = np.linalg.norm(normals, axis=1)
@@ -90,7 +105,8 @@ def sample_surface(mesh: Mesh, n: int, seed: int) -> tuple[Doubles, Doubles]:
     chosen = rng.choice(len(corners), size=n, p=doubled / doubled.sum())
     u, v = rng.random((2, n))
     folded = u + v > 1.0  # the far half of the parallelogram is folded back onto the triangle
-    u, v = np.where(folded, 1.0 - u, u)[:, None], np.where(folded, 1.0 - v, v)[:, None]
+    u = np.where(folded, 1.0 - u, u)[:, None]
+    v = np.where(folded, 1.0 - v, v)[:, None]
     a, b, c = (corners[chosen, k] for k in range(3))
     return freeze(a + u * (b - a) + v * (c - a)), freeze(normals[chosen] / doubled[chosen, None])
 
@@ -113,7 +129,9 @@ def _find_scale(corners: Doubles, unit: str, path: Path) -> float:
     scale = UNIT_MM.get(unit, 1.0)
     if (SMALLEST_MM if unit != "auto" else _SMALLEST_CERTAIN_MM) <= extent * scale <= LARGEST_MM:
         return scale
-    fits = tuple(u for u in ("m", "cm", "mm", "in") if SMALLEST_MM <= extent * UNIT_MM[u] <= LARGEST_MM)
+    fits = tuple(
+        u for u in ("m", "cm", "mm", "in") if SMALLEST_MM <= extent * UNIT_MM[u] <= LARGEST_MM
+    )
     read_as = "mm" if unit == "auto" else unit
     size = f"the mesh is {extent * scale:.3g} mm large when read in {read_as}"
     if fits:
@@ -124,15 +142,19 @@ def _find_scale(corners: Doubles, unit: str, path: Path) -> float:
 def _clean_mesh(vertices: Doubles, triangles: Indices, path: Path) -> Mesh:
     rounded = np.rint(vertices / _MERGE_MM).astype(np.int64)
     _, first, same = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
-    kept, joined = vertices[first], same.reshape(-1)[triangles]
+    kept = vertices[first]
+    joined = same.reshape(-1)[triangles]
     a, b, c = (kept[joined[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     joined = joined[area > 0]
     if not joined.size:
         raise MeshProblem(f"no triangle of the mesh has an area: '{path}'")
     used, renumbered = np.unique(joined, return_inverse=True)
-    return Mesh(vertices_mm=freeze(kept[used]), triangles=freeze(renumbered.reshape(-1, 3).astype(np.int32)),
-                name=path.stem)  # fmt: skip
+    return Mesh(
+        vertices_mm=freeze(kept[used]),
+        triangles=freeze(renumbered.reshape(-1, 3).astype(np.int32)),
+        name=path.stem,
+    )
 
 
 def _read_stl(data: bytes, path: Path) -> tuple[Doubles, Indices]:
@@ -141,19 +163,25 @@ def _read_stl(data: bytes, path: Path) -> tuple[Doubles, Indices]:
     # Some binary files begin with "solid" as text ones do, so the size decides.
     if len(data) == _HEADER + n * _TRIANGLE and len(data) >= _HEADER:
         facets = np.frombuffer(data, np.uint8, offset=_HEADER).reshape(n, _TRIANGLE)
-        corners = np.ascontiguousarray(facets[:, 12:48]).view("<f4")  # after the normal, before the colour
+        # after the normal, before the colour
+        corners = np.ascontiguousarray(facets[:, 12:48]).view("<f4")
         vertices = corners.reshape(-1, 3).astype(np.float64)
     elif data.lstrip()[:5].lower() == b"solid":
         vertices = _read_text_stl(data, path)
     else:
-        raise FileProblem(f"the STL file is cut short or damaged: {n} triangles do not make {len(data)} bytes", path)
+        raise FileProblem(
+            f"the STL file is cut short or damaged: {n} triangles do not make {len(data)} bytes",
+            path,
+        )
     return vertices, np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
 
 
 def _read_text_stl(data: bytes, path: Path) -> Doubles:
     lines = _split_lines(data)
     try:
-        vertices = np.array([[float(v) for v in w[1:4]] for w in lines if w[:1] == ["vertex"]], dtype=np.float64)
+        vertices = np.array(
+            [[float(v) for v in w[1:4]] for w in lines if w[:1] == ["vertex"]], dtype=np.float64
+        )
     except ValueError as error:
         raise FileProblem("the text STL has a vertex that is not three numbers", path) from error
     ended = any(w[:1] == ["endsolid"] for w in lines)
@@ -166,14 +194,18 @@ def _read_obj(data: bytes, path: Path) -> tuple[Doubles, Indices]:
     """Return vertices and faces of an OBJ, larger faces cut into triangles."""
     vertices: list[list[float]] = []
     triangles: list[tuple[int, ...]] = []
-    larger: list[tuple[int, list[int]]] = []  # (line, corners), which may come before their vertices
-    for number, words in enumerate(_split_lines(data.replace(b"\\\n", b" ").replace(b"\\\r\n", b" ")), start=1):
+    # (line, corners), which may come before their vertices
+    larger: list[tuple[int, list[int]]] = []
+    for number, words in enumerate(
+        _split_lines(data.replace(b"\\\n", b" ").replace(b"\\\r\n", b" ")), start=1
+    ):
         try:
             if words[:1] == ["v"]:
                 x, y, z = map(float, words[1:4])  # a weight or a colour may follow
                 vertices.append([x, y, z])
             elif words[:1] == ["f"]:
-                corners = [_parse_vertex_index(word, len(vertices)) for word in words[1:]]  # 3, 3/1, 3//2 or 3/1/2
+                # 3, 3/1, 3//2 or 3/1/2
+                corners = [_parse_vertex_index(word, len(vertices)) for word in words[1:]]
                 if len(corners) < 3:
                     raise ValueError("a face of fewer than three corners")
                 if len(corners) == 3:
@@ -181,15 +213,21 @@ def _read_obj(data: bytes, path: Path) -> tuple[Doubles, Indices]:
                 else:
                     larger.append((number, corners))
         except (ValueError, OverflowError) as error:
-            raise FileProblem(f"line {number} of the OBJ file is no vertex and no face ({error})", path) from error
+            raise FileProblem(
+                f"line {number} of the OBJ file is no vertex and no face ({error})", path
+            ) from error
     points = np.array(vertices, np.float64).reshape(-1, 3)
     for number, corners in larger:
         if max(corners) >= len(points):
             raise MeshProblem(f"the mesh has triangles with invalid vertex indices: '{path}'")
         try:
-            triangles += [tuple(corners[k] for k in cut) for cut in triangulate_polygon(points[corners])]
+            triangles += [
+                tuple(corners[k] for k in cut) for cut in triangulate_polygon(points[corners])
+            ]
         except ValueError as error:
-            raise FileProblem(f"line {number} of the OBJ file has {error}; export triangles", path) from error
+            raise FileProblem(
+                f"line {number} of the OBJ file has {error}; export triangles", path
+            ) from error
     return points, np.array(triangles, np.int32).reshape(-1, 3)
 
 
@@ -213,7 +251,9 @@ def _read_ply(_data: bytes, path: Path) -> tuple[Doubles, Indices]:
         with library.utility.VerbosityContextManager(library.utility.VerbosityLevel.Error):
             mesh = library.io.read_triangle_mesh(str(path))
     except (UnicodeError, MemoryError) as error:
-        raise FileProblem("the PLY file cannot be read; its name must be UTF-8 and its size a mesh's", path) from error
+        raise FileProblem(
+            "the PLY file cannot be read; its name must be UTF-8 and its size a mesh's", path
+        ) from error
     vertices: NDArray[Any] = np.array(mesh.vertices, dtype=np.float64)
     triangles: NDArray[Any] = np.array(mesh.triangles, dtype=np.int32)
     return vertices.reshape(-1, 3), triangles.reshape(-1, 3)

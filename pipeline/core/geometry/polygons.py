@@ -1,4 +1,6 @@
-"""Cut planar polygons into triangles: a fan where they are convex, else ear by ear (Meisters 1975)."""
+"""Cut planar polygons into triangles: a fan where they are convex, else ear by ear (Meisters
+1975).
+"""
 
 import numpy as np
 
@@ -12,22 +14,24 @@ _ROUNDING = 1e-9  # of the polygon's area
 def triangulate_polygon(points: Doubles) -> list[Triangle]:
     """Triangles (corner numbers) that cover a polygon (n, 3) of 3 or more corners, turned as it is.
 
-    Corners on a line give triangles without an area. Raises ValueError for a concave polygon that crosses itself or has
-    more than `MOST_CORNERS` corners.
+    Corners on a line give triangles without an area. Raises ValueError for a concave polygon that
+    crosses itself or has more than `MOST_CORNERS` corners.
     """
     n = len(points)
     fan = [(0, k, k + 1) for k in range(1, n - 1)]
     if n == 3:
         return fan
     centred = points - points.mean(axis=0)
-    normal = np.cross(centred, np.roll(centred, -1, axis=0)).sum(axis=0)  # twice the area, by Newell's method
+    # twice the area, by Newell's method
+    normal = np.cross(centred, np.roll(centred, -1, axis=0)).sum(axis=0)
     doubled_area = float(np.linalg.norm(normal))
     if not doubled_area > 0.0:
         return fan  # without an area, however it is cut
     across = np.eye(3)[np.abs(normal).argmin()]
     right = np.cross(across, normal / doubled_area)
     right /= np.linalg.norm(right)
-    flat = centred @ np.stack([right, np.cross(normal / doubled_area, right)], axis=1)  # (n, 2), counter-clockwise
+    # corners in the plane, counter-clockwise
+    flat = centred @ np.stack([right, np.cross(normal / doubled_area, right)], axis=1)
     tolerance = _ROUNDING * doubled_area
     turns = _cross(np.roll(flat, 1, axis=0), flat, np.roll(flat, -1, axis=0))
     if (turns >= -tolerance).all() and _goes_round_once(flat):
@@ -42,31 +46,44 @@ def triangulate_polygon(points: Doubles) -> list[Triangle]:
 
 
 def _cut_ears(flat: Doubles, tolerance: float) -> list[Triangle]:
-    left, triangles, at, n_tried = list(range(len(flat))), list[Triangle](), 0, 0
+    left = list(range(len(flat)))
+    triangles = list[Triangle]()
+    at = 0
+    n_tried = 0
     while len(left) > 3:
-        before, tip, after = left[at - 1], left[at], left[(at + 1) % len(left)]
+        before = left[at - 1]
+        tip = left[at]
+        after = left[(at + 1) % len(left)]
         turn = float(_cross(flat[before], flat[tip], flat[after]))
         others = flat[[k for k in left if k not in (before, tip, after)]]
-        if abs(turn) <= tolerance or (turn > 0.0 and not _holds_any(flat[[before, tip, after]], others)):
+        if abs(turn) <= tolerance or (
+            turn > 0.0 and not _holds_any(flat[[before, tip, after]], others)
+        ):
             triangles.append((before, tip, after))
             del left[at]
-            at, n_tried = at % len(left), 0
+            at = at % len(left)
+            n_tried = 0
             continue
-        at, n_tried = (at + 1) % len(left), n_tried + 1
+        at = (at + 1) % len(left)
+        n_tried = n_tried + 1
         if n_tried > len(left):
             raise ValueError("a face that crosses itself")
     return [*triangles, (left[0], left[1], left[2])]
 
 
 def _holds_any(triangle: Doubles, points: Doubles) -> bool:
-    """Whether points other than its corners lie in a counter-clockwise triangle (3, 2) or on its sides."""
+    """Whether points other than its corners lie in a counter-clockwise triangle (3, 2) or on its
+    sides.
+    """
     points = points[~(points[:, None] == triangle[None]).all(axis=2).any(axis=1)]
     sides = [_cross(triangle[k], triangle[(k + 1) % 3], points) for k in range(3)]
     return bool((np.minimum.reduce(sides) >= 0.0).any())
 
 
 def _goes_round_once(flat: Doubles) -> bool:
-    """Whether the edges of a polygon without right turns turn by one circle, not by two as those of a star."""
+    """Whether the edges of a polygon without right turns turn by one circle, not by two as those
+    of a star.
+    """
     edges = np.roll(flat, -1, axis=0) - flat
     edges = edges[(edges != 0.0).any(axis=1)]
     angles = np.arctan2(edges[:, 1], edges[:, 0])
@@ -76,5 +93,6 @@ def _goes_round_once(flat: Doubles) -> bool:
 
 def _cross(a: Doubles, b: Doubles, c: Doubles) -> Doubles:
     """Twice the signed area of triangles a, b, c of points (..., 2)."""
-    u, v = b - a, c - a
+    u = b - a
+    v = c - a
     return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]

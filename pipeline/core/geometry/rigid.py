@@ -1,7 +1,7 @@
 """Rigid transforms SE(3) as 4x4 matrices in millimetres, composed in float64.
 
-`target_from_source` maps points given in the source frame to the target frame: `target_from_source =
-target_from_alignment @ alignment_from_source`.
+`target_from_source` maps points given in the source frame to the target frame: `target_from_source
+= target_from_alignment @ alignment_from_source`.
 """
 
 import math
@@ -12,8 +12,10 @@ from numpy.typing import ArrayLike
 from pipeline.core.arrays import Doubles
 from pipeline.core.errors import CalibrationError
 
-ORTHONORMAL_TOLERANCE = 1e-5  # largest entry of R^T R - I; float32 files keep 1e-6, hand-typed ones less
-MAX_TRANSLATION_MM = 1000.0  # between two sensors that feel the same touch, or one and what it touches
+# largest entry of R^T R - I; float32 files keep 1e-6, hand-typed ones less
+ORTHONORMAL_TOLERANCE = 1e-5
+# between two sensors that feel the same touch, or one and what it touches
+MAX_TRANSLATION_MM = 1000.0
 _STRAIGHT_RAD = 1e-9  # a smaller rotation is a translation within rounding
 _SMALL_ANGLE_RAD = 1e-4  # below it the series is exact to double precision
 
@@ -26,11 +28,14 @@ def translation(x_mm: float, y_mm: float, z_mm: float) -> Doubles:
 
 
 def rotation(rotation_vector_rad: ArrayLike) -> Doubles:
-    """The rotations (..., 4, 4) about vectors (..., 3) by their lengths in radians (exponential map, Rodrigues)."""
+    """The rotations (..., 4, 4) about vectors (..., 3) by their lengths in radians (exponential
+    map, Rodrigues).
+    """
     w = np.asarray(rotation_vector_rad, dtype=np.float64)
     angle = np.sqrt((w * w).sum(axis=-1))[..., None, None]
     k = cross_matrix(w)
-    small, safe = angle < _SMALL_ANGLE_RAD, np.maximum(angle, _SMALL_ANGLE_RAD)
+    small = angle < _SMALL_ANGLE_RAD
+    safe = np.maximum(angle, _SMALL_ANGLE_RAD)
     a = np.where(small, 1.0 - angle**2 / 6.0, np.sin(safe) / safe)
     b = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
     matrix = np.zeros((*w.shape[:-1], 4, 4))
@@ -42,19 +47,37 @@ def rotation(rotation_vector_rad: ArrayLike) -> Doubles:
 def cross_matrix(vectors: Doubles) -> Doubles:
     """The matrices (..., 3, 3) that multiply as the cross product with vectors (..., 3)."""
     matrix = np.zeros((*vectors.shape, 3))
-    matrix[..., (2, 0, 1), (1, 2, 0)], matrix[..., (1, 2, 0), (2, 0, 1)] = vectors, -vectors
+    matrix[..., (2, 0, 1), (1, 2, 0)] = vectors
+    matrix[..., (1, 2, 0), (2, 0, 1)] = -vectors
     return matrix
 
 
 def rotation_vector_rad(matrix: ArrayLike) -> Doubles:
-    """The rotation vector (3,) of a transform: logarithm by way of the quaternion, exact at 0 and at pi."""
+    """The rotation vector (3,) of a transform: logarithm by way of the quaternion, exact at 0
+    and at pi.
+    """
     r = np.asarray(matrix, dtype=np.float64)[:3, :3]
     # The largest squared quaternion component comes first: no division by ~0.
-    q_sq = np.array([1 + r[0, 0] + r[1, 1] + r[2, 2], 1 + r[0, 0] - r[1, 1] - r[2, 2],
-                     1 - r[0, 0] + r[1, 1] - r[2, 2], 1 - r[0, 0] - r[1, 1] + r[2, 2]])  # fmt: skip
-    wx, wy, wz = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
-    xy, xz, yz = r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1]
-    rows = ((q_sq[0], wx, wy, wz), (wx, q_sq[1], xy, xz), (wy, xy, q_sq[2], yz), (wz, xz, yz, q_sq[3]))
+    q_sq = np.array(
+        [
+            1 + r[0, 0] + r[1, 1] + r[2, 2],
+            1 + r[0, 0] - r[1, 1] - r[2, 2],
+            1 - r[0, 0] + r[1, 1] - r[2, 2],
+            1 - r[0, 0] - r[1, 1] + r[2, 2],
+        ]
+    )
+    wx = r[2, 1] - r[1, 2]
+    wy = r[0, 2] - r[2, 0]
+    wz = r[1, 0] - r[0, 1]
+    xy = r[0, 1] + r[1, 0]
+    xz = r[0, 2] + r[2, 0]
+    yz = r[1, 2] + r[2, 1]
+    rows = (
+        (q_sq[0], wx, wy, wz),
+        (wx, q_sq[1], xy, xz),
+        (wy, xy, q_sq[2], yz),
+        (wz, xz, yz, q_sq[3]),
+    )
     q = np.array(rows[int(np.argmax(q_sq))])
     q /= np.linalg.norm(q)
     if q[0] < 0:
@@ -65,14 +88,19 @@ def rotation_vector_rad(matrix: ArrayLike) -> Doubles:
 
 
 def from_parts(translation_mm: ArrayLike, rotation_deg: ArrayLike = (0.0, 0.0, 0.0)) -> Doubles:
-    """Return a transform from a translation and a rotation vector in degrees, as in alignment files."""
+    """Return a transform from a translation and a rotation vector in degrees, as in alignment
+    files.
+    """
     matrix = rotation(np.deg2rad(np.asarray(rotation_deg, dtype=np.float64)))
     matrix[:3, 3] = np.asarray(translation_mm, dtype=np.float64)
     return matrix
 
 
 def from_quaternion(translation_mm: ArrayLike, xyzw: ArrayLike) -> Doubles:
-    """Return a transform from a translation and a quaternion (x, y, z, w); CalibrationError for length 0."""
+    """Return a transform from a translation and a quaternion (x, y, z, w).
+
+    CalibrationError for length 0.
+    """
     q = np.asarray(xyzw, dtype=np.float64)
     largest = float(np.abs(q).max())
     if not 0.0 < largest < math.inf:
@@ -80,9 +108,11 @@ def from_quaternion(translation_mm: ArrayLike, xyzw: ArrayLike) -> Doubles:
     x, y, z, w = q / largest  # only its direction counts; squares neither overflow nor vanish
     s = 2.0 / (x * x + y * y + z * z + w * w)
     matrix = np.eye(4)
-    matrix[:3, :3] = [[1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
-                      [s * (x * y + z * w), 1 - s * (x * x + z * z), s * (y * z - x * w)],
-                      [s * (x * z - y * w), s * (y * z + x * w), 1 - s * (x * x + y * y)]]  # fmt: skip
+    matrix[:3, :3] = [
+        [1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
+        [s * (x * y + z * w), 1 - s * (x * x + z * z), s * (y * z - x * w)],
+        [s * (x * z - y * w), s * (y * z + x * w), 1 - s * (x * x + y * y)],
+    ]
     matrix[:3, 3] = np.asarray(translation_mm, dtype=np.float64)
     return matrix
 
@@ -115,11 +145,14 @@ def rotation_angle_deg(matrix: Doubles) -> float:
 
 
 def apply_screw(pose: Doubles, motions: Doubles, about_mm: Doubles) -> Doubles:
-    """Return `pose` (..., 4, 4) after screw motions (..., 6), rotation rad and translation mm, of the sensor frame.
+    """Return `pose` (..., 4, 4) after screw motions (..., 6), rotation rad and translation mm, of
+    the sensor frame.
 
-    The full screw is followed, so a body of revolution rotated about its own axis stays in place at any distance.
+    The full screw is followed, so a body of revolution rotated about its own axis stays in place at
+    any distance.
     """
-    vectors, shifts = motions[..., :3], motions[..., 3:]
+    vectors = motions[..., :3]
+    shifts = motions[..., 3:]
     angles = np.linalg.norm(vectors, axis=-1, keepdims=True)
     safe = np.where(angles > _STRAIGHT_RAD, angles, 1.0)
     axes = np.where(angles > _STRAIGHT_RAD, vectors, 0.0) / safe
@@ -131,22 +164,33 @@ def apply_screw(pose: Doubles, motions: Doubles, about_mm: Doubles) -> Doubles:
 
 
 def poses_differ(a: Doubles, b: Doubles, at_mm: Doubles, mm: float, deg: float) -> bool:
-    """Return whether two poses differ by more than `mm` at a point of the sensor frame, or by more than `deg`."""
+    """Return whether two poses differ by more than `mm` at a point of the sensor frame, or by
+    more than `deg`.
+    """
     relative = a @ invert(b)
-    return bool(np.linalg.norm(apply(relative, at_mm) - at_mm) > mm or rotation_angle_deg(relative) > deg)
+    return bool(
+        np.linalg.norm(apply(relative, at_mm) - at_mm) > mm or rotation_angle_deg(relative) > deg
+    )
 
 
 def validate_within_reach(matrix: ArrayLike, what: str) -> Doubles:
-    """Validate a rigid transform with a plausible translation, from a file; raises CalibrationError."""
+    """Validate a rigid transform with a plausible translation, from a file.
+
+    Raises CalibrationError.
+    """
     m = validate_rigid(matrix, what)
     far = float(np.abs(m[:3, 3]).max())
     if far > MAX_TRANSLATION_MM:
-        raise CalibrationError(f"{what} translates by {far:.3g} mm, it must lie within {MAX_TRANSLATION_MM:g} mm")
+        raise CalibrationError(
+            f"{what} translates by {far:.3g} mm, it must lie within {MAX_TRANSLATION_MM:g} mm"
+        )
     return m
 
 
 def validate_rigid(matrix: ArrayLike, what: str) -> Doubles:
-    """Return `matrix` as a proper rigid transform, its rotation exactly orthonormal; `what` names it in errors.
+    """Return `matrix` as a proper rigid transform, its rotation exactly orthonormal.
+
+    `what` names it in errors.
 
     Raises CalibrationError when it is not 4x4, not finite, mirrored, scaled or sheared.
     """
@@ -160,9 +204,13 @@ def validate_rigid(matrix: ArrayLike, what: str) -> Doubles:
     u, s, vt = np.linalg.svd(m[:3, :3])
     determinant = float(np.linalg.det(m[:3, :3]))
     if determinant < 0:
-        raise CalibrationError(f"{what} mirrors space (determinant {determinant:.3f}); swap or flip one axis")
+        raise CalibrationError(
+            f"{what} mirrors space (determinant {determinant:.3f}); swap or flip one axis"
+        )
     if np.abs(s - 1.0).max() > ORTHONORMAL_TOLERANCE:
-        raise CalibrationError(f"{what} must not scale or shear (singular values {np.round(s, 6).tolist()})")
+        raise CalibrationError(
+            f"{what} must not scale or shear (singular values {np.round(s, 6).tolist()})"
+        )
     m[:3, :3] = u @ vt
     m[3] = (0.0, 0.0, 0.0, 1.0)
     return m

@@ -10,7 +10,8 @@ from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.errors import SettingProblem
 from pipeline.core.geometry import rigid
 
-X, Z = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+X = (1.0, 0.0, 0.0)
+Z = (0.0, 0.0, 1.0)
 _ALONG_Z = 0.99
 _ROUNDING = 1e-9  # difference of entries of two equal rotation matrices
 
@@ -20,7 +21,8 @@ class Symmetry:
     """Rotations about the object's origin that leave its surface in place."""
 
     rotations: Doubles  # (n, 3, 3), the identity first
-    axis: Doubles | None = None  # (3,) unit: any rotation about it is a symmetry too; None = no such axis
+    # (3,) unit: any rotation about it is a symmetry too; None = no such axis
+    axis: Doubles | None = None
 
     @property
     def fold(self) -> int:
@@ -30,16 +32,18 @@ class Symmetry:
         return sum(abs(float(turn[2, 2]) - 1.0) < _ROUNDING for turn in self.rotations)
 
     def sample_rotations(self, step: float = 0.01) -> Doubles:
-        """Return all rotations (m, 3, 3), the identity first, for the MSSD of the BOP challenge (Hodan et al. 2020).
+        """Return all rotations (m, 3, 3), the identity first, for the MSSD of the BOP challenge
+        (Hodan et al. 2020).
 
-        Between neighbouring rotations about the axis no point of the object moves more than `step` of its diameter.
-        Raises SettingProblem when the step is not positive.
+        Between neighbouring rotations about the axis no point of the object moves more than `step`
+        of its diameter. Raises SettingProblem when the step is not positive.
         """
         if not step > 0:
             raise SettingProblem(f"the step of a symmetry must be above 0, got {step!r}")
         if self.axis is None:
             return self.rotations
-        # Points are within half a diameter of the axis, so 2 step radians move them by step diameters at most.
+        # Points are within half a diameter of the axis, so 2 step radians move them by step
+        # diameters at most.
         turned = _about(tuple(self.axis), max(1, math.ceil(math.pi / step)))
         return freeze((self.rotations[:, None] @ turned[None]).reshape(-1, 3, 3))
 

@@ -1,4 +1,7 @@
-"""The mesh that a URDF names, with its scale; lengths of a URDF are metres. Its own offsets are not applied."""
+"""The mesh that a URDF names, with its scale.
+
+Lengths of a URDF are metres. Its own offsets are not applied.
+"""
 
 import math
 from pathlib import Path
@@ -15,7 +18,8 @@ _MAX_SCALE = 1e6
 def read_mesh_place(path: Path) -> tuple[Path, tuple[float, float, float]]:
     """(mesh file, metres per unit along x, y and z) of a URDF with one mesh; raises FileProblem.
 
-    The file lies in the URDF's folder or in that of its package, one above; other places are refused.
+    The file lies in the URDF's folder or in that of its package, one above; other places are
+    refused.
     """
     content = read_bytes(path, "the URDF")
     if b"<!" in content.replace(b"<!--", b""):
@@ -31,12 +35,16 @@ def read_mesh_place(path: Path) -> tuple[Path, tuple[float, float, float]]:
     }
     if len(found) != 1:
         names = ", ".join(sorted(name for name, _ in found)) or "boxes, balls and cylinders alone"
-        raise FileProblem(f"the URDF must name one mesh, it has {names}; give that of the object itself", path)
+        raise FileProblem(
+            f"the URDF must name one mesh, it has {names}; give that of the object itself", path
+        )
     (name, text) = found.pop()
     try:
         x, y, z = (float(word) for word in text.split())
     except ValueError as error:
-        raise FileProblem(f"the scale of the URDF's mesh is no three numbers: {text!r}", path) from error
+        raise FileProblem(
+            f"the scale of the URDF's mesh is no three numbers: {text!r}", path
+        ) from error
     if not all(math.isfinite(s) and 0 < abs(s) < _MAX_SCALE for s in (x, y, z)):
         raise FileProblem(f"the scale of the URDF's mesh cannot be right: {text!r}", path)
     return _find_file(name, path), (x, y, z)
@@ -46,13 +54,20 @@ def format_urdf(file_name: str, scale: tuple[float, float, float]) -> str:
     """A URDF with one mesh."""
     factors = " ".join(f"{factor:.17g}" for factor in scale)
     mesh = f"<mesh filename={quoteattr(file_name)} scale={quoteattr(factors)}/>"
-    return f'<robot name="object"><link name="object"><visual><geometry>{mesh}</geometry></visual></link></robot>'
+    return (
+        '<robot name="object"><link '
+        f'name="object"><visual><geometry>{mesh}</geometry></visual></link></robot>'
+    )
 
 
 def _find_file(name: str, path: Path) -> Path:
     home = path.parent.resolve()
     package, _, inside = name.removeprefix("package://").partition("/")
-    names = [inside, f"{package}/{inside}"] if name.startswith("package://") else [name.removeprefix("file://")]
+    names = (
+        [inside, f"{package}/{inside}"]
+        if name.startswith("package://")
+        else [name.removeprefix("file://")]
+    )
     for folder in (home, home.parent):
         for one in names:
             file = (folder / one).resolve()

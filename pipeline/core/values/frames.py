@@ -23,15 +23,20 @@ class TactileFrame:
     """One frame of one sensor with its reference."""
 
     sensor: str
-    image: Image | Floats  # (rows, cols, 3) uint8 RGB, or (rows, cols) float32 depth in mm, NaN = no value
-    reference: Image | Floats | None  # the sensor without contact, same shape and type; None = not recorded
+    # (rows, cols, 3) uint8 RGB, or (rows, cols) float32 depth in mm, NaN = no value
+    image: Image | Floats
+    # the sensor without contact, same shape and type; None = not recorded
+    reference: Image | Floats | None
     index: int = 0
     time_s: float = math.nan
     origin: str = ""  # file and frame, for messages
     camera: Camera | None = None  # intrinsics of the recording; None = the sensor's
-    grasp_range: tuple[float, float] | None = None  # least and largest value in all fingers; None = one finger
-    context_frames: tuple[Image, ...] = ()  # other touches of the same instance, to estimate its illumination
-    stored_image: Image | None = None  # what the file holds where `image` was restored from it (a difference)
+    # least and largest value in all fingers; None = one finger
+    grasp_range: tuple[float, float] | None = None
+    # other touches of the same instance, to estimate its illumination
+    context_frames: tuple[Image, ...] = ()
+    # what the file holds where `image` was restored from it (a difference)
+    stored_image: Image | None = None
 
     @property
     def shown_image(self) -> Image | Floats:
@@ -51,8 +56,10 @@ class Truth:
     indentation_mm: Floats | None = None  # (rows, cols)
     contact: Mask | None = None  # (rows, cols) pressure > 0
     sensor_from_object: Doubles | None = None  # (4, 4) mm
-    grasp_from_sensor: Doubles | None = None  # (4, 4) mm, to the frame between two fingers, x along their closing
-    force_n: Doubles | None = None  # (3,) on the sensor: right, down, away from the camera (a press is < 0)
+    # (4, 4) mm, to the frame between two fingers, x along their closing
+    grasp_from_sensor: Doubles | None = None
+    # (3,) on the sensor: right, down, away from the camera (a press is < 0)
+    force_n: Doubles | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,7 +72,8 @@ class Stream:
     frame: Callable[[int], TactileFrame]  # raises FileProblem naming file, frame and field
     truth: Callable[[int], Truth | None] = lambda _i: None
     has_truth: bool = False
-    times_s: Doubles | None = None  # (n_frames,) by the recording's clock, NaN = unknown; None = no frame has a time
+    # (n_frames,) by the recording's clock, NaN = unknown; None = no frame has a time
+    times_s: Doubles | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,12 +97,19 @@ class Grasp:
     @property
     def name(self) -> str:
         """Tool and number, and the split where there is one."""
-        return " ".join(part for part in (self.tool, str(self.number), f"({self.split})" if self.split else "") if part)
+        return " ".join(
+            part
+            for part in (self.tool, str(self.number), f"({self.split})" if self.split else "")
+            if part
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recording:
-    """One or several sensors that record the same touches; `pairing` tells which frames are one moment."""
+    """One or several sensors that record the same touches.
+
+    `pairing` tells which frames are one moment.
+    """
 
     path: Path
     format: str  # for people: "tactoscope recording", "folder of images", ...
@@ -104,21 +119,29 @@ class Recording:
     notes: tuple[str, ...] = field(default=())  # sentences: what was assumed, converted or left out
     close: Callable[[], None] = lambda: None
     symmetry: Symmetry | None = None  # of the object; None = not known, and no poses count as equal
-    refresh: Callable[[], Recording] | None = None  # the recording with frames that came since; None = it does not grow
+    # the recording with frames that came since; None = it does not grow
+    refresh: Callable[[], Recording] | None = None
     alternatives: tuple[Path, ...] = ()  # the recordings of the same folder, where it holds several
     grasps: tuple[Grasp, ...] = ()  # one per frame index; () = the data set names none
-    find_pair_problem: Callable[[int], str] = lambda _i: ""  # why its frames are not of one touch; "" = fine
+    # why its frames are not of one touch; "" = fine
+    find_pair_problem: Callable[[int], str] = lambda _i: ""
 
     def stream(self, name_or_sensor: str = "") -> Stream:
-        """The stream with this name, else the first of this sensor, the first one for ""; raises SettingProblem."""
+        """The stream with this name, else the first of this sensor, the first one for "".
+
+        Raises SettingProblem.
+        """
         wanted = name_or_sensor.strip("/")  # as topics are written
         named = [s for s in self.streams if s.name == wanted]
         for stream in named or self.streams:
             if name_or_sensor in ("", stream.sensor) or stream in named:
                 return stream
-        names = ", ".join(sorted(f"{s.name!r}{f' of {s.sensor}' if s.sensor else ''}" for s in self.streams))
+        names = ", ".join(
+            sorted(f"{s.name!r}{f' of {s.sensor}' if s.sensor else ''}" for s in self.streams)
+        )
         raise SettingProblem(
-            f"no stream {name_or_sensor!r} in this recording; it has {names}; choose one with --stream"
+            f"no stream {name_or_sensor!r} in this recording; it has {names}; choose one with "
+            "--stream"
         )
 
     def stream_of_sensor(self, sensor: str) -> Stream | None:
@@ -126,14 +149,19 @@ class Recording:
         return next((s for s in self.streams if s.sensor == sensor), None)
 
     def find_partner(self, stream: str, sensor: str) -> Stream | None:
-        """The stream of a sensor that records the touches of another stream: its pair, else the sensor's first."""
+        """The stream of a sensor that records the touches of another stream: its pair, else the
+        sensor's first.
+        """
         paired = {pair.target for pair in self.pairings if pair.source == stream}
         paired |= {pair.source for pair in self.pairings if pair.target == stream}
         found = next((s for s in self.streams if s.sensor == sensor and s.name in paired), None)
         return found or self.stream_of_sensor(sensor)
 
     def target_from_source(self, source: str, target: str) -> Doubles | None:
-        """The transform (4, 4) in mm between two streams by name, in either direction; None if not known."""
+        """The transform (4, 4) in mm between two streams by name, in either direction.
+
+        None if not known.
+        """
         for pair in self.pairings:
             if (pair.source, pair.target) == (source, target):
                 return pair.target_from_source

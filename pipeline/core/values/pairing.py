@@ -1,7 +1,8 @@
-"""Pair the frames of two streams: the nearest in time, or equal numbers where a stream has no times.
+"""Pair the frames of two streams: the nearest in time, or equal numbers where a stream has no
+times.
 
-Two frames are one moment if they lie within half an interval of the faster stream, and each is the other's nearest. A
-frame that one stream lost, or that only the faster one recorded, has no partner.
+Two frames are one moment if they lie within half an interval of the faster stream, and each is the
+other's nearest. A frame that one stream lost, or that only the faster one recorded, has no partner.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ class FramePairs:
 
 def pair_frames(one: Stream, other: Stream) -> FramePairs:
     """Pair the frames of two streams of one recording; a stream with itself frame by frame."""
-    times, other_times = _get_times(one), _get_times(other)
+    times = _get_times(one)
+    other_times = _get_times(other)
     if times is None or other_times is None:
         n = min(one.n_frames, other.n_frames)
         partners = np.arange(one.n_frames, dtype=np.int32)
@@ -44,18 +46,24 @@ def pair_frames(one: Stream, other: Stream) -> FramePairs:
         note = "" if one.n_frames == other.n_frames else f"{counts}: the first {n} are paired"
         return FramePairs(partners=freeze(partners), note=note)
     partners = _pair_times(times, other_times)
-    return FramePairs(partners=partners, note=_describe_pairs(one, other, partners, times, other_times))
+    return FramePairs(
+        partners=partners, note=_describe_pairs(one, other, partners, times, other_times)
+    )
 
 
 def follow(one: Stream, other: Stream) -> Stream:
-    """The second stream by the frame numbers of the first: frame `i` is the partner of the first's frame `i`."""
-    partners, times = pair_frames(one, other).partners, other.times_s
+    """The second stream by the frame numbers of the first: frame `i` is the partner of the
+    first's frame `i`.
+    """
+    partners = pair_frames(one, other).partners
+    times = other.times_s
 
     def find(index: int) -> int:
         partner = int(partners[index]) if 0 <= index < len(partners) else NO_PARTNER
         if partner == NO_PARTNER:
             raise SettingProblem(
-                f"frame {index} of {one.name!r} has no partner: {other.name!r} recorded no frame at its time"
+                f"frame {index} of {one.name!r} has no partner: {other.name!r} recorded no frame "
+                "at its time"
             )
         return partner
 
@@ -65,12 +73,17 @@ def follow(one: Stream, other: Stream) -> Stream:
     def truth(index: int) -> Truth | None:
         return other.truth(find(index))
 
-    times = None if times is None else freeze(np.where(partners == NO_PARTNER, np.nan, times[partners]))
+    times = (
+        None if times is None else freeze(np.where(partners == NO_PARTNER, np.nan, times[partners]))
+    )
     return replace(other, n_frames=one.n_frames, frame=frame, truth=truth, times_s=times)
 
 
 def compute_interval_s(times_s: Doubles) -> float:
-    """The usual interval, which a lost frame does not change; NaN for fewer than two different times."""
+    """The usual interval, which a lost frame does not change.
+
+    NaN for fewer than two different times.
+    """
     steps = np.diff(np.sort(times_s[np.isfinite(times_s)]))
     steps = steps[steps > 0.0]
     return float(np.median(steps)) if steps.size else np.nan
@@ -79,17 +92,23 @@ def compute_interval_s(times_s: Doubles) -> float:
 def _get_times(stream: Stream) -> Doubles | None:
     """The times; None where all are equal or unknown and so tell no moment from another."""
     times = stream.times_s
-    if times is None or not np.isfinite(times).any() or (len(times) > 1 and np.isnan(compute_interval_s(times))):
+    if (
+        times is None
+        or not np.isfinite(times).any()
+        or (len(times) > 1 and np.isnan(compute_interval_s(times)))
+    ):
         return None
     return times
 
 
 def _pair_times(times: Doubles, other: Doubles) -> Indices:
     partners = np.full(len(times), NO_PARTNER, np.int32)
-    known, known_other = np.flatnonzero(np.isfinite(times)), np.flatnonzero(np.isfinite(other))
+    known = np.flatnonzero(np.isfinite(times))
+    known_other = np.flatnonzero(np.isfinite(other))
     order = known_other[np.argsort(other[known_other], kind="stable")]
     after = np.clip(np.searchsorted(other[order], times[known]), 1, max(len(order) - 1, 1))
-    pairs = np.stack([order[after - 1], order[np.minimum(after, len(order) - 1)]])  # (2, n) neighbours in time
+    # (2, n) neighbours in time
+    pairs = np.stack([order[after - 1], order[np.minimum(after, len(order) - 1)]])
     gaps = np.abs(other[pairs] - times[known])
     nearest = np.take_along_axis(pairs, gaps.argmin(axis=0)[None], axis=0)[0]
     gap = gaps.min(axis=0)
@@ -103,19 +122,34 @@ def _pair_times(times: Doubles, other: Doubles) -> Indices:
     return freeze(partners)
 
 
-def _describe_pairs(one: Stream, other: Stream, partners: Indices, times: Doubles, other_times: Doubles) -> str:
+def _describe_pairs(
+    one: Stream, other: Stream, partners: Indices, times: Doubles, other_times: Doubles
+) -> str:
     n = int((partners != NO_PARTNER).sum())
     if n == one.n_frames == other.n_frames:
         return ""
     if not n:
-        spans = " and ".join(f"{np.nanmin(t):.6g} to {np.nanmax(t):.6g} s" for t in (times, other_times))
+        spans = " and ".join(
+            f"{np.nanmin(t):.6g} to {np.nanmax(t):.6g} s" for t in (times, other_times)
+        )
         return StageWarning(
-            f"{one.name} and {other.name} share no moment (times of {spans}), so no frame is paired; check their clocks"
+            f"{one.name} and {other.name} share no moment (times of {spans}), so no frame is "
+            "paired; check their clocks"
         )
     rates_hz = [1.0 / compute_interval_s(t) for t in (times, other_times)]
-    differs = min(one.n_frames, other.n_frames) >= _MIN_FRAMES and abs(np.log(rates_hz[0] / rates_hz[1])) > _SAME_RATE
-    rates = f"{one.name} has {rates_hz[0]:.3g} Hz and {other.name} {rates_hz[1]:.3g} Hz: " if differs else ""
+    differs = (
+        min(one.n_frames, other.n_frames) >= _MIN_FRAMES
+        and abs(np.log(rates_hz[0] / rates_hz[1])) > _SAME_RATE
+    )
+    rates = (
+        f"{one.name} has {rates_hz[0]:.3g} Hz and {other.name} {rates_hz[1]:.3g} Hz: "
+        if differs
+        else ""
+    )
     alone = ", ".join(
         f"{stream.n_frames - n} of {stream.name}" for stream in (one, other) if stream.n_frames > n
-    )  # fmt: skip
-    return f"{rates}{n} frames of {one.name} and {other.name} are paired by their times; {alone} have no partner"
+    )
+    return (
+        f"{rates}{n} frames of {one.name} and {other.name} are paired by their times; {alone} "
+        "have no partner"
+    )

@@ -1,6 +1,7 @@
 """Results of the stages. Arrays are read-only; `notes` are sentences that the app shows.
 
-`source_index` points to the stage before (flat, C order; -1 = none), so that a pixel can be traced in both directions.
+`source_index` points to the stage before (flat, C order; -1 = none), so that a pixel can be traced
+in both directions.
 """
 
 import math
@@ -30,19 +31,25 @@ class DepthErrorModel:
 class DepthMap:
     """Indentation, depth and contact of a sensor's membrane, in that sensor's frame."""
 
-    indentation_mm: Floats  # (rows, cols) rest - depth: 0 at rest, positive toward the camera; NaN = no value
+    # (rows, cols) rest - depth: 0 at rest, positive toward the camera; NaN = no value
+    indentation_mm: Floats
     depth_mm: Floats  # (rows, cols) z of the membrane surface; NaN = no value
     contact: Mask  # (rows, cols) membrane touches the object (paper's M_S')
     camera: Camera  # of this grid
     source_index: Indices  # (rows, cols) -> pixel of the frame
     notes: tuple[str, ...] = ()
-    in_view: Mask | None = None  # (rows, cols) inside the field of view, where "no contact" is known; None = everywhere
+    # (rows, cols) inside the field of view, where "no contact" is known; None = everywhere
+    in_view: Mask | None = None
     error: DepthErrorModel | None = None  # of the measurement; None = not known
-    expected_error_mm: Floats | None = None  # (rows, cols) expected mean error; NaN = no value, None = not predicted
-    is_generated: bool = False  # by a network, not measured: no pixel is better known than `expected_error_mm`
-    # (rows, cols) z of the object, also where the membrane bridges it; NaN = not predicted, None = only in contact
+    # (rows, cols) expected mean error; NaN = no value, None = not predicted
+    expected_error_mm: Floats | None = None
+    # by a network, not measured: no pixel is better known than `expected_error_mm`
+    is_generated: bool = False
+    # (rows, cols) z of the object, also where the membrane bridges it; NaN = not predicted, None =
+    # only in contact
     object_depth_mm: Floats | None = None
-    # (rows, cols) z as a depth camera measured it, with its noise; NaN = no value, None = not measured directly
+    # (rows, cols) z as a depth camera measured it, with its noise; NaN = no value, None = not
+    # measured directly
     measured_depth_mm: Floats | None = None
 
     @property
@@ -58,7 +65,8 @@ class Cloud:
     points_mm: Floats  # (n, 3)
     source_index: Indices  # (n,) -> pixel of DepthMap
     grid_shape: tuple[int, int]  # of that DepthMap, to find neighbours
-    field_of_view_mm: Floats  # (4, 3) corners of the source's image on its surface, in order: nothing is known outside
+    # (4, 3) corners of the source's image on its surface, in order: nothing is known outside
+    field_of_view_mm: Floats
     stride: int = 1  # rows and columns between neighbouring points
     notes: tuple[str, ...] = ()
     error: DepthErrorModel | None = None  # of the source depth
@@ -75,14 +83,19 @@ class TargetDepth:
     source_index: Indices  # (rows, cols) -> point of Cloud
     in_view: Mask  # (rows, cols) inside the source's field of view, where "no contact" is known
     notes: tuple[str, ...] = ()
-    pixel_of_point: Indices | None = None  # (n,) of Cloud -> its pixel; -1 = outside, hidden or cut away
-    coverage: Floats | None = None  # (rows, cols) 0..1, share of each pixel in contact; None = not computed
+    # (n,) of Cloud -> its pixel; -1 = outside, hidden or cut away
+    pixel_of_point: Indices | None = None
+    # (rows, cols) 0..1, share of each pixel in contact; None = not computed
+    coverage: Floats | None = None
     error: DepthErrorModel | None = None  # of the source depth
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TouchStep:
-    """One denoising step of a generated touch, its expected result; or the touch of one pose of the object."""
+    """One denoising step of a generated touch, its expected result.
+
+    Or the touch of one pose of the object.
+    """
 
     image: Image | Floats  # as of GeneratedTouch
     sigma: float  # noise level in units of the correction; 0 = the sample, NaN = a pose's touch
@@ -98,14 +111,19 @@ class TouchStep:
 class GeneratedTouch:
     """The generated tactile image of the target, and its membrane where the method computes it."""
 
-    image: Image | Floats  # (rows, cols, 3) uint8 RGB, or (rows, cols) float32 depth_mm for a bubble
+    # (rows, cols, 3) uint8 RGB, or (rows, cols) float32 depth_mm for a bubble
+    image: Image | Floats
     camera: Camera
     source_index: Indices  # (rows, cols) -> pixel of the stage before; -1 everywhere if not known
-    in_view: Mask  # (rows, cols) as in TargetDepth; True for a method that generates outside the source's field of view
+    # (rows, cols) as in TargetDepth; True for a method that generates outside the source's field of
+    # view
+    in_view: Mask
     membrane: DepthMap | None = None  # of this image; None = only the image is known
     notes: tuple[str, ...] = ()
-    steps: tuple[TouchStep, ...] = field(default=(), metadata=UNDIGESTED)  # noisiest first; the best pose last
-    reference: Floats | None = None  # (rows, cols) mm, recorded reference of a bubble; None = described rest
+    # noisiest first; the best pose last
+    steps: tuple[TouchStep, ...] = field(default=(), metadata=UNDIGESTED)
+    # (rows, cols) mm, recorded reference of a bubble; None = described rest
+    reference: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,10 +138,14 @@ class PoseStep:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObjectPose:
-    """Pose of the object in the target frame; `sensor_from_object` is None where it cannot be estimated."""
+    """Pose of the object in the target frame.
+
+    `sensor_from_object` is None where it cannot be estimated.
+    """
 
     sensor_from_object: Doubles | None  # (4, 4) mm
-    covariance: Doubles | None = None  # (6, 6) of (rotation rad, translation mm) about the scene centroid
+    # (6, 6) of (rotation rad, translation mm) about the scene centroid
+    covariance: Doubles | None = None
     observable: Doubles | None = None  # (6, 6) projector onto the observable directions
     weak_directions: tuple[str, ...] = ()  # unobservable directions such as "slides along y"
     rmse_mm: float = math.nan
@@ -134,22 +156,35 @@ class ObjectPose:
     stop_reason: str = field(default="", metadata=UNDIGESTED)  # why the registration ended
     starts_tried: int = 0
     notes: tuple[str, ...] = ()
-    alternatives: tuple[Doubles, ...] = ()  # (4, 4) each, best first: other poses that fit this touch as well
+    # (4, 4) each, best first: other poses that fit this touch as well
+    alternatives: tuple[Doubles, ...] = ()
 
     @property
     def matrix(self) -> Doubles | None:
-        """`sensor_from_object` (4, 4): maps points of the object's mesh in mm to the target's frame."""
+        """`sensor_from_object` (4, 4): maps points of the object's mesh in mm to the target's
+        frame.
+        """
         return self.sensor_from_object
 
 
 def make_depth_map(
-    rest_mm: NDArray[np.floating], indentation_mm: Floats, contact: Mask, camera: Camera, notes: tuple[str, ...] = ()
+    rest_mm: NDArray[np.floating],
+    indentation_mm: Floats,
+    contact: Mask,
+    camera: Camera,
+    notes: tuple[str, ...] = (),
 ) -> DepthMap:
-    """The membrane that is indented (rows, cols) from its rest surface, with each pixel as its own source."""
+    """The membrane that is indented (rows, cols) from its rest surface, with each pixel as its
+    own source.
+    """
     return DepthMap(
-        indentation_mm=freeze(indentation_mm), depth_mm=freeze((rest_mm - indentation_mm).astype(np.float32)),
-        contact=freeze(contact), camera=camera, source_index=make_pixel_index(contact.shape), notes=notes,
-    )  # fmt: skip
+        indentation_mm=freeze(indentation_mm),
+        depth_mm=freeze((rest_mm - indentation_mm).astype(np.float32)),
+        contact=freeze(contact),
+        camera=camera,
+        source_index=make_pixel_index(contact.shape),
+        notes=notes,
+    )
 
 
 @derive_once

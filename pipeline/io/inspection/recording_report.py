@@ -66,7 +66,9 @@ def inspect_recording(
     depth_unit: DepthUnit = "auto",
     progress: Progress = SILENT,
 ) -> InspectionReport:
-    """Read every frame once and report content and checks of all streams or one; damaged frames fail a check.
+    """Read every frame once and report content and checks of all streams or one.
+
+    Damaged frames fail a check.
 
     Raises TouchError only where the recording cannot be opened.
     """
@@ -83,14 +85,20 @@ def inspect_recording(
         shown = (recording.stream(stream),) if stream else recording.streams
         signatures: dict[str, dict[int, ContactSignature]] = {s.name: {} for s in shown}
         reports = [
-            _inspect_stream(recording, s, _find_sensor(s.sensor, sensor), signatures[s.name], progress) for s in shown
+            _inspect_stream(
+                recording, s, _find_sensor(s.sensor, sensor), signatures[s.name], progress
+            )
+            for s in shown
         ]
         checks = [check for _, stream_checks in reports for check in stream_checks]
         checks += check_pairings(recording)
         checks += _check_grasps(recording)
         checks += _check_moments(recording, shown, signatures)
         if recording.object_mesh is not None:
-            checks += [check(recording.object_mesh, str(recording.path)) for check in (_check_size, _check_surface)]
+            checks += [
+                check(recording.object_mesh, str(recording.path))
+                for check in (_check_size, _check_surface)
+            ]
         return InspectionReport(
             path=recording.path,
             format=recording.format,
@@ -103,12 +111,22 @@ def inspect_recording(
 
 def format_report_lines(report: InspectionReport) -> list[str]:
     """The report as lines for a terminal."""
-    out = [f"{report.path}: {report.format}" + (", with the mesh of the object" if report.has_mesh else "")]
+    out = [
+        f"{report.path}: {report.format}"
+        + (", with the mesh of the object" if report.has_mesh else "")
+    ]
     for s in report.streams:
         size = f"{s.cols} x {s.rows} px {s.dtype}" if s.rows else "no readable frame"
-        timing = "no times" if math.isnan(s.duration_s) else f"{s.duration_s:.2f} s at {s.rate_hz:.1f} Hz"
+        timing = (
+            "no times"
+            if math.isnan(s.duration_s)
+            else f"{s.duration_s:.2f} s at {s.rate_hz:.1f} Hz"
+        )
         truth = f"truth: {', '.join(s.truth)}" if s.truth else "no truth"
-        out.append(f"  {s.name}: {s.sensor or 'unknown sensor'}, {s.n_frames} frames, {size}, {timing}, {truth}")
+        out.append(
+            f"  {s.name}: {s.sensor or 'unknown sensor'}, {s.n_frames} frames, {size}, {timing}, "
+            f"{truth}"
+        )
     out += [f"  {_STATE_LABELS[c.state]} {c.name}: {c.text}" for c in report.checks]
     return out + [f"  note: {note}" for note in report.notes]
 
@@ -117,38 +135,55 @@ def _check_grasps(recording: Recording) -> Iterator[Check]:
     """Check that the files of every grasp belong together; names those that do not."""
     if not recording.grasps:
         return
-    found = ((grasp, recording.find_pair_problem(index)) for index, grasp in enumerate(recording.grasps))
+    found = (
+        (grasp, recording.find_pair_problem(index)) for index, grasp in enumerate(recording.grasps)
+    )
     problems = [f"{grasp.name}: {problem}" for grasp, problem in found if problem]
     good = f"the files of {len(recording.grasps)} grasps belong together"
-    yield Check(name="grasps", state="fail" if problems else "pass", text="; ".join(problems) or good)
+    yield Check(
+        name="grasps", state="fail" if problems else "pass", text="; ".join(problems) or good
+    )
 
 
 def _check_moments(
-    recording: Recording, streams: Sequence[Stream], signatures: Mapping[str, Mapping[int, ContactSignature]]
+    recording: Recording,
+    streams: Sequence[Stream],
+    signatures: Mapping[str, Mapping[int, ContactSignature]],
 ) -> Iterator[Check]:
-    """Checks that streams have times in common, and recorded the same touches where this can be decided.
+    """Checks that streams have times in common, and recorded the same touches where this can be
+    decided.
 
-    Each stream is checked with those it has a known transform to, and with the first: all pairs would take a time that
-    grows with the square of their number.
+    Each stream is checked with those it has a known transform to, and with the first: all pairs
+    would take a time that grows with the square of their number.
     """
     by_name = {s.name: s for s in streams}
-    known = [(p.source, p.target) for p in recording.pairings if {p.source, p.target} <= by_name.keys()]
+    known = [
+        (p.source, p.target) for p in recording.pairings if {p.source, p.target} <= by_name.keys()
+    ]
     for names in dict.fromkeys([*((streams[0].name, s.name) for s in streams[1:]), *known]):
         one, other = (by_name[name] for name in names)
         pairs = pair_frames(one, other)
         if pairs.note:
             state = "fail" if isinstance(pairs.note, StageWarning) else "unknown"
-            yield Check(name=f"{one.name} with {other.name}", state=state, text=f"{pairs.note}: '{recording.path}'")
+            yield Check(
+                name=f"{one.name} with {other.name}",
+                state=state,
+                text=f"{pairs.note}: '{recording.path}'",
+            )
         result = synchrony.compare_moments(pairs, signatures[one.name], signatures[other.name])
         if result is not None:
             good = f"strength and place of {result.n_moments} moments agree"
-            state = "pass" if result.warning is None else ("fail" if result.lag_frames else "unknown")
+            state = (
+                "pass" if result.warning is None else ("fail" if result.lag_frames else "unknown")
+            )
             text = good if result.warning is None else f"{result.warning}: '{recording.path}'"
             yield Check(name=f"{one.name} with {other.name}", state=state, text=text)
 
 
 def _find_sensor(name: str, stated: str) -> SensorSpec | None:
-    """The description of a stream's sensor: the stated one if the names agree, else a known one, else None."""
+    """The description of a stream's sensor: the stated one if the names agree, else a known one,
+    else None.
+    """
     stated_sensor = load_sensor(stated) if stated else None
     if stated_sensor is not None and stated_sensor.name == name:
         return stated_sensor
@@ -168,7 +203,9 @@ def _inspect_stream(
     known: set[str] = set()
     first: TactileFrame | None = None
     for index in range(stream.n_frames):
-        progress.step(index / stream.n_frames, f"frame {index + 1} of {stream.n_frames} of {stream.name}")
+        progress.step(
+            index / stream.n_frames, f"frame {index + 1} of {stream.n_frames} of {stream.name}"
+        )
         frame, truth, problem = _read_frame(stream, index)
         if problem:
             checker.add_problem(problem)
@@ -178,17 +215,31 @@ def _inspect_stream(
             checker.add_frame(frame)
             signatures[index] = synchrony.compute_frame_signature(frame)
         if truth is not None:
-            known |= {n for n in ("indentation_mm", "contact", "sensor_from_object") if getattr(truth, n) is not None}
+            known |= {
+                n
+                for n in ("indentation_mm", "contact", "sensor_from_object")
+                if getattr(truth, n) is not None
+            }
             checker.add_truth(index, truth)
             if recording.object_mesh is not None and spec is not None:
-                checker.add_contact_offset(index, measure_contact_offset_mm(truth, spec, recording.object_mesh))
+                checker.add_contact_offset(
+                    index, measure_contact_offset_mm(truth, spec, recording.object_mesh)
+                )
     duration_s, rate_hz = _compute_timing(times)
     rows, cols = first.image.shape[:2] if first is not None else (0, 0)
     report = StreamReport(
-        name=stream.name, sensor=stream.sensor, n_frames=stream.n_frames, rows=rows, cols=cols,
-        dtype="" if first is None else f"{first.image.dtype} {'depth in mm' if first.is_depth else 'RGB'}",
-        duration_s=duration_s, rate_hz=rate_hz, truth=tuple(sorted(known)),
-    )  # fmt: skip
+        name=stream.name,
+        sensor=stream.sensor,
+        n_frames=stream.n_frames,
+        rows=rows,
+        cols=cols,
+        dtype=""
+        if first is None
+        else f"{first.image.dtype} {'depth in mm' if first.is_depth else 'RGB'}",
+        duration_s=duration_s,
+        rate_hz=rate_hz,
+        truth=tuple(sorted(known)),
+    )
     return report, checker.summarize_checks(times)
 
 
@@ -216,18 +267,29 @@ def _compute_timing(times: Sequence[float]) -> tuple[float, float]:
 
 
 def measure_contact_offset_mm(truth: Truth, sensor: SensorSpec, mesh: Mesh) -> float:
-    """Distance in mm from the median contact point to the bounding box of the object at its true pose; 0 = inside.
+    """Distance in mm from the median contact point to the bounding box of the object at its true
+    pose; 0 = inside.
 
     Also 0 where the truth has no contact or pose, or another image size.
     """
-    indentation, contact, pose = truth.indentation_mm, truth.contact, truth.sensor_from_object
-    if indentation is None or contact is None or pose is None or indentation.shape != sensor.camera.shape:
+    indentation = truth.indentation_mm
+    contact = truth.contact
+    pose = truth.sensor_from_object
+    if (
+        indentation is None
+        or contact is None
+        or pose is None
+        or indentation.shape != sensor.camera.shape
+    ):
         return 0.0
-    points = sensor.camera.back_project(sensor.rest_depth_mm - indentation)[contact & np.isfinite(indentation)]
+    points = sensor.camera.back_project(sensor.rest_depth_mm - indentation)[
+        contact & np.isfinite(indentation)
+    ]
     if not len(points):
         return 0.0
     centre = rigid.apply(rigid.invert(pose), np.median(points.astype(np.float64), axis=0))
-    low, high = mesh.vertices_mm.min(axis=0), mesh.vertices_mm.max(axis=0)
+    low = mesh.vertices_mm.min(axis=0)
+    high = mesh.vertices_mm.max(axis=0)
     return float(np.linalg.norm(np.maximum(np.maximum(low - centre, centre - high), 0.0)))
 
 
@@ -246,7 +308,8 @@ def _check_surface(mesh: Mesh, path: str) -> Check:
     t = mesh.triangles.astype(np.int64)
     edges = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
     n = len(mesh.vertices_mm)
-    forward, backward = edges[:, 0] * n + edges[:, 1], edges[:, 1] * n + edges[:, 0]
+    forward = edges[:, 0] * n + edges[:, 1]
+    backward = edges[:, 1] * n + edges[:, 0]
     n_open = int((~np.isin(forward, backward)).sum())
     n_doubled = len(forward) - len(np.unique(forward))
     a, b, c = (mesh.vertices_mm[t[:, k]] for k in range(3))
@@ -255,9 +318,14 @@ def _check_surface(mesh: Mesh, path: str) -> Check:
     if n_open:
         problem = f"{n_open} of its edges have no neighbour: it has holes and no inside"
     elif n_doubled:
-        problem = f"{n_doubled} of its edges occur twice in one direction: triangles are doubled or flipped"
+        problem = (
+            f"{n_doubled} of its edges occur twice in one direction: triangles are doubled "
+            "or flipped"
+        )
     elif volume_mm3 <= 0:
         problem = f"its triangles face inward (volume {volume_mm3:.3g} mm³); flip them"
     if problem:
         return Check(name="object surface", state="fail", text=f"the mesh: {problem}: '{path}'")
-    return Check(name="object surface", state="pass", text=f"closed and facing outward, {volume_mm3:.3g} mm³")
+    return Check(
+        name="object surface", state="pass", text=f"closed and facing outward, {volume_mm3:.3g} mm³"
+    )

@@ -1,7 +1,8 @@
-"""Live source: images and depth that a Foxglove bridge publishes, of ROS 1 and 2 or of any program, without ROS.
+"""Live source: images and depth that a Foxglove bridge publishes, of ROS 1 and 2 or of any program,
+without ROS.
 
-The protocol is foxglove.websocket.v1 (github.com/foxglove/ws-protocol): the server lists its channels as JSON, the
-client subscribes by their ids, and messages come as binary frames.
+The protocol is foxglove.websocket.v1 (github.com/foxglove/ws-protocol): the server lists its
+channels as JSON, the client subscribes by their ids, and messages come as binary frames.
 """
 
 import base64
@@ -21,7 +22,13 @@ from pipeline.core.errors import FileProblem, SettingProblem, TouchError, escape
 from pipeline.core.geometry.camera import Camera
 from pipeline.io.gel_images import GelImageConverter, make_gel_converter
 from pipeline.io.live.source import LiveFrame, LiveSourceLost
-from pipeline.io.mcap_images import IMAGE_SCHEMAS, Decoders, decode_image, make_decoders, read_stamp_ns
+from pipeline.io.mcap_images import (
+    IMAGE_SCHEMAS,
+    Decoders,
+    decode_image,
+    make_decoders,
+    read_stamp_ns,
+)
 from pipeline.io.mcap_records import McapChannel
 from pipeline.io.resampling import infer_depth_camera
 from pipeline.io.sensor_guess import resolve_sensor_name
@@ -31,11 +38,14 @@ _PROTOCOLS: Any = ("foxglove.websocket.v1", "foxglove.sdk.v1")
 _CAMERA_SCHEMAS = frozenset({"foxglove.CameraCalibration", "sensor_msgs/msg/CameraInfo"})
 _MESSAGE = struct.Struct("<BIQ")  # kind, subscription, time of sending in ns
 _MESSAGE_DATA = 1
-_IMAGE_ID, _CAMERA_ID = 1, 2  # of our subscriptions
+# of our subscriptions
+_IMAGE_ID = 1
+_CAMERA_ID = 2
 _LIST_S = 3.0  # for the channels of a server to be listed
 _WAIT_S = 0.2  # of one `read`
 _MAX_BYTES = 1 << 27  # of one message
-_DEPTH = {"16UC1": (np.uint16, 1.0), "mono16": (np.uint16, 1.0), "32FC1": (np.float32, 1e3)}  # type and mm (REP 118)
+# type and mm (REP 118)
+_DEPTH = {"16UC1": (np.uint16, 1.0), "mono16": (np.uint16, 1.0), "32FC1": (np.float32, 1e3)}
 _PNG = b"\x89PNG"
 
 
@@ -59,7 +69,9 @@ class FoxgloveSource:
     touching_object = None  # not known
 
     def __init__(self, address: str, topic: str = "", *, sensor: str = "") -> None:
-        self._address, self._topic, self._stated = address, topic, sensor
+        self._address = address
+        self._topic = topic
+        self._stated = sensor
         self._sensor = sensor
         self._link: Any = None
         self._open = ExitStack()
@@ -81,25 +93,37 @@ class FoxgloveSource:
         return self._sensor
 
     def open(self) -> None:
-        """Connect and subscribe; raises LiveSourceLost, and SettingProblem where a package is missing."""
+        """Connect and subscribe; raises LiveSourceLost, and SettingProblem where a package is
+        missing.
+        """
         try:
             from websockets.exceptions import WebSocketException
             from websockets.sync.client import connect
         except ImportError as error:
-            raise SettingProblem("a Foxglove bridge is read by websockets; pip install tactoscope[live]") from error
+            raise SettingProblem(
+                "a Foxglove bridge is read by websockets; pip install tactoscope[live]"
+            ) from error
         if self._decoders is None:
             self._decoders = make_decoders()
-        self._channels, self._image, self._camera = {}, None, None
+        self._channels = {}
+        self._image = None
+        self._camera = None
         try:
             link: Any = connect(
-                self._address, subprotocols=_PROTOCOLS, open_timeout=_LIST_S, max_size=_MAX_BYTES, compression=None,
+                self._address,
+                subprotocols=_PROTOCOLS,
+                open_timeout=_LIST_S,
+                max_size=_MAX_BYTES,
+                compression=None,
                 close_timeout=1.0,
-            )  # fmt: skip
+            )
             self._link = self._open.enter_context(link)
         except (OSError, WebSocketException, ValueError) as error:
             self.close()
             why = escape_text(str(error)[:120].strip()) or type(error).__name__
-            raise LiveSourceLost(f"no Foxglove bridge answers at '{self.title}' ({why}); trying again") from None
+            raise LiveSourceLost(
+                f"no Foxglove bridge answers at '{self.title}' ({why}); trying again"
+            ) from None
         end_s = time.monotonic() + _LIST_S
         while self._image is None and time.monotonic() < end_s:
             self._receive(_WAIT_S)
@@ -111,20 +135,29 @@ class FoxgloveSource:
         content = self._receive(_WAIT_S)
         if content is None or self._image is None or self._decoders is None:
             return None
-        channel, where = self._image.mcap, f"an image of {escape_text(self._topic)}"
+        channel = self._image.mcap
+        where = f"an image of {escape_text(self._topic)}"
         now_s = time.monotonic()
         try:
             message = self._decoders.decode(channel, content)
             stamp_ns = read_stamp_ns(channel, content, self._decoders)
-            image = _unpack_depth(message) if _holds_depth(message) else decode_image(message, where, Path(self._topic))
+            image = (
+                _unpack_depth(message)
+                if _holds_depth(message)
+                else decode_image(message, where, Path(self._topic))
+            )
         except TouchError:
             raise
         except Exception as error:  # noqa: BLE001 - a border: what decoders raise at foreign bytes
             raise LiveSourceLost(f"{where} cannot be decoded ({type(error).__name__})") from None
         stamp_s = stamp_ns / 1e9 if stamp_ns else math.nan
         if image.ndim == 2:
-            return LiveFrame(image=image, time_s=now_s, stamp_s=stamp_s, camera=self._find_camera(image.shape))
-        return LiveFrame(image=self._convert_image(cast("Image", image)), time_s=now_s, stamp_s=stamp_s)
+            return LiveFrame(
+                image=image, time_s=now_s, stamp_s=stamp_s, camera=self._find_camera(image.shape)
+            )
+        return LiveFrame(
+            image=self._convert_image(cast("Image", image)), time_s=now_s, stamp_s=stamp_s
+        )
 
     def close(self) -> None:
         """Disconnect."""
@@ -132,7 +165,10 @@ class FoxgloveSource:
         self._link = None
 
     def _receive(self, timeout_s: float) -> bytes | None:
-        """The content of the next image message; None after `timeout_s`, or for another message, which is handled."""
+        """The content of the next image message.
+
+        None after `timeout_s`, or for another message, which is handled.
+        """
         from websockets.exceptions import ConnectionClosed
 
         try:
@@ -140,7 +176,9 @@ class FoxgloveSource:
         except TimeoutError:
             return None
         except ConnectionClosed:
-            raise LiveSourceLost(f"'{self.title}' has closed the connection; trying again") from None
+            raise LiveSourceLost(
+                f"'{self.title}' has closed the connection; trying again"
+            ) from None
         if isinstance(received, str):
             self._handle_text(received)
             return None
@@ -159,12 +197,18 @@ class FoxgloveSource:
                 channel = _parse_channel(one)
                 self._channels[channel.id] = channel
         except (ValueError, TypeError, KeyError, AttributeError):
-            raise LiveSourceLost(f"'{self.title}' does not speak the protocol of Foxglove; check the port") from None
+            raise LiveSourceLost(
+                f"'{self.title}' does not speak the protocol of Foxglove; check the port"
+            ) from None
         self._subscribe()
 
     def _subscribe(self) -> None:
         images = [c for c in self._channels.values() if c.schema in IMAGE_SCHEMAS]
-        wanted = [c for c in images if not self._topic or c.mcap.topic.strip("/") == self._topic.strip("/")]
+        wanted = [
+            c
+            for c in images
+            if not self._topic or c.mcap.topic.strip("/") == self._topic.strip("/")
+        ]
         if self._image is None and len(wanted) == 1:
             self._image = wanted[0]
             self._topic = self._image.mcap.topic
@@ -172,23 +216,36 @@ class FoxgloveSource:
         if self._image is not None and self._camera is None:
             folder = self._image.mcap.topic.rpartition("/")[0]
             for channel in self._channels.values():
-                if channel.schema in _CAMERA_SCHEMAS and channel.mcap.topic.rpartition("/")[0] == folder:
+                if (
+                    channel.schema in _CAMERA_SCHEMAS
+                    and channel.mcap.topic.rpartition("/")[0] == folder
+                ):
                     self._send_subscription(_CAMERA_ID, channel)
                     return
 
     def _send_subscription(self, subscription: int, channel: _Channel) -> None:
-        wanted = {"op": "subscribe", "subscriptions": [{"id": subscription, "channelId": channel.id}]}
+        wanted = {
+            "op": "subscribe",
+            "subscriptions": [{"id": subscription, "channelId": channel.id}],
+        }
         self._link.send(json.dumps(wanted))
 
     def _describe_topics(self) -> str:
         images = sorted(c.mcap.topic for c in self._channels.values() if c.schema in IMAGE_SCHEMAS)
         if not images:
             others = ", ".join(sorted(c.mcap.topic for c in self._channels.values())) or "nothing"
-            return escape_text(f"'{self._address}' publishes no images but {others:.200}; trying again")
+            return escape_text(
+                f"'{self._address}' publishes no images but {others:.200}; trying again"
+            )
         names = ", ".join(images)
         if not self._topic:
-            return escape_text(f"'{self._address}' has several topics of images, name one of {names} after the address")
-        return escape_text(f"'{self._address}' has no topic {self._topic!r} of images; there are {names}")
+            return escape_text(
+                f"'{self._address}' has several topics of images, name one of {names} after the "
+                "address"
+            )
+        return escape_text(
+            f"'{self._address}' has no topic {self._topic!r} of images; there are {names}"
+        )
 
     def _read_camera(self, content: bytes) -> None:
         """Keep the intrinsics that the server publishes beside the images."""
@@ -199,18 +256,31 @@ class FoxgloveSource:
                 told = self._decoders.decode(channel.mcap, content)
                 k = tuple(told.K if hasattr(told, "K") else told.k)
                 self._camera = Camera(
-                    rows=int(told.height), cols=int(told.width), fx_px=k[0], fy_px=k[4], cx_px=k[2], cy_px=k[5]
+                    rows=int(told.height),
+                    cols=int(told.width),
+                    fx_px=k[0],
+                    fy_px=k[4],
+                    cx_px=k[2],
+                    cy_px=k[5],
                 )
             except Exception:  # noqa: BLE001, S112 - a border: another channel's message, or one without intrinsics
                 continue
 
     def _find_camera(self, shape: tuple[int, ...]) -> Camera | None:
-        """Intrinsics of a depth image: as published, else as its size tells; the sensor becomes known here."""
-        rows, cols = int(shape[0]), int(shape[1])
+        """Intrinsics of a depth image: as published, else as its size tells.
+
+        The sensor becomes known here.
+        """
+        rows = int(shape[0])
+        cols = int(shape[1])
         if not self._sensor:
-            self._sensor = resolve_sensor_name("", (rows, cols), is_depth=True, file_names=(self._topic,))[0]
+            self._sensor = resolve_sensor_name(
+                "", (rows, cols), is_depth=True, file_names=(self._topic,)
+            )[0]
             if not self._sensor:
-                raise SettingProblem(f"no known sensor has depth of {cols} x {rows} px; give --sensor")
+                raise SettingProblem(
+                    f"no known sensor has depth of {cols} x {rows} px; give --sensor"
+                )
         if self._camera is not None and self._camera.shape == (rows, cols):
             return self._camera
         return infer_depth_camera(load_sensor(self._sensor), (rows, cols))[0]
@@ -218,21 +288,30 @@ class FoxgloveSource:
     def _convert_image(self, rgb: Image) -> Image:
         if self._converter is None or rgb.shape != self._shape:
             shape = (rgb.shape[0], rgb.shape[1])
-            self._converter = make_gel_converter(self._stated, shape, rgb, lambda: rgb, file_names=(self._topic,))
+            self._converter = make_gel_converter(
+                self._stated, shape, rgb, lambda: rgb, file_names=(self._topic,)
+            )
             self._shape = rgb.shape
             self._sensor = self._converter.sensor
             if not self._sensor:
-                raise SettingProblem(f"no known sensor has images of {shape[1]} x {shape[0]} px; give --sensor")
+                raise SettingProblem(
+                    f"no known sensor has images of {shape[1]} x {shape[0]} px; give --sensor"
+                )
         return self._converter.convert_image(rgb)
 
 
 def _parse_channel(told: dict[str, Any]) -> _Channel:
-    """A channel as the server describes it; raises KeyError, TypeError or ValueError for other JSON."""
+    """A channel as the server describes it.
+
+    Raises KeyError, TypeError or ValueError for other JSON.
+    """
     from mcap.records import Schema
 
     encoding = str(told["encoding"])
     text = str(told.get("schema", ""))
-    kind = str(told.get("schemaEncoding") or {"cdr": "ros2msg", "ros1": "ros1msg"}.get(encoding, encoding))
+    kind = str(
+        told.get("schemaEncoding") or {"cdr": "ros2msg", "ros1": "ros1msg"}.get(encoding, encoding)
+    )
     data = base64.b64decode(text) if kind == "protobuf" else text.encode()
     schema = Schema(id=int(told["id"]), name=str(told["schemaName"]), encoding=kind, data=data)
     channel = McapChannel(topic=str(told["topic"]), message_encoding=encoding, schema=schema)
@@ -250,7 +329,9 @@ def _unpack_depth(message: Any) -> Floats:
     """Depth (rows, cols) in mm, NaN where there is none; raises ValueError for other images."""
     if hasattr(message, "encoding"):
         kind, mm = _DEPTH[str(message.encoding)]
-        rows, cols, step = int(message.height), int(message.width), int(message.step)
+        rows = int(message.height)
+        cols = int(message.width)
+        step = int(message.step)
         size = np.dtype(kind).itemsize
         lines = np.frombuffer(bytes(message.data), np.uint8, rows * step).reshape(rows, step)
         raw: Any = np.ascontiguousarray(lines[:, : cols * size]).view(kind)

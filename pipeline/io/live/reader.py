@@ -40,10 +40,14 @@ class ReaderStatus:
 
 
 class LiveReader:
-    """Reads `source` until stopped, through any number of losses; all methods may be called by any thread."""
+    """Reads `source` until stopped, through any number of losses.
+
+    All methods may be called by any thread.
+    """
 
     def __init__(self, source: LiveSource, *, max_bytes: int = MAX_BYTES) -> None:
-        self.source, self._max_bytes = source, max_bytes
+        self.source = source
+        self._max_bytes = max_bytes
         self._lock = threading.Lock()
         self._buffer: deque[tuple[TactileFrame, Truth | None]] = deque()
         self._first_index = self._n_bytes = self._n_lost = self._n_doubled = self._n_jumps = 0
@@ -54,7 +58,9 @@ class LiveReader:
         self._start_s = time.monotonic()
         self._state: ReaderState = "looking"
         self._problem = self._drift = ""
-        self._number, self._began_s, self._checked_s = -1, 0.0, 0.0
+        self._number = -1
+        self._began_s = 0.0
+        self._checked_s = 0.0
         self._last: LiveFrame | None = None
         self._listeners: tuple[Listener, ...] = ()
         self._stop_event = threading.Event()
@@ -87,8 +93,11 @@ class LiveReader:
         return self._reference is not None
 
     def frame(self, index: int) -> TactileFrame:
-        """A buffered frame; frames before the first reference get that one. Raises FileProblem for one that is gone."""
-        frame, first = self._get_buffered(index)[0], self._first_reference
+        """A buffered frame; frames before the first reference get that one. Raises FileProblem
+        for one that is gone.
+        """
+        frame = self._get_buffered(index)[0]
+        first = self._first_reference
         fits = first is not None and frame.reference is None and first.shape == frame.image.shape
         return replace(frame, reference=first) if fits else frame
 
@@ -97,15 +106,25 @@ class LiveReader:
         return self._get_buffered(index)[1]
 
     def capture_reference(self) -> str:
-        """Set the reference to the median of the last frames, from the next frame on; returns a warning or ""."""
+        """Set the reference to the median of the last frames, from the next frame on.
+
+        Returns a warning or "".
+        """
         images = self._get_last_images()
         if len(images) < reference_capture.MIN_FRAMES:
-            return f"a reference needs {reference_capture.MIN_FRAMES} frames, there are {len(images)}"
+            return (
+                f"a reference needs {reference_capture.MIN_FRAMES} frames, there are {len(images)}"
+            )
         self._reference = reference_capture.compute_median_image(images)
         if self._first_reference is None or self._first_reference.shape != self._reference.shape:
             self._first_reference = self._reference
-        spec, before = load_sensor(self.source.sensor), self._checked_reference
-        new_contact = "" if before is None else reference_capture.check_new_contact(self._reference, before, spec)
+        spec = load_sensor(self.source.sensor)
+        before = self._checked_reference
+        new_contact = (
+            ""
+            if before is None
+            else reference_capture.check_new_contact(self._reference, before, spec)
+        )
         self._problem = reference_capture.check_motion(images, spec) or new_contact
         if not self._problem:
             self._checked_reference = self._reference
@@ -114,8 +133,13 @@ class LiveReader:
 
     def _get_last_images(self) -> list[Image | Floats]:
         with self._lock:
-            images = [frame.image for frame, _ in list(self._buffer)[-reference_capture.MAX_FRAMES :]]
-        other = next((k for k, image in enumerate(reversed(images)) if image.shape != images[-1].shape), len(images))
+            images = [
+                frame.image for frame, _ in list(self._buffer)[-reference_capture.MAX_FRAMES :]
+            ]
+        other = next(
+            (k for k, image in enumerate(reversed(images)) if image.shape != images[-1].shape),
+            len(images),
+        )
         return images[len(images) - other :]
 
     def status(self) -> ReaderStatus:
@@ -123,34 +147,52 @@ class LiveReader:
         now_s = time.monotonic()
         with self._lock:
             arrived = [at_s for at_s in self._arrivals_s if now_s - at_s <= _RATE_WINDOW_S]
-            n, n_lost = self._first_index + len(self._buffer), self._n_lost
+            n = self._first_index + len(self._buffer)
+            n_lost = self._n_lost
         window_s = min(_RATE_WINDOW_S, now_s - self._began_s)
         rate = len(arrived) / window_s if window_s > 0 and self._state == "running" else 0.0
         return ReaderStatus(
-            state=self._state, n_frames=n, rate_hz=rate, n_lost=n_lost, n_doubled=self._n_doubled,
-            n_clock_jumps=self._n_jumps, message=self._problem or self._drift,
-        )  # fmt: skip
+            state=self._state,
+            n_frames=n,
+            rate_hz=rate,
+            n_lost=n_lost,
+            n_doubled=self._n_doubled,
+            n_clock_jumps=self._n_jumps,
+            message=self._problem or self._drift,
+        )
 
     def make_recording(self, path: Path) -> Recording:
         """The frames so far as a recording that grows, named `path`."""
         sensor = self.source.sensor
         stream = Stream(
-            name=sensor, sensor=sensor, n_frames=self.n_frames, frame=self.frame, truth=self.truth, has_truth=True
+            name=sensor,
+            sensor=sensor,
+            n_frames=self.n_frames,
+            frame=self.frame,
+            truth=self.truth,
+            has_truth=True,
         )
         mesh, symmetry = self.source.touching_object or (None, None)
         return Recording(
-            path=path, format="live sensor", streams=(stream,), notes=(f"live: {self.source.title}",),
-            object_mesh=mesh, symmetry=symmetry, refresh=lambda: self.make_recording(path),
-        )  # fmt: skip
+            path=path,
+            format="live sensor",
+            streams=(stream,),
+            notes=(f"live: {self.source.title}",),
+            object_mesh=mesh,
+            symmetry=symmetry,
+            refresh=lambda: self.make_recording(path),
+        )
 
     def _get_buffered(self, index: int) -> tuple[TactileFrame, Truth | None]:
         with self._lock:
             place = index - self._first_index
             if 0 <= place < len(self._buffer):
                 return self._buffer[place]
-            first, n = self._first_index, self._first_index + len(self._buffer)
+            first = self._first_index
+            n = self._first_index + len(self._buffer)
         raise FileProblem(
-            f"frame {index} is no longer buffered, only {first} to {n - 1} are; record to keep all", self.source.title
+            f"frame {index} is no longer buffered, only {first} to {n - 1} are; record to keep all",
+            self.source.title,
         )
 
     def _read_frames(self) -> None:
@@ -159,7 +201,10 @@ class LiveReader:
             try:
                 if not opened:
                     self.source.open()
-                    opened, self._number, self._began_s, self._last = True, -1, time.monotonic(), None
+                    opened = True
+                    self._number = -1
+                    self._began_s = time.monotonic()
+                    self._last = None
                 live_frame = self.source.read()
                 if live_frame is not None:
                     self._add_frame(live_frame)
@@ -178,21 +223,30 @@ class LiveReader:
         image = freeze(live_frame.image)
         self._check_clock(live_frame)
         if self._state != "running":
-            self._state, self._problem = "running", ""
+            self._state = "running"
+            self._problem = ""
         if self._reference is not None and image.shape != self._reference.shape:
             (rows, cols), (r, c) = image.shape[:2], self._reference.shape[:2]
-            self._problem = f"images are now {cols} x {rows} px, {c} x {r} before; a new reference is taken"
+            self._problem = (
+                f"images are now {cols} x {rows} px, {c} x {r} before; a new reference is taken"
+            )
             self._reference = None
         with self._lock:
             index = self._first_index + len(self._buffer)
             frame = TactileFrame(
-                sensor=self.source.sensor, image=image, reference=self._reference, index=index,
-                time_s=live_frame.time_s - self._start_s, origin=f"{self.source.title} [frame {index}]",
+                sensor=self.source.sensor,
+                image=image,
+                reference=self._reference,
+                index=index,
+                time_s=live_frame.time_s - self._start_s,
+                origin=f"{self.source.title} [frame {index}]",
                 camera=live_frame.camera,
-            )  # fmt: skip
+            )
             self._buffer.append((frame, live_frame.truth))
             self._n_bytes += image.nbytes
-            while self._n_bytes > self._max_bytes and len(self._buffer) > reference_capture.MAX_FRAMES:
+            while (
+                self._n_bytes > self._max_bytes and len(self._buffer) > reference_capture.MAX_FRAMES
+            ):
                 self._n_bytes -= self._buffer.popleft()[0].image.nbytes
                 self._first_index += 1
             self._arrivals_s.append(live_frame.time_s)
@@ -206,7 +260,10 @@ class LiveReader:
             listener(frame, live_frame.truth)
 
     def _check_clock(self, frame: LiveFrame) -> None:
-        """Count frames that came twice and jumps of the sensor's clock; frames are timed by their arrival."""
+        """Count frames that came twice and jumps of the sensor's clock.
+
+        Frames are timed by their arrival.
+        """
         if self._last is not None and math.isfinite(frame.stamp_s - self._last.stamp_s):
             step_s = frame.stamp_s - self._last.stamp_s
             self._n_doubled += step_s == 0
@@ -220,4 +277,6 @@ class LiveReader:
                 self.capture_reference()
         elif frame.time_s - self._checked_s > _DRIFT_CHECK_S:
             self._checked_s = frame.time_s
-            self._drift = reference_capture.check_drift(frame.image, self._reference, load_sensor(frame.sensor))
+            self._drift = reference_capture.check_drift(
+                frame.image, self._reference, load_sensor(frame.sensor)
+            )

@@ -22,8 +22,8 @@ FLUSH_INTERVAL_S = 0.25  # largest loss by a kill
 class LiveRecordingWriter(RecordingWriter):
     """A recording written directly to its path, which can be read at any moment, also after a kill.
 
-    HDF5's single-writer-multiple-readers mode keeps the file consistent on disk. All datasets must exist before it
-    begins, so that the first frame decides what the others may hold.
+    HDF5's single-writer-multiple-readers mode keeps the file consistent on disk. All datasets must
+    exist before it begins, so that the first frame decides what the others may hold.
     """
 
     def _begin(self, path: Path, coding: Coding, depth_step_mm: float) -> None:
@@ -37,7 +37,10 @@ class LiveRecordingWriter(RecordingWriter):
         return self._place.enter_context(open_growing_file(path, "the recording"))
 
     def append(self, stream: str, frame: TactileFrame, truth: Truth | None = None) -> None:
-        """Add one frame to the only stream; raises ShapeError where it differs in shape from the first."""
+        """Add one frame to the only stream.
+
+        Raises ShapeError where it differs in shape from the first.
+        """
         super().append(stream, frame, truth)
         if not self._file.swmr_mode:
             self._file.swmr_mode = True
@@ -47,7 +50,10 @@ class LiveRecordingWriter(RecordingWriter):
             self._file.flush()
 
     def __exit__(
-        self, _kind: type[BaseException] | None, error: BaseException | None, _at: TracebackType | None
+        self,
+        _kind: type[BaseException] | None,
+        error: BaseException | None,
+        _at: TracebackType | None,
     ) -> None:
         """Close the file and keep all frames, also after an error; delete a file without frames."""
         with self._place:
@@ -80,7 +86,9 @@ class LiveRecorder:
     def __init__(self, path: Path, about: str) -> None:
         """Begin a recording; raises FileProblem where nothing can be written."""
         self.path = path
-        self._writer = LiveRecordingWriter(path, notes=(f"recorded live: {about}",), coding="row differences")
+        self._writer = LiveRecordingWriter(
+            path, notes=(f"recorded live: {about}",), coding="row differences"
+        )
         self._queue: queue.Queue[_Item] = queue.Queue(_QUEUE_FRAMES)
         self.n_written = self.n_dropped = 0
         self.problem = ""  # why writing has ended

@@ -24,7 +24,8 @@ class LiveFrame:
     time_s: float  # of the monotonic clock, when taken
     sequence_number: int = -1  # of the sensor, whose gaps are lost frames; -1 = not counted
     stamp_s: float = math.nan  # of the sensor's own clock, which may jump; NaN = none
-    camera: Camera | None = None  # intrinsics that came with the image; None = those of the sensor's description
+    # intrinsics that came with the image; None = those of the sensor's description
+    camera: Camera | None = None
     truth: Truth | None = None  # of a simulated touch
 
 
@@ -43,7 +44,10 @@ class LiveSource(Protocol):
 
     @property
     def touching_object(self) -> tuple[Mesh, Symmetry | None] | None:
-        """Mesh and symmetry of the object that touches it, known of simulated sensors; else None."""
+        """Mesh and symmetry of the object that touches it, known of simulated sensors.
+
+        Else None.
+        """
         ...
 
     def open(self) -> None:

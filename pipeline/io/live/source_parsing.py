@@ -23,7 +23,8 @@ from pipeline.physics.simulation import datasets
 from pipeline.physics.simulation.datasets import SimulationPlan
 from pipeline.sensors.spec import load_sensor
 
-FRAMES_PER_CYCLE = 64  # of press, slide, twist, release; computed in the first cycle, then repeated with new noise
+# of press, slide, twist, release; computed in the first cycle, then repeated with new noise
+FRAMES_PER_CYCLE = 64
 RATE_RANGE_HZ = (0.5, 120.0)
 _MAX_WAIT_S = 0.2  # of one `read`
 
@@ -31,20 +32,29 @@ _MAX_WAIT_S = 0.2  # of one `read`
 class SimulatedSource:
     """A simulated sensor with a fixed frame rate.
 
-    The first cycle may be slower, since each frame is computed when due. Later a slow reader loses frames.
+    The first cycle may be slower, since each frame is computed when due. Later a slow reader loses
+    frames.
     """
 
-    def __init__(self, *, sensor: str = "gelslim", tool: str = "sphere", rate_hz: float = 15.0, seed: int = 0) -> None:
+    def __init__(
+        self, *, sensor: str = "gelslim", tool: str = "sphere", rate_hz: float = 15.0, seed: int = 0
+    ) -> None:
         """Raises SettingProblem for an unknown sensor or object, or a rate out of range."""
         check_range("the rate", rate_hz, *RATE_RANGE_HZ, "Hz")
         like = SimulationPlan(
-            sensors=(sensor,), object_source=tool, n_poses=FRAMES_PER_CYCLE, seed=seed, sequence="all"
+            sensors=(sensor,),
+            object_source=tool,
+            n_poses=FRAMES_PER_CYCLE,
+            seed=seed,
+            sequence="all",
         )
         self._plan = datasets.make_plans((tool,), like)[0]
-        self._spec, self.rate_hz = load_sensor(sensor), rate_hz
+        self._spec = load_sensor(sensor)
+        self.rate_hz = rate_hz
         self._frames: dict[int, tuple[TactileFrame, Truth | None]] = {}
         self._noise = np.random.default_rng(seed)
-        self._due_s, self._number = 0.0, 0
+        self._due_s = 0.0
+        self._number = 0
 
     @property
     def title(self) -> str:
@@ -64,7 +74,8 @@ class SimulatedSource:
     def open(self) -> None:
         """Begin a cycle with the object clear of the sensor."""
         self._get_frame(0)  # compile and load before time counts
-        self._due_s, self._number = time.monotonic(), 0
+        self._due_s = time.monotonic()
+        self._number = 0
 
     def read(self) -> LiveFrame | None:
         """The next frame of the cycle when due, else None."""
@@ -95,7 +106,9 @@ class SimulatedSource:
         """The image of the same touch with new noise."""
         assert truth.indentation_mm is not None
         depth = self._spec.rest_depth_mm - truth.indentation_mm.astype(np.float64)
-        return render_sensor_image(self._spec, truth.indentation_mm, depth, int(self._noise.integers(1 << 31)))
+        return render_sensor_image(
+            self._spec, truth.indentation_mm, depth, int(self._noise.integers(1 << 31))
+        )
 
 
 _POLL_S = 0.05
@@ -110,7 +123,8 @@ class FolderSource:
     touching_object = None  # not known
 
     def __init__(self, folder: Path, *, sensor: str = "") -> None:
-        self._folder, self._sensor = folder, sensor
+        self._folder = folder
+        self._sensor = sensor
         self._converter: GelImageConverter | None = None
         self._shape: tuple[int, ...] = ()
         self._passed: set[str] = set()
@@ -143,7 +157,9 @@ class FolderSource:
                 if image is not None:
                     self._passed |= {old for old, _ in new[: len(new) - n_newer]}
                     self._number += len(new) - n_newer
-                    return LiveFrame(image=image, time_s=time.monotonic(), sequence_number=self._number)
+                    return LiveFrame(
+                        image=image, time_s=time.monotonic(), sequence_number=self._number
+                    )
             time.sleep(_POLL_S)
         return None
 
@@ -153,7 +169,8 @@ class FolderSource:
     def _list_new_images(self) -> list[tuple[str, float]]:
         """(name, time written in s) of the images that were not passed, oldest first.
 
-        Listing 50,000 names takes 25 ms, so a folder that has not changed since nothing was new is not listed.
+        Listing 50,000 names takes 25 ms, so a folder that has not changed since nothing was new is
+        not listed.
         """
         looked_ns = time.time_ns()
         try:
@@ -164,7 +181,9 @@ class FolderSource:
                 found = [
                     (e.stat().st_mtime_ns, e.name)
                     for e in entries
-                    if e.name not in self._passed and e.is_file() and image_files.is_image_file(Path(e.name))
+                    if e.name not in self._passed
+                    and e.is_file()
+                    and image_files.is_image_file(Path(e.name))
                 ]
         except OSError:
             raise LiveSourceLost(f"the folder '{self._folder}' is gone; trying again") from None
@@ -173,7 +192,9 @@ class FolderSource:
         return [(name, written_ns * 1e-9) for written_ns, name in sorted(found)]
 
     def _read_image(self, path: Path, written_s: float) -> np.ndarray | None:
-        """The image; None while it is written, and for one that is damaged or of another size, which is skipped."""
+        """The image; None while it is written, and for one that is damaged or of another size,
+        which is skipped.
+        """
         try:
             raw = image_files.read_rgb(path)
         except FileProblem:
@@ -181,11 +202,14 @@ class FolderSource:
                 self._passed.add(path.name)
             return None
         if self._converter is None:
-            converter = make_gel_converter(self._sensor, (raw.shape[0], raw.shape[1]), None, lambda: raw)
+            converter = make_gel_converter(
+                self._sensor, (raw.shape[0], raw.shape[1]), None, lambda: raw
+            )
             if not converter.sensor:
                 size = f"{raw.shape[1]} x {raw.shape[0]} px"
                 raise SettingProblem(f"no known sensor has images of {size}; give --sensor")
-            self._converter, self._shape = converter, raw.shape
+            self._converter = converter
+            self._shape = raw.shape
         if raw.shape != self._shape:
             self._passed.add(path.name)
             return None
@@ -197,8 +221,13 @@ class FolderSource:
 DEFAULT_SENSOR = "gelslim"  # of the simulated source
 
 
-def parse_source(words: Sequence[str], *, sensor: str = "", tool: str = "sphere", rate_hz: float = 15.0) -> LiveSource:
-    """The source for words or one text as `tactoscope live --source` takes them; raises SettingProblem."""
+def parse_source(
+    words: Sequence[str], *, sensor: str = "", tool: str = "sphere", rate_hz: float = 15.0
+) -> LiveSource:
+    """The source for words or one text as `tactoscope live --source` takes them.
+
+    Raises SettingProblem.
+    """
     if sensor:
         sensor = sensor if sensor.endswith(".toml") else load_sensor(sensor).name
     match words[0].split(maxsplit=1) if len(words) == 1 else list(words):
@@ -215,5 +244,8 @@ def parse_source(words: Sequence[str], *, sensor: str = "", tool: str = "sphere"
         case [name, *topic] if name.startswith(("ws://", "wss://")) and len(topic) < 2:
             return FoxgloveSource(name, *topic, sensor=sensor)
         case _:
-            kinds = "simulated, folder DIR, device NAME, camera:0, http://..., rtsp://... or ws://HOST:PORT TOPIC"
+            kinds = (
+                "simulated, folder DIR, device NAME, camera:0, http://..., rtsp://... or "
+                "ws://HOST:PORT TOPIC"
+            )
             raise SettingProblem(f"a source is {kinds}, got {' '.join(words)!r}")

@@ -32,12 +32,16 @@ class UsbCameraProfile:
     size_px: tuple[int, int]  # requested width and height; 0 = as it is
     rate_hz: float
     is_rotated: bool = False  # transposed and flipped vertically, as DIGIT's driver does
-    led_setting: int = -1  # CAP_PROP_ZOOM, DIGIT's LED intensity of 0 to 15 per colour; -1 = as it is
+    # CAP_PROP_ZOOM, DIGIT's LED intensity of 0 to 15 per colour; -1 = as it is
+    led_setting: int = -1
 
 
-_OPEN_MS, _READ_MS = 3000, 2000  # without an answer of a network stream
+# without an answer of a network stream
+_OPEN_MS = 3000
+_READ_MS = 2000
 _FULL_INTENSITY = 15 << 8 | 15 << 4 | 15
-USB_CAMERA_PROFILES = (  # digit-interface: QVGA at 60 Hz; gsrobotics: full image at 25 Hz, cropped by a seventh
+# digit-interface: QVGA at 60 Hz; gsrobotics: full image at 25 Hz, cropped by a seventh
+USB_CAMERA_PROFILES = (
     UsbCameraProfile(
         sensor="digit",
         name_substring="digit",
@@ -46,7 +50,9 @@ USB_CAMERA_PROFILES = (  # digit-interface: QVGA at 60 Hz; gsrobotics: full imag
         is_rotated=True,
         led_setting=_FULL_INTENSITY,
     ),
-    UsbCameraProfile(sensor="gelsight_mini", name_substring="gelsight", size_px=(3280, 2464), rate_hz=25.0),
+    UsbCameraProfile(
+        sensor="gelsight_mini", name_substring="gelsight", size_px=(3280, 2464), rate_hz=25.0
+    ),
 )
 _UNKNOWN = UsbCameraProfile(sensor="", name_substring="", size_px=(0, 0), rate_hz=0.0)
 
@@ -66,16 +72,25 @@ def list_usb_cameras(by_id: Path = CAMERAS_BY_ID) -> tuple[UsbCamera, ...]:
     for node in sorted(by_id.glob("*")) if by_id.is_dir() else ():
         match = _NODE.fullmatch(node.name)
         if match is not None:
-            cameras.append(UsbCamera(name=match["name"], node=node, profile=_find_profile(match["name"])))
+            cameras.append(
+                UsbCamera(name=match["name"], node=node, profile=_find_profile(match["name"]))
+            )
     return tuple(sorted(cameras, key=lambda camera: camera.profile is _UNKNOWN))
 
 
 def open_capture(node: Path | str, profile: UsbCameraProfile) -> Any:
-    """OpenCV's capture of a camera with the settings of `profile`, of a recorded stream, or of a network address."""
+    """OpenCV's capture of a camera with the settings of `profile`, of a recorded stream, or of a
+    network address.
+    """
     import cv2
 
     if isinstance(node, str):
-        limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _OPEN_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _READ_MS]
+        limits = [
+            cv2.CAP_PROP_OPEN_TIMEOUT_MSEC,
+            _OPEN_MS,
+            cv2.CAP_PROP_READ_TIMEOUT_MSEC,
+            _READ_MS,
+        ]
         with silence_native_libraries():
             return cv2.VideoCapture(node, cv2.CAP_FFMPEG, limits)
     if not node.is_char_device():
@@ -92,7 +107,8 @@ def open_capture(node: Path | str, profile: UsbCameraProfile) -> Any:
 
 
 class UsbCameraSource:
-    """A camera by its number, by a part of its name or serial number, or by a path or network address.
+    """A camera by its number, by a part of its name or serial number, or by a path or network
+    address.
 
     After a loss a named camera is searched on every port.
     """
@@ -107,7 +123,10 @@ class UsbCameraSource:
         by_id: Path = CAMERAS_BY_ID,
         opener: Callable[[Path | str, UsbCameraProfile], Any] = open_capture,
     ) -> None:
-        self._name, self._sensor, self._by_id, self._open = name_or_path, sensor, by_id, opener
+        self._name = name_or_path
+        self._sensor = sensor
+        self._by_id = by_id
+        self._open = opener
         of_sensor = next((p for p in USB_CAMERA_PROFILES if p.sensor == sensor), _UNKNOWN)
         self._profile = of_sensor if sensor else _find_profile(name_or_path)
         self._capture: Any = None
@@ -122,7 +141,11 @@ class UsbCameraSource:
     @property
     def sensor(self) -> str:
         """The sensor as stated, else by the camera's name, else by the image size."""
-        return self._sensor or self._profile.sensor or (self._converter.sensor if self._converter is not None else "")
+        return (
+            self._sensor
+            or self._profile.sensor
+            or (self._converter.sensor if self._converter is not None else "")
+        )
 
     def open(self) -> None:
         """Find the camera and open it; raises LiveSourceLost."""
@@ -130,7 +153,11 @@ class UsbCameraSource:
         self._capture = self._open(node, self._profile)
         if not self._capture.isOpened():
             self.close()
-            remedy = "check address and network" if isinstance(node, str) else "close other programs that use it"
+            remedy = (
+                "check address and network"
+                if isinstance(node, str)
+                else "close other programs that use it"
+            )
             raise LiveSourceLost(f"{self._name!r} cannot be opened; {remedy}")
 
     def read(self) -> LiveFrame | None:
@@ -169,7 +196,9 @@ class UsbCameraSource:
             rgb = np.flipud(np.swapaxes(rgb, 0, 1))
         rgb = np.ascontiguousarray(rgb)
         if self._converter is None or rgb.shape != self._shape:
-            self._converter = make_gel_converter(self.sensor, (rgb.shape[0], rgb.shape[1]), rgb, lambda: rgb)
+            self._converter = make_gel_converter(
+                self.sensor, (rgb.shape[0], rgb.shape[1]), rgb, lambda: rgb
+            )
             self._shape = rgb.shape
             if not self._converter.sensor:
                 size = f"{rgb.shape[1]} x {rgb.shape[0]} px"

@@ -1,4 +1,6 @@
-"""Candidates of the evaluation: every touch method with weights of the direction, and the baselines."""
+"""Candidates of the evaluation: every touch method with weights of the direction, and the
+baselines.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,12 +19,17 @@ from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.stages.networks.weights import NoWeights
 from pipeline.translation.catalogue import BUILT_IN
 
-RECORDED, OWN, NO_CONTACT, MEAN_TOUCH = "recorded", "own", "no_contact", "mean"
+RECORDED = "recorded"
+OWN = "own"
+NO_CONTACT = "no_contact"
+MEAN_TOUCH = "mean"
 BASELINES = (NO_CONTACT, MEAN_TOUCH)  # need no source
 _TITLES = {
-    RECORDED: "recorded touch", OWN: "own sensor, no translation",
-    NO_CONTACT: "reference image", MEAN_TOUCH: "mean of other touches",
-}  # fmt: skip
+    RECORDED: "recorded touch",
+    OWN: "own sensor, no translation",
+    NO_CONTACT: "reference image",
+    MEAN_TOUCH: "mean of other touches",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,16 +62,26 @@ def select_candidates(
     candidates = [Candidate(name=name, title=title) for name, title in _TITLES.items()]
     excluded: list[str] = []
     for method in BUILT_IN.stage("touch").methods:
-        found = None if method.weights is None else method.weights(source, target, weights.get(method.name))
+        found = (
+            None
+            if method.weights is None
+            else method.weights(source, target, weights.get(method.name))
+        )
         if isinstance(found, NoWeights):
             excluded.append(f"{source.name} to {target.name} by {method.name}: {found.why}")
         else:
             candidates.append(
-                Candidate(name=method.name, title=method.title, paper_model=PAPER_MODELS.get(method.name, ""))
+                Candidate(
+                    name=method.name,
+                    title=method.title,
+                    paper_model=PAPER_MODELS.get(method.name, ""),
+                )
             )
     return CandidateSet(
         candidates=tuple(c for c in candidates if not only or c.name in only),
-        excluded=tuple(why for why in excluded if not only or why.split(":")[0].split()[-1] in only),
+        excluded=tuple(
+            why for why in excluded if not only or why.split(":")[0].split()[-1] in only
+        ),
     )
 
 
@@ -78,8 +95,12 @@ def check_candidate_names(names: Sequence[str]) -> None:
 
 @derive_once
 def compute_mean_change(recordings: tuple[PressRecordings, ...], target: str) -> Floats:
-    """Mean change from the reference (rows, cols, channels) of a sensor's frames over recordings of other touches."""
-    total, count, kind = None, 0, load_sensor(target).sensor_kind
+    """Mean change from the reference (rows, cols, channels) of a sensor's frames over recordings
+    of other touches.
+    """
+    total = None
+    count = 0
+    kind = load_sensor(target).sensor_kind
     for of in recordings:
         recording = open_recording(of.target)
         try:
@@ -88,7 +109,8 @@ def compute_mean_change(recordings: tuple[PressRecordings, ...], target: str) ->
                 frame = stream.frame(index)
                 assert frame.reference is not None
                 one = kind.compute_relative_change(frame.image, frame.reference).astype(np.float64)
-                total, count = one if total is None else total + one, count + 1
+                total = one if total is None else total + one
+                count = count + 1
         finally:
             recording.close()
     if total is None:

@@ -25,11 +25,13 @@ class Comparison:
     tiles: tuple[Tile, ...]
     summary: str
     stage: str = ""  # stage of the 3D views
-    views_3d: tuple[tuple[tuple[Layer, ...], Translation | None], ...] = ()  # (layers, translation) per variant
+    # (layers, translation) per variant
+    views_3d: tuple[tuple[tuple[Layer, ...], Translation | None], ...] = ()
 
 
 def write_tiles(folder: Path, tiles: Sequence[Tile]) -> None:
-    """Write each tile's image and its difference to ground truth as PNG at full size, and the metrics as JSON.
+    """Write each tile's image and its difference to ground truth as PNG at full size, and the
+    metrics as JSON.
 
     The same tiles give the same bytes: times are left out. Raises FileProblem.
     """
@@ -39,12 +41,19 @@ def write_tiles(folder: Path, tiles: Sequence[Tile]) -> None:
         for index, tile in enumerate(tiles):
             name = f"{index:02d}_{_NON_ALPHANUMERIC.sub('_', tile.title.casefold()).strip('_')}"
             previews = {f"{name}.png": tile.preview, f"{name}_difference.png": tile.difference}
-            images = {file: preview.pixels for file, preview in previews.items() if preview is not None}
+            images = {
+                file: preview.pixels for file, preview in previews.items() if preview is not None
+            }
             for file, pixels in images.items():
                 with open_atomic(part / file, "the image", read_rgb) as png:
                     png.write(_encode_png(pixels))
             entries.append(
-                {"title": tile.title, "problem": tile.problem, "metrics": dict(tile.metrics), "images": list(images)}
+                {
+                    "title": tile.title,
+                    "problem": tile.problem,
+                    "metrics": dict(tile.metrics),
+                    "images": list(images),
+                }
             )
         write_json(part / TABLE_FILE, {"tiles": entries}, "the comparison")
 

@@ -1,4 +1,6 @@
-"""One frame on a grid: columns and rows each try methods, weights, seeds or values of a parameter."""
+"""One frame on a grid: columns and rows each try methods, weights, seeds or values of a
+parameter.
+"""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,7 +22,10 @@ from pipeline.views.display_params import DisplayParams
 from pipeline.views.preview import Preview
 from pipeline.views.tile import Tile
 
-METHOD, WEIGHTS, SEED = "method", "weights", "seed"  # what an axis tries besides parameters; a seed is one of these
+# what an axis tries besides parameters; a seed is one of these
+METHOD = "method"
+WEIGHTS = "weights"
+SEED = "seed"
 _MAX_VALUES = 12
 _TOUCH_DEPTH = "touch_depth"  # whose spread over seeds is measured
 _USAGE = "an axis is stage.parameter=value,value, stage.method=name,name or stage.weights=file,file"
@@ -41,7 +46,8 @@ class GridAxis:
 
     def vary(self, variant: Variant, index: int) -> Variant:
         """The variant with one value of this axis; raises SettingProblem."""
-        value, translation = self.values[index], variant.translation
+        value = self.values[index]
+        translation = variant.translation
         request = translation.request
         if self.name == METHOD:
             methods = {**dict(request.methods), self.stage: str(value)}
@@ -71,15 +77,23 @@ class GridPlan:
     @property
     def run_order(self) -> tuple[tuple[int, int], ...]:
         """(row, col) of all cells, corners first, so that one can stop early."""
-        rows, cols = 1 if self.down is None else len(self.down.values), len(self.across.values)
+        rows = 1 if self.down is None else len(self.down.values)
+        cols = len(self.across.values)
         corners = {(r, c) for r in (0, rows - 1) for c in (0, cols - 1)}
-        return tuple(sorted(product(range(rows), range(cols)), key=lambda cell: (cell not in corners, cell)))
+        return tuple(
+            sorted(product(range(rows), range(cols)), key=lambda cell: (cell not in corners, cell))
+        )
 
     def build_variant(self, base: Variant, row: int, col: int) -> Variant:
-        """The base with the values of one cell; raises SettingProblem for a parameter that its method lacks."""
+        """The base with the values of one cell.
+
+        Raises SettingProblem for a parameter that its method lacks.
+        """
         variant = base
         # The method comes first: parameters are those of the method in use.
-        for axis, index in sorted(zip(self.axes, (col, row), strict=False), key=lambda pair: pair[0].name != METHOD):
+        for axis, index in sorted(
+            zip(self.axes, (col, row), strict=False), key=lambda pair: pair[0].name != METHOD
+        ):
             variant = axis.vary(variant, index)
         return variant
 
@@ -130,25 +144,40 @@ def parse_axis(base: Variant, text: str) -> GridAxis:
 
 
 def compare_grid(
-    runner: VariantRunner, translation: Translation, frame: int, params: MethodParams, display: DisplayParams,
-    plan: GridPlan, progress: Progress = SILENT,
-) -> Iterator[GridComparison]:  # fmt: skip
-    """The cells so far, corners first, one more each time; one that fails has its problem. Raises Cancelled.
+    runner: VariantRunner,
+    translation: Translation,
+    frame: int,
+    params: MethodParams,
+    display: DisplayParams,
+    plan: GridPlan,
+    progress: Progress = SILENT,
+) -> Iterator[GridComparison]:
+    """The cells so far, corners first, one more each time.
 
-    Where an axis is a seed, the last summary says how much the touches differ, and whether that explains their error.
+    One that fails has its problem. Raises Cancelled.
+
+    Where an axis is a seed, the last summary says how much the touches differ, and whether that
+    explains their error.
     """
     if len({axis.title for axis in plan.axes}) < len(plan.axes):
         raise SettingProblem("columns and rows try the same; choose another for one of them")
     base = Variant(label="", translation=translation, params=params)
-    stage = plan.metric.partition(".")[0] or next(name for name in reversed(translation.stages) if name != "pose")
+    stage = plan.metric.partition(".")[0] or next(
+        name for name in reversed(translation.stages) if name != "pose"
+    )
     cells: list[GridCell] = []
     touches: dict[tuple[int, int], DepthMap] = {}
-    names, order = " by ".join(axis.title for axis in plan.axes), plan.run_order
+    names = " by ".join(axis.title for axis in plan.axes)
+    order = plan.run_order
     for index, (row, col) in enumerate(order):
-        part = SubProgress(progress, index / len(order), 1.0 / len(order), f"{index + 1} of {len(order)}")
+        part = SubProgress(
+            progress, index / len(order), 1.0 / len(order), f"{index + 1} of {len(order)}"
+        )
         part.step(0.0, "")
         try:
-            result = runner.evaluate(plan.build_variant(base, row, col), frame, [stage], part, timed=True)
+            result = runner.evaluate(
+                plan.build_variant(base, row, col), frame, [stage], part, timed=True
+            )
             cells.append(_make_cell(result, plan, row, col, stage, display))
         except TouchError as error:
             cells.append(GridCell(row=row, col=col, problem=str(error)))
@@ -158,8 +187,12 @@ def compare_grid(
                 touches[row, col] = output
         facts = [f"frame {frame}: {names}, {index + 1} of {len(order)}"]
         if index + 1 == len(order):
-            facts += _describe_spread(plan, touches, translation.read_true_outputs(frame).get(_TOUCH_DEPTH))
-        yield GridComparison(tiles=build_tiles(plan, cells), summary="; ".join(facts), cells=tuple(cells))
+            facts += _describe_spread(
+                plan, touches, translation.read_true_outputs(frame).get(_TOUCH_DEPTH)
+            )
+        yield GridComparison(
+            tiles=build_tiles(plan, cells), summary="; ".join(facts), cells=tuple(cells)
+        )
 
 
 def build_tiles(plan: GridPlan, cells: Sequence[GridCell]) -> tuple[Tile, ...]:
@@ -170,26 +203,36 @@ def build_tiles(plan: GridPlan, cells: Sequence[GridCell]) -> tuple[Tile, ...]:
                 f"{axis.title}={format_value(axis.values[index])}"
                 for axis, index in zip(plan.axes, (cell.col, cell.row), strict=False)
             ),
-            metrics={plan.metric: cell.error} if math.isfinite(cell.error) else {}, preview=cell.preview,
-            problem=cell.problem, starts_row=cell.col == 0,
+            metrics={plan.metric: cell.error} if math.isfinite(cell.error) else {},
+            preview=cell.preview,
+            problem=cell.problem,
+            starts_row=cell.col == 0,
         )
         for cell in sorted(cells, key=lambda cell: (cell.row, cell.col))
-    )  # fmt: skip
+    )
 
 
 def _make_cell(
     result: VariantResult, plan: GridPlan, row: int, col: int, stage: str, display: DisplayParams
 ) -> GridCell:
-    """The cell of a result; a method or weights in whose place another method answered are a problem."""
+    """The cell of a result; a method or weights in whose place another method answered are a
+    problem.
+    """
     chosen = [axis.stage for axis in plan.axes if axis.name in (METHOD, WEIGHTS)]
-    problem = next((r.fallback for name, r in result.results.items() if name in chosen and r.fallback), "")
+    problem = next(
+        (r.fallback for name, r in result.results.items() if name in chosen and r.fallback), ""
+    )
     if problem:
         return GridCell(row=row, col=col, problem=problem)
     error = result.compute_metrics().get(plan.metric, math.nan)
-    return GridCell(row=row, col=col, error=error, ms=result.ms, preview=result.make_preview(stage, display))
+    return GridCell(
+        row=row, col=col, error=error, ms=result.ms, preview=result.make_preview(stage, display)
+    )
 
 
-def _describe_spread(plan: GridPlan, touches: Mapping[tuple[int, int], DepthMap], truth: object) -> list[str]:
+def _describe_spread(
+    plan: GridPlan, touches: Mapping[tuple[int, int], DepthMap], truth: object
+) -> list[str]:
     """Return a sentence per line of seeds; [] without an axis of seeds."""
     seeds = next((k for k, axis in enumerate(plan.axes) if axis.name == SEED), None)
     if seeds is None:
@@ -197,12 +240,16 @@ def _describe_spread(plan: GridPlan, touches: Mapping[tuple[int, int], DepthMap]
     others = [axis for axis in plan.axes if axis.name != SEED]
     known = truth if isinstance(truth, DepthMap) else None
     texts: list[str] = []
-    for line, keys in groupby(sorted(touches, key=lambda key: key[seeds]), key=lambda key: key[seeds]):
+    for line, keys in groupby(
+        sorted(touches, key=lambda key: key[seeds]), key=lambda key: key[seeds]
+    ):
         samples = [touches[key].indentation_mm for key in keys]
         if len(samples) < 2:
             continue
         spread = measure_spread(
-            samples, None if known is None else known.indentation_mm, None if known is None else known.contact
+            samples,
+            None if known is None else known.indentation_mm,
+            None if known is None else known.contact,
         )
         words = [f"{axis.title}={format_value(axis.values[line])}: " for axis in others]
         texts.append("".join((*words, spread.summary)))
@@ -213,7 +260,8 @@ def _describe_spread(plan: GridPlan, touches: Mapping[tuple[int, int], DepthMap]
 class Spread:
     """How samples of one membrane differ, in mm (rms in true contact, else everywhere).
 
-    The standard deviation of a calibrated sampler equals its error. If the error is larger, more samples do not help.
+    The standard deviation of a calibrated sampler equals its error. If the error is larger, more
+    samples do not help.
     """
 
     n_samples: int
@@ -239,13 +287,24 @@ class Spread:
         )
 
 
-def measure_spread(samples_mm: Sequence[Floats], true_mm: Floats | None, contact: Mask | None) -> Spread:
+def measure_spread(
+    samples_mm: Sequence[Floats], true_mm: Floats | None, contact: Mask | None
+) -> Spread:
     """Measure the spread of two or more samples (rows, cols) in mm; `contact` is the true one."""
     stack = np.asarray(samples_mm, np.float64)
-    mean_mm, std_mm = stack.mean(axis=0), stack.std(axis=0, ddof=1)
+    mean_mm = stack.mean(axis=0)
+    std_mm = stack.std(axis=0, ddof=1)
     shape = mean_mm.shape
-    where = contact if contact is not None and contact.shape == shape and contact.any() else np.ones(shape, np.bool_)
-    bias_mm = mean_mm - true_mm if true_mm is not None and true_mm.shape == shape else np.full(shape, math.nan)
+    where = (
+        contact
+        if contact is not None and contact.shape == shape and contact.any()
+        else np.ones(shape, np.bool_)
+    )
+    bias_mm = (
+        mean_mm - true_mm
+        if true_mm is not None and true_mm.shape == shape
+        else np.full(shape, math.nan)
+    )
 
     def compute_rms(values: Floats) -> float:
         inside = values[where & np.isfinite(values)]

@@ -1,4 +1,6 @@
-"""Held-out touches that methods are scored on: presses that no method was trained on, simulated once and cached."""
+"""Held-out touches that methods are scored on: presses that no method was trained on, simulated
+once and cached.
+"""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +21,8 @@ SENSORS = ("gelslim", "soft_bubble", "digit")
 _TARGETS = SENSORS[:2]
 MAX_GRASPS = 1000
 MAX_SEED = 1_000_000
-TouchSet = Split | Literal["training"]  # "training": touches of training objects, for the mean touch
+# "training": touches of training objects, for the mean touch
+TouchSet = Split | Literal["training"]
 _SEEDS: dict[str, int] = {"unseen_grasps": 40_001, "unseen_tools": 40_002, "training": 40_003}
 
 _SEED_STEP = 100_000  # so that no seed of one set is that of another
@@ -31,7 +34,9 @@ class HeldOutOptions:
 
     grasps: int = 5  # of each object
     sensor_variation: float = (
-        1.0  # how far a source differs from the described unit, 1 = as those of a lab; a target never does
+        # how far a source differs from the described unit, 1 = as those of a lab; a target never
+        # does
+        1.0
     )
     seed: int = 0  # of the touches to score; those of the mean touch stay the same
     folder: Path | None = None  # where they are kept; None = the user's cache
@@ -39,7 +44,9 @@ class HeldOutOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PressRecordings:
-    """The same presses of one object by both sensors: simulated by two instances each, or recorded as pairs."""
+    """The same presses of one object by both sensors: simulated by two instances each, or
+    recorded as pairs.
+    """
 
     object_name: str
     source: Path
@@ -48,47 +55,71 @@ class PressRecordings:
     target_stream: str = ""
     frames: tuple[int, ...] = ()  # of the source; () = all
     target_frames: tuple[int, ...] = ()  # their partners
-    frame_names: tuple[str, ...] = ()  # touches of one grasp have one name; () = every frame is a touch of its own
+    # touches of one grasp have one name; () = every frame is a touch of its own
+    frame_names: tuple[str, ...] = ()
     mesh: Path | None = None  # of the object, in metres; None = the recording's
 
 
 def select_sensors(source: str, target: str) -> tuple[str, ...]:
-    """Return the sensors that record a direction: `SENSORS`, or the default targets and both sensors of it."""
-    return SENSORS if {source, target} <= set(SENSORS) else tuple(dict.fromkeys((*_TARGETS, source, target)))
+    """Return the sensors that record a direction: `SENSORS`, or the default targets and both
+    sensors of it.
+    """
+    return (
+        SENSORS
+        if {source, target} <= set(SENSORS)
+        else tuple(dict.fromkeys((*_TARGETS, source, target)))
+    )
 
 
 def load_or_simulate(
-    of: TouchSet, held_out: HeldOutOptions, progress: Progress = SILENT, sensors: tuple[str, ...] = SENSORS
+    of: TouchSet,
+    held_out: HeldOutOptions,
+    progress: Progress = SILENT,
+    sensors: tuple[str, ...] = SENSORS,
 ) -> tuple[PressRecordings, ...]:
     """Recordings of every object by all `sensors` at once; missing ones are simulated.
 
-    Sources are varied sensor instances. Touches are generated for the described target, so the described instance
-    records what they are compared with. Raises SettingProblem for an invalid number of grasps, FileProblem if the
-    folder cannot be written.
+    Sources are varied sensor instances. Touches are generated for the described target, so the
+    described instance records what they are compared with. Raises SettingProblem for an invalid
+    number of grasps, FileProblem if the folder cannot be written.
     """
     check_range("--grasps", held_out.grasps, 1, MAX_GRASPS)
     check_range("--seed", held_out.seed, 0, MAX_SEED)
     template = SimulationPlan(
-        sensors=sensors, object_source="", n_poses=held_out.grasps,
-        seed=_SEEDS[of] + _SEED_STEP * held_out.seed, vary=held_out.sensor_variation,
-    )  # fmt: skip
+        sensors=sensors,
+        object_source="",
+        n_poses=held_out.grasps,
+        seed=_SEEDS[of] + _SEED_STEP * held_out.seed,
+        vary=held_out.sensor_variation,
+    )
     plans = datasets.make_plans(("unseen" if of == "unseen_tools" else "training",), template)
     recordings: list[PressRecordings] = []
     for index, plan in enumerate(plans):
-        part = SubProgress(progress, index / len(plans), 1.0 / len(plans), f"simulating {plan.object_name}")
-        paths = [_load_or_record(of, variant, held_out.folder, part) for variant in (plan, replace(plan, vary=0.0))]
-        recordings.append(PressRecordings(object_name=plan.object_name, source=paths[0], target=paths[1]))
+        part = SubProgress(
+            progress, index / len(plans), 1.0 / len(plans), f"simulating {plan.object_name}"
+        )
+        paths = [
+            _load_or_record(of, variant, held_out.folder, part)
+            for variant in (plan, replace(plan, vary=0.0))
+        ]
+        recordings.append(
+            PressRecordings(object_name=plan.object_name, source=paths[0], target=paths[1])
+        )
     return tuple(recordings)
 
 
-def _load_or_record(of: TouchSet, plan: SimulationPlan, folder: Path | None, progress: Progress) -> Path:
-    # The name contains a digest of the plan: recordings of another plan are neither used nor overwritten.
+def _load_or_record(
+    of: TouchSet, plan: SimulationPlan, folder: Path | None, progress: Progress
+) -> Path:
+    # The name contains a digest of the plan: recordings of another plan are neither used nor
+    # overwritten.
     name = f"{of}_{plan.object_name}_{compute_digest(datasets.describe_plan(plan))[:8]}.h5"
     path = (folder or disk_store.cache_folder() / "held_out") / name
     try:
         done = recorder.count_finished_moments(plan, path)
     except FileProblem:  # a damaged recording of this cache
-        done, _ = 0, set_aside(path)
+        done = 0
+        _ = set_aside(path)
     if done < plan.n_poses:
         recorder.record_plan(plan, path, progress=progress)
     return path

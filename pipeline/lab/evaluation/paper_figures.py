@@ -1,6 +1,8 @@
-"""The paper's figures 4 and 5: touches of one split by T2T and T2D2, between the source's frame and the recorded touch.
+"""The paper's figures 4 and 5: touches of one split by T2T and T2D2, between the source's frame and
+the recorded touch.
 
-Figure 4 shows both directions between GelSlim and Soft Bubble, figure 5 the target depth of T2D2 for every direction.
+Figure 4 shows both directions between GelSlim and Soft Bubble, figure 5 the target depth of T2D2
+for every direction.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,8 +23,11 @@ from pipeline.translation.translate import Translation
 from pipeline.views.display_params import DisplayParams
 from pipeline.views.preview import make_recorded_preview
 
-INPUT, DEPTH, TRUTH = "input", "target depth", "recorded touch"
-T2T, T2D2 = "T2T", "T2D2"
+INPUT = "input"
+DEPTH = "target depth"
+TRUTH = "recorded touch"
+T2T = "T2T"
+T2D2 = "T2D2"
 _COLUMNS = {4: (INPUT, T2T, T2D2, TRUTH), 5: (INPUT, DEPTH, T2D2, TRUTH)}
 _N_OBJECTS = 2  # rows of a direction
 _PANEL_INCHES = 1.9, 1.5  # width and height
@@ -38,8 +43,13 @@ class FigureRow:
     images: Mapping[str, Image]  # column -> (rows, cols, 3); without models that have no weights
 
 
-def draw_paper_figures(request: EvaluationRequest, folder: Path, progress: Progress = SILENT) -> list[Path]:
-    """Write `figure_4_<split>.png` and `figure_5_<split>.png`; returns the files. Raises FileProblem."""
+def draw_paper_figures(
+    request: EvaluationRequest, folder: Path, progress: Progress = SILENT
+) -> list[Path]:
+    """Write `figure_4_<split>.png` and `figure_5_<split>.png`.
+
+    Returns the files. Raises FileProblem.
+    """
     touches, _ = collect_touches(request, SILENT)
     rows: list[FigureRow] = []
     for k, ((source, target), (held_out, _)) in enumerate(touches.items()):
@@ -71,7 +81,11 @@ def _select_models(request: EvaluationRequest, source: str, target: str) -> dict
 
 
 def _make_row(
-    request: EvaluationRequest, of: PressRecordings, source: str, target: str, models: Mapping[str, Candidate]
+    request: EvaluationRequest,
+    of: PressRecordings,
+    source: str,
+    target: str,
+    models: Mapping[str, Candidate],
 ) -> FigureRow:
     with open_presses(of, source, target, request.methods) as translation:
         frames = of.frames or translation.select_paired(range(translation.n_frames))
@@ -91,27 +105,40 @@ def _draw_frame(frame: TactileFrame, translation: Translation, name: str) -> Ima
 
 
 def _draw_stages(
-    request: EvaluationRequest, translation: Translation, index: int, model: str, candidate: Candidate
+    request: EvaluationRequest,
+    translation: Translation,
+    index: int,
+    model: str,
+    candidate: Candidate,
 ) -> dict[str, Image]:
     """The touch of a model; with T2D2 its target depth too."""
     methods = {**request.methods, "touch": candidate.name}
     files = {stage: file for stage, file in request.weights.items() if stage == "depth"}
     if candidate.name in request.weights:
         files["touch"] = request.weights[candidate.name]
-    chosen = replace(translation, request=replace(
-        translation.request, methods=tuple(methods.items()), weights=tuple(files.items())
-    ))  # fmt: skip
+    chosen = replace(
+        translation,
+        request=replace(
+            translation.request, methods=tuple(methods.items()), weights=tuple(files.items())
+        ),
+    )
     stages = {DEPTH: "target_depth", model: "touch"} if model == T2D2 else {model: "touch"}
     results = chosen.evaluate(index, ["target_depth", "touch"])
     context = chosen.make_preview_context(results)
-    previews = {title: chosen.catalogue.views[stage].make_preview(results[stage].output, context)
-                for title, stage in stages.items()}  # fmt: skip
+    previews = {
+        title: chosen.catalogue.views[stage].make_preview(results[stage].output, context)
+        for title, stage in stages.items()
+    }
     return {title: preview.pixels for title, preview in previews.items()}
 
 
 def _draw(rows: Sequence[FigureRow], columns: Sequence[str], split: str, path: Path) -> None:
     width, height = _PANEL_INCHES
-    figure = make_figure(figsize=(width * len(columns) + 1.0, height * len(rows) + 0.6), dpi=150, layout="constrained")
+    figure = make_figure(
+        figsize=(width * len(columns) + 1.0, height * len(rows) + 0.6),
+        dpi=150,
+        layout="constrained",
+    )
     figure.suptitle(split, fontsize=9)
     panels: Any = figure.subplots(len(rows), len(columns), squeeze=False)
     for axes, column in zip(panels[0], columns, strict=True):
@@ -122,7 +149,15 @@ def _draw(rows: Sequence[FigureRow], columns: Sequence[str], split: str, path: P
             if column in row.images:
                 axes.imshow(row.images[column])
             else:
-                axes.text(0.5, 0.5, "no weights", ha="center", va="center", transform=axes.transAxes, fontsize=7)
+                axes.text(
+                    0.5,
+                    0.5,
+                    "no weights",
+                    ha="center",
+                    va="center",
+                    transform=axes.transAxes,
+                    fontsize=7,
+                )
         titles = [load_sensor(name).title for name in (row.source, row.target)]
         line[0].set_ylabel(f"{titles[0]} to\n{titles[1]}\n{row.object_name}", fontsize=6)
     save_figure(figure, path, "the figure")

@@ -9,25 +9,51 @@ from pipeline.core.errors import SettingProblem
 from pipeline.core.params import list_settings
 from pipeline.core.progress import SILENT, Progress, SubProgress
 from pipeline.lab.evaluation import touch_features
-from pipeline.lab.evaluation.candidates import BASELINES, RECORDED, check_candidate_names, select_candidates
-from pipeline.lab.evaluation.held_out import HeldOutOptions, PressRecordings, load_or_simulate, select_sensors
+from pipeline.lab.evaluation.candidates import (
+    BASELINES,
+    RECORDED,
+    check_candidate_names,
+    select_candidates,
+)
+from pipeline.lab.evaluation.held_out import (
+    HeldOutOptions,
+    PressRecordings,
+    load_or_simulate,
+    select_sensors,
+)
 from pipeline.lab.evaluation.published_results import COMPARISON_NOTE, PAPER_DIRECTIONS, Split
-from pipeline.lab.evaluation.recorded_folders import open_directions, require_touches, select_recorded
+from pipeline.lab.evaluation.recorded_folders import (
+    open_directions,
+    require_touches,
+    select_recorded,
+)
 from pipeline.lab.evaluation.table_rows import TableRow, build_rows
-from pipeline.lab.evaluation.touch_scoring import PAPER_GRASP, ScoredTouch, ScoringJob, score_recording
+from pipeline.lab.evaluation.touch_scoring import (
+    PAPER_GRASP,
+    ScoredTouch,
+    ScoringJob,
+    score_recording,
+)
 from pipeline.lab.training.recorded_pairs import PairFolder
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.translation.catalogue import BUILT_IN
 
-DirectionTouches = dict[tuple[str, str], tuple[tuple[PressRecordings, ...], tuple[PressRecordings, ...]]]
+DirectionTouches = dict[
+    tuple[str, str], tuple[tuple[PressRecordings, ...], tuple[PressRecordings, ...]]
+]
 REAL_NOTE = (
-    "touches are recorded pairs; where a target's truth is not recorded, its contact and indentation are estimated "
+    "touches are recorded pairs; where a target's truth is not recorded, its contact and "
+    "indentation are estimated "
     "from its own frame; a Frechet distance uses our own encoder, trained on simulated touches"
 )
-JobMapper = Callable[[Callable[..., Any], Sequence[ScoringJob], Progress], Sequence[list[ScoredTouch]]]
+JobMapper = Callable[
+    [Callable[..., Any], Sequence[ScoringJob], Progress], Sequence[list[ScoredTouch]]
+]
 MEAN_TOUCH_GRASPS = 3  # per training object, for the mean touch
-POSE_METHODS = tuple(m.name for m in BUILT_IN.stage("pose").methods if m.name in ("signed_distances", "network"))
+POSE_METHODS = tuple(
+    m.name for m in BUILT_IN.stage("pose").methods if m.name in ("signed_distances", "network")
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +68,8 @@ class EvaluationRequest:
     settings: tuple[str, ...] = ()
     pose_methods: tuple[str, ...] = POSE_METHODS
     weights: Mapping[str, Path] = field(default_factory=dict)  # touch method or stage -> file
-    pairs: PairFolder = field(default_factory=PairFolder)  # recorded pairs in place of simulated touches
+    # recorded pairs in place of simulated touches
+    pairs: PairFolder = field(default_factory=PairFolder)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,26 +84,40 @@ class EvaluationTable:
 def evaluate_tables(
     request: EvaluationRequest, progress: Progress = SILENT, work: JobMapper | None = None
 ) -> EvaluationTable:
-    """Score all touches and build the rows; `work` maps jobs to other processes or machines, None runs them here.
+    """Score all touches and build the rows.
+
+    `work` maps jobs to other processes or machines, None runs them here.
 
     Raises SettingProblem for an unknown direction, method or candidate, and the errors of methods.
     """
     _check_settings(request)
     touches, notes = collect_touches(request, SubProgress(progress, 0.0, 0.15))
     candidate_sets = [
-        select_candidates(load_sensor(source), load_sensor(target), request.candidates, request.weights)
+        select_candidates(
+            load_sensor(source), load_sensor(target), request.candidates, request.weights
+        )
         for source, target in touches
     ]
     for method in set(request.weights).intersection(request.candidates or request.weights):
-        whys = [why for one in candidate_sets for why in one.excluded if why.split(":")[0].endswith(f" by {method}")]
-        if len(whys) == len(candidate_sets):  # a file of one direction leaves the method out of the others
+        whys = [
+            why
+            for one in candidate_sets
+            for why in one.excluded
+            if why.split(":")[0].endswith(f" by {method}")
+        ]
+        # a file of one direction leaves the method out of the others
+        if len(whys) == len(candidate_sets):
             raise SettingProblem(f"--weights {method}={request.weights[method]}: {whys[0]}")
     rows: list[TableRow] = []
     whole = SubProgress(progress, 0.15, 0.85)
-    for index, ((source, target), candidate_set) in enumerate(zip(touches, candidate_sets, strict=True)):
+    for index, ((source, target), candidate_set) in enumerate(
+        zip(touches, candidate_sets, strict=True)
+    ):
         part = SubProgress(whole, index / len(touches), 1.0 / len(touches), f"{source} to {target}")
         held_out, training = touches[source, target]
-        pose_methods, missing = _select_pose_methods(request.pose_methods, load_sensor(source), load_sensor(target))
+        pose_methods, missing = _select_pose_methods(
+            request.pose_methods, load_sensor(source), load_sensor(target)
+        )
         notes += [*candidate_set.excluded, *missing]
         jobs = [
             ScoringJob(
@@ -94,7 +135,11 @@ def evaluate_tables(
         ]
         scored = _run_jobs(jobs, part) if work is None else work(score_recording, jobs, part)
         rows += build_rows(
-            request.split, source, target, candidate_set.candidates, [touch for job in scored for touch in job]
+            request.split,
+            source,
+            target,
+            candidate_set.candidates,
+            [touch for job in scored for touch in job],
         )
     return EvaluationTable(
         split=request.split,
@@ -103,14 +148,22 @@ def evaluate_tables(
     )
 
 
-def collect_touches(request: EvaluationRequest, progress: Progress) -> tuple[DirectionTouches, list[str]]:
-    """Direction -> (touches to score, touches of the mean touch), simulated once if need be; and notes on them."""
+def collect_touches(
+    request: EvaluationRequest, progress: Progress
+) -> tuple[DirectionTouches, list[str]]:
+    """Direction -> (touches to score, touches of the mean touch), simulated once if need be.
+
+    And notes on them.
+    """
     if request.pairs.path:
         opened = open_directions(request.pairs, request.directions)
         for pairs in opened.values():
             require_touches(pairs, request.split)
         notes = [REAL_NOTE, *(note for pairs in opened.values() for note in pairs.notes)]
-        sets = {d: (select_recorded(p, request.split), select_recorded(p, "training")) for d, p in opened.items()}
+        sets = {
+            d: (select_recorded(p, request.split), select_recorded(p, "training"))
+            for d, p in opened.items()
+        }
         return sets, notes
     directions = request.directions or PAPER_DIRECTIONS
     sensor_sets = dict.fromkeys(select_sensors(*direction) for direction in directions)
@@ -151,19 +204,32 @@ def _select_pose_methods(
 
 
 def _check_settings(request: EvaluationRequest) -> None:
-    """Raise SettingProblem for an unknown candidate, a touch method for all, or a setting that no touch method has."""
+    """Raise SettingProblem for an unknown candidate, a touch method for all, or a setting that
+    no touch method has.
+    """
     check_candidate_names(request.candidates)
     if "touch" in request.methods:
-        raise SettingProblem("every touch method is evaluated; name those of interest with --only, not with --method")
-    known = {name for method in BUILT_IN.stage("touch").methods for name in list_settings(method.params())}
+        raise SettingProblem(
+            "every touch method is evaluated; name those of interest with --only, not with --method"
+        )
+    known = {
+        name
+        for method in BUILT_IN.stage("touch").methods
+        for name in list_settings(method.params())
+    }
     for assignment in request.settings:
         stage, _, name = assignment.partition("=")[0].strip().partition(".")
         if stage == "touch" and name not in known:
-            raise SettingProblem(f"no touch method has a parameter {name!r}; there are {', '.join(sorted(known))}")
+            raise SettingProblem(
+                f"no touch method has a parameter {name!r}; there are {', '.join(sorted(known))}"
+            )
 
 
 def _run_jobs(jobs: Sequence[ScoringJob], progress: Progress) -> list[list[ScoredTouch]]:
-    return [score_recording(job, SubProgress(progress, k / len(jobs), 1.0 / len(jobs))) for k, job in enumerate(jobs)]
+    return [
+        score_recording(job, SubProgress(progress, k / len(jobs), 1.0 / len(jobs)))
+        for k, job in enumerate(jobs)
+    ]
 
 
 def _remove_duplicates(rows: Sequence[TableRow]) -> list[TableRow]:
@@ -179,8 +245,17 @@ def _describe_conditions(request: EvaluationRequest, touches: DirectionTouches) 
     """Notes on the conditions of the evaluation."""
     split = request.split.replace("_", " ")
     if request.pairs.path:
-        counts = [(sum(len(set(r.frame_names)) for r in held_out if r.source_stream == held_out[0].source_stream),
-                   sum(len(r.frames) for r in held_out)) for held_out, _ in touches.values()]  # fmt: skip
+        counts = [
+            (
+                sum(
+                    len(set(r.frame_names))
+                    for r in held_out
+                    if r.source_stream == held_out[0].source_stream
+                ),
+                sum(len(r.frames) for r in held_out),
+            )
+            for held_out, _ in touches.values()
+        ]
         notes = [
             f"{split}: {n_pairs} pairs of {n_grasps} grasps in {request.pairs.path}"
             for n_grasps, n_pairs in dict.fromkeys(counts)
@@ -203,7 +278,9 @@ def parse_direction(text: str) -> tuple[str, str]:
     """Source and target of `source:target`; raises SettingProblem unless both are known sensors."""
     source, arrow, target = (part.strip() for part in text.partition(":"))
     if not arrow or not source or not target:
-        raise SettingProblem(f"a direction is written source:target, as gelslim:soft_bubble; got {text!r}")
+        raise SettingProblem(
+            f"a direction is written source:target, as gelslim:soft_bubble; got {text!r}"
+        )
     direction = load_sensor(source).name, load_sensor(target).name
     if direction[0] == direction[1]:
         raise SettingProblem(f"a direction is between two sensors, got {text!r}")

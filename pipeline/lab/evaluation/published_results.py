@@ -8,8 +8,10 @@ Split = Literal["unseen_grasps", "unseen_tools"]
 MeanStd = tuple[float, float]  # mean and standard deviation
 
 COMPARISON_NOTE = (
-    "the paper's results are of real recordings, ours of simulated ones: they show what is hard, not who is better; "
-    "its FID uses Inception, our Frechet distance our own encoder, with the distance of two halves of the recorded "
+    "the paper's results are of real recordings, ours of simulated ones: they show what is hard, "
+    "not who is better; "
+    "its FID uses Inception, our Frechet distance our own encoder, with the distance of two "
+    "halves of the recorded "
     "touches as floor"
 )
 
@@ -28,14 +30,24 @@ class PaperRow:
     rotation_deg: MeanStd
 
 
-def _rows(*cells: tuple[str, str, str, tuple[float, float, float] | None, MeanStd, MeanStd]) -> tuple[PaperRow, ...]:
+def _rows(
+    *cells: tuple[str, str, str, tuple[float, float, float] | None, MeanStd, MeanStd],
+) -> tuple[PaperRow, ...]:
     rows: list[PaperRow] = []
     for source, target, model, image, translation_mm, rotation_deg in cells:
         psnr, ssim, fid = image or (None, None, None)
-        rows.append(PaperRow(
-            source=source, target=target, model=model, psnr_db=psnr, ssim=ssim, fid=fid,
-            translation_mm=translation_mm, rotation_deg=rotation_deg,
-        ))  # fmt: skip
+        rows.append(
+            PaperRow(
+                source=source,
+                target=target,
+                model=model,
+                psnr_db=psnr,
+                ssim=ssim,
+                fid=fid,
+                translation_mm=translation_mm,
+                rotation_deg=rotation_deg,
+            )
+        )
     return tuple(rows)
 
 
@@ -62,8 +74,11 @@ PAPER_ROWS: Mapping[Split, tuple[PaperRow, ...]] = {
     ),
 }
 PAPER_DIRECTIONS: tuple[tuple[str, str], ...] = (
-    ("gelslim", "soft_bubble"), ("digit", "soft_bubble"), ("soft_bubble", "gelslim"), ("digit", "gelslim"),
-)  # fmt: skip
+    ("gelslim", "soft_bubble"),
+    ("digit", "soft_bubble"),
+    ("soft_bubble", "gelslim"),
+    ("digit", "gelslim"),
+)
 PAPER_MODELS: Mapping[str, str] = {
     "t2t": "T2T",
     "latent": "T2T",
@@ -74,4 +89,7 @@ PAPER_MODELS: Mapping[str, str] = {
 
 def find_paper_row(split: Split, source: str, target: str, model: str) -> PaperRow | None:
     """The paper's row of a transfer and model; None if it has none."""
-    return next((r for r in PAPER_ROWS[split] if (r.source, r.target, r.model) == (source, target, model)), None)
+    return next(
+        (r for r in PAPER_ROWS[split] if (r.source, r.target, r.model) == (source, target, model)),
+        None,
+    )

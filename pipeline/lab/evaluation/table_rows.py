@@ -26,7 +26,10 @@ class PoseErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetDistances:
-    """Distances of the generated touches to the recorded ones; the floor is between halves of the recorded."""
+    """Distances of the generated touches to the recorded ones.
+
+    The floor is between halves of the recorded.
+    """
 
     frechet: float
     frechet_floor: float
@@ -43,7 +46,8 @@ class TableRow:
     title: str
     n_touches: int
     metrics: Mapping[str, Mapping[str, float]]  # TOUCH_METRICS name -> region -> value
-    intervals: Mapping[str, Mapping[str, tuple[float, float]]]  # the same -> 95 % interval over grasps, where known
+    # the same -> 95 % interval over grasps, where known
+    intervals: Mapping[str, Mapping[str, tuple[float, float]]]
     pose_errors: Mapping[str, PoseErrors]  # pose method -> errors
     set_distances: SetDistances | None  # None = no encoder for this target, or too few touches
     ms: float  # median time per touch
@@ -52,10 +56,16 @@ class TableRow:
 
 
 def build_rows(
-    split: Split, source: str, target: str, candidates: Sequence[Candidate], scored: Sequence[ScoredTouch]
+    split: Split,
+    source: str,
+    target: str,
+    candidates: Sequence[Candidate],
+    scored: Sequence[ScoredTouch],
 ) -> list[TableRow]:
     """Rows of one direction in the order of the candidates; recorded touches have poses only."""
-    by_candidate = {c.name: [touch for touch in scored if touch.candidate == c.name] for c in candidates}
+    by_candidate = {
+        c.name: [touch for touch in scored if touch.candidate == c.name] for c in candidates
+    }
     true = _stack_features(by_candidate.get(RECORDED, []))
     rows: list[TableRow] = []
     for candidate in candidates:
@@ -64,17 +74,28 @@ def build_rows(
             continue
         is_recorded = candidate.name == RECORDED
         row_source = "" if is_recorded else source
-        rows.append(TableRow(
-            source=row_source, target=target, candidate=candidate.name, title=candidate.title,
-            n_touches=len(touches), metrics=pool_metrics([touch.metrics for touch in touches]),
-            intervals=bootstrap_metrics([touch.metrics for touch in touches], [touch.touch_name for touch in touches]),
-            pose_errors=_pool_pose_errors(touches),
-            set_distances=None if is_recorded or true is None else _compare_sets(_stack_features(touches), true),
-            ms=statistics.median(touch.ms for touch in touches),
-            notes=tuple(dict.fromkeys(note for touch in touches for note in touch.notes)),
-            paper=find_paper_row(split, row_source, target, candidate.paper_model)
-            if is_recorded or candidate.paper_model else None,
-        ))  # fmt: skip
+        rows.append(
+            TableRow(
+                source=row_source,
+                target=target,
+                candidate=candidate.name,
+                title=candidate.title,
+                n_touches=len(touches),
+                metrics=pool_metrics([touch.metrics for touch in touches]),
+                intervals=bootstrap_metrics(
+                    [touch.metrics for touch in touches], [touch.touch_name for touch in touches]
+                ),
+                pose_errors=_pool_pose_errors(touches),
+                set_distances=None
+                if is_recorded or true is None
+                else _compare_sets(_stack_features(touches), true),
+                ms=statistics.median(touch.ms for touch in touches),
+                notes=tuple(dict.fromkeys(note for touch in touches for note in touch.notes)),
+                paper=find_paper_row(split, row_source, target, candidate.paper_model)
+                if is_recorded or candidate.paper_model
+                else None,
+            )
+        )
     return rows
 
 
@@ -101,7 +122,9 @@ def _pool_pose_errors(touches: Sequence[ScoredTouch]) -> dict[str, PoseErrors]:
         lengths_mm, angles_deg = ([e[k] for e in errors if math.isfinite(e[k])] for k in (0, 1))
         if lengths_mm and angles_deg:
             pooled[method] = PoseErrors(
-                translation_mm=_mean_std(lengths_mm), rotation_deg=_mean_std(angles_deg), n_poses=len(lengths_mm)
+                translation_mm=_mean_std(lengths_mm),
+                rotation_deg=_mean_std(angles_deg),
+                n_poses=len(lengths_mm),
             )
     return pooled | _pool_grasp_errors(touches)
 
@@ -114,17 +137,22 @@ def _pool_grasp_errors(touches: Sequence[ScoredTouch]) -> dict[str, PoseErrors]:
             grasps.setdefault(touch.touch_name, []).append(touch.finger)
     errors = [
         compute_grasp_pose_error(
-            np.concatenate([f.points_mm for f in fingers]), fingers[0].mesh, fingers[0].grasp_from_object
+            np.concatenate([f.points_mm for f in fingers]),
+            fingers[0].mesh,
+            fingers[0].grasp_from_object,
         )
         for fingers in grasps.values()
     ]
     known = [error for error in errors if error is not None]
     if not known:
         return {}
-    return {PAPER_GRASP: PoseErrors(
-        translation_mm=_mean_std([e.translation_mm for e in known]),
-        rotation_deg=_mean_std([e.rotation_deg for e in known]), n_poses=len(known),
-    )}  # fmt: skip
+    return {
+        PAPER_GRASP: PoseErrors(
+            translation_mm=_mean_std([e.translation_mm for e in known]),
+            rotation_deg=_mean_std([e.rotation_deg for e in known]),
+            n_poses=len(known),
+        )
+    }
 
 
 def _mean_std(values: Sequence[float]) -> MeanStd:
@@ -136,12 +164,14 @@ Distance = Callable[[Doubles, Doubles], float]
 
 
 def frechet_distance(a: Doubles, b: Doubles) -> float:
-    """Return the squared Frechet distance (>= 0) of normal distributions fitted to rows (n, features).
+    """Return the squared Frechet distance (>= 0) of normal distributions fitted to rows (n,
+    features).
 
-    With few touches it is mostly its own bias, so it is only meaningful relative to that of two halves of the true set.
+    With few touches it is mostly its own bias, so it is only meaningful relative to that of two
+    halves of the true set.
 
-    tr((S T)^1/2) of two covariances is the nuclear norm of the product of their factors, exact also for fewer touches
-    than features; NaN for fewer than `MIN_TOUCHES`.
+    tr((S T)^1/2) of two covariances is the nuclear norm of the product of their factors, exact also
+    for fewer touches than features; NaN for fewer than `MIN_TOUCHES`.
     """
     if min(len(a), len(b)) < MIN_TOUCHES:
         return math.nan
@@ -153,16 +183,20 @@ def frechet_distance(a: Doubles, b: Doubles) -> float:
 
 def _factor(x: Doubles) -> Doubles:
     """Return R with R^T R the covariance of the rows of `x`, of minimal size."""
-    return np.asarray(np.linalg.qr((x - x.mean(axis=0)) / math.sqrt(len(x) - 1), mode="r"), np.float64)
+    return np.asarray(
+        np.linalg.qr((x - x.mean(axis=0)) / math.sqrt(len(x) - 1), mode="r"), np.float64
+    )
 
 
 def kernel_distance(generated: Doubles, true: Doubles) -> float:
-    """Return the unbiased squared maximum mean discrepancy of paired rows (n, features) of both sets; 0 = equal sets.
+    """Return the unbiased squared maximum mean discrepancy of paired rows (n, features) of both
+    sets; 0 = equal sets.
 
-    The cubic kernel of Binkowski et al. 2018, (x.y / scale + 1)^3, where the scale is the mean squared length of the
-    true features instead of their number: ours are thirty times as large as Inception's. Row i of both sets is the same
-    touch, so that every mean is over the pairs i != j (Gretton et al. 2012, lemma 6): objects occur equally often in
-    all terms, and no touch is set aside for a floor. NaN for fewer than `MIN_TOUCHES`.
+    The cubic kernel of Binkowski et al. 2018, (x.y / scale + 1)^3, where the scale is the mean
+    squared length of the true features instead of their number: ours are thirty times as large as
+    Inception's. Row i of both sets is the same touch, so that every mean is over the pairs i != j
+    (Gretton et al. 2012, lemma 6): objects occur equally often in all terms, and no touch is set
+    aside for a floor. NaN for fewer than `MIN_TOUCHES`.
     """
     n = len(true)
     if min(n, len(generated)) < MIN_TOUCHES:
@@ -173,17 +207,25 @@ def kernel_distance(generated: Doubles, true: Doubles) -> float:
         k = (x @ y.T / scale + 1.0) ** 3
         return float((k.sum() - np.trace(k)) / (n * (n - 1)))
 
-    return average_kernel(generated, generated) + average_kernel(true, true) - 2.0 * average_kernel(generated, true)
+    return (
+        average_kernel(generated, generated)
+        + average_kernel(true, true)
+        - 2.0 * average_kernel(generated, true)
+    )
 
 
 def compare_halves(distance: Distance, generated: Doubles, true: Doubles) -> float:
-    """Return the mean distance of one half of the generated set to the other half of the true set, both ways.
+    """Return the mean distance of one half of the generated set to the other half of the true set,
+    both ways.
 
-    Rows are pairs; the two halves share no touch, as in `compute_floor`, so that both distances have the same bias.
+    Rows are pairs; the two halves share no touch, as in `compute_floor`, so that both distances
+    have the same bias.
     """
     return 0.5 * (distance(generated[0::2], true[1::2]) + distance(generated[1::2], true[0::2]))
 
 
 def compute_floor(distance: Distance, true: Doubles) -> float:
-    """Return the distance of one half of the true set to its other half: the best possible value."""
+    """Return the distance of one half of the true set to its other half: the best possible
+    value.
+    """
     return distance(true[0::2], true[1::2])

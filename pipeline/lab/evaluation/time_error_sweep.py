@@ -15,9 +15,11 @@ from pipeline.sensors.spec import load_sensor
 from pipeline.translation.catalogue import BUILT_IN
 
 SWEEP_VALUES: Mapping[str, tuple[float, ...]] = {
-    "steps": (1, 2, 4, 8, 20, 50, 200), "guidance": (0.0, 1.0, 1.5, 2.54, 7.0, 15.0),
-}  # fmt: skip
-_FIXED: Mapping[str, tuple[str, ...]] = {"guidance": ("touch.steps=8",)}  # guidance has no effect in one step
+    "steps": (1, 2, 4, 8, 20, 50, 200),
+    "guidance": (0.0, 1.0, 1.5, 2.54, 7.0, 15.0),
+}
+# guidance has no effect in one step
+_FIXED: Mapping[str, tuple[str, ...]] = {"guidance": ("touch.steps=8",)}
 _MARKS = {"steps": "o-", "guidance": "s"}  # no line: time hardly depends on guidance
 _PREFIXES = {"guidance": "g "}  # of a value's label
 
@@ -37,23 +39,34 @@ class SweepPoint:
 
 
 def sweep_parameters(
-    request: EvaluationRequest, parameters: Sequence[str], progress: Progress = SILENT, work: JobMapper | None = None
+    request: EvaluationRequest,
+    parameters: Sequence[str],
+    progress: Progress = SILENT,
+    work: JobMapper | None = None,
 ) -> list[SweepPoint]:
-    """Every touch method with defaults, and with each of its parameters at each value of `SWEEP_VALUES`.
+    """Every touch method with defaults, and with each of its parameters at each value of
+    `SWEEP_VALUES`.
 
-    Guidance is swept at eight steps unless `request` sets them. Raises SettingProblem for an unknown parameter.
+    Guidance is swept at eight steps unless `request` sets them. Raises SettingProblem for an
+    unknown parameter.
     """
     check_sweep_parameters(parameters)
     plain = replace(
         request,
         pose_methods=(),
-        candidates=request.candidates or ("mean", *(m.name for m in BUILT_IN.stage("touch").methods)),
+        candidates=request.candidates
+        or ("mean", *(m.name for m in BUILT_IN.stage("touch").methods)),
     )
     runs = _list_runs(plain, parameters)
     points: list[SweepPoint] = []
     for index, (name, value, one) in enumerate(runs):
-        part = SubProgress(progress, index / len(runs), 1.0 / len(runs), f"{name} {value:g}" if name else "")
-        points += [SweepPoint(parameter=name, value=value, row=row) for row in evaluate_tables(one, part, work).rows]
+        part = SubProgress(
+            progress, index / len(runs), 1.0 / len(runs), f"{name} {value:g}" if name else ""
+        )
+        points += [
+            SweepPoint(parameter=name, value=value, row=row)
+            for row in evaluate_tables(one, part, work).rows
+        ]
     return points
 
 
@@ -64,8 +77,12 @@ def check_sweep_parameters(parameters: Sequence[str]) -> None:
             raise SettingProblem(f"{name!r} cannot be swept; there are {', '.join(SWEEP_VALUES)}")
 
 
-def _list_runs(plain: EvaluationRequest, parameters: Sequence[str]) -> list[tuple[str, float, EvaluationRequest]]:
-    """(parameter, value, request): all methods with defaults, then those that have the parameter."""
+def _list_runs(
+    plain: EvaluationRequest, parameters: Sequence[str]
+) -> list[tuple[str, float, EvaluationRequest]]:
+    """(parameter, value, request): all methods with defaults, then those that have the
+    parameter.
+    """
     runs: list[tuple[str, float, EvaluationRequest]] = [("", 0.0, plain)]
     for name in parameters:
         ranges = {
@@ -74,7 +91,9 @@ def _list_runs(plain: EvaluationRequest, parameters: Sequence[str]) -> list[tupl
             if method.name in plain.candidates and name in list_settings(method.params())
         }
         for value in SWEEP_VALUES[name]:
-            methods = tuple(method for method, span in ranges.items() if span.low <= value <= span.high)
+            methods = tuple(
+                method for method, span in ranges.items() if span.low <= value <= span.high
+            )
             if methods:
                 settings = (*_FIXED.get(name, ()), *plain.settings, f"touch.{name}={value:g}")
                 runs.append((name, value, replace(plain, candidates=methods, settings=settings)))
@@ -82,10 +101,19 @@ def _list_runs(plain: EvaluationRequest, parameters: Sequence[str]) -> list[tupl
 
 
 def draw_sweep_plots(points: Sequence[SweepPoint], folder: Path) -> list[Path]:
-    """One plot per direction, error in contact against time of a touch; returns the files. Raises FileProblem."""
+    """One plot per direction, error in contact against time of a touch.
+
+    Returns the files. Raises FileProblem.
+    """
     files: list[Path] = []
-    for source, target in dict.fromkeys((p.row.source, p.row.target) for p in points if p.row.candidate != "mean"):
-        shown = [p for p in points if p.row.target == target and (p.row.source == source or p.row.candidate == "mean")]
+    for source, target in dict.fromkeys(
+        (p.row.source, p.row.target) for p in points if p.row.candidate != "mean"
+    ):
+        shown = [
+            p
+            for p in points
+            if p.row.target == target and (p.row.source == source or p.row.candidate == "mean")
+        ]
         path = folder / f"{source}_to_{target}.png"
         _draw_plot(shown, f"{load_sensor(source).title} to {load_sensor(target).title}", path)
         files.append(path)
@@ -97,12 +125,20 @@ def _draw_plot(points: Sequence[SweepPoint], title: str, path: Path) -> None:
 
     figure = make_figure(figsize=(8.4, 5.2), dpi=120, layout="constrained")
     axes: Any = figure.add_subplot()
-    colours = {name: f"C{k}" for k, name in enumerate(dict.fromkeys(p.row.candidate for p in points))}
+    colours = {
+        name: f"C{k}" for k, name in enumerate(dict.fromkeys(p.row.candidate for p in points))
+    }
     for candidate, colour in colours.items():
         for parameter in dict.fromkeys(p.parameter for p in points if p.row.candidate == candidate):
             curve = [p for p in points if (p.row.candidate, p.parameter) == (candidate, parameter)]
             _draw_curve(axes, candidate, parameter, curve, colour)
-    axes.set(xscale="log", yscale="log", title=title, xlabel="time of a touch, ms", ylabel="error in contact, mm")
+    axes.set(
+        xscale="log",
+        yscale="log",
+        title=title,
+        xlabel="time of a touch, ms",
+        ylabel="error in contact, mm",
+    )
     for axis in (axes.xaxis, axes.yaxis):  # plain numbers, not powers of ten
         axis.set_major_formatter(FuncFormatter(_format_tick))
         axis.set_minor_formatter(FuncFormatter(_format_tick))
@@ -117,18 +153,33 @@ def _format_tick(value: float, _: object) -> str:
     return f"{value:g}" if f"{value:e}"[0] in "1235" else ""
 
 
-def _draw_curve(axes: Any, candidate: str, parameter: str, points: Sequence[SweepPoint], colour: str) -> None:
-    known = [(p.row.ms, p.contact_error_mm, p.value) for p in points if p.contact_error_mm is not None]
+def _draw_curve(
+    axes: Any, candidate: str, parameter: str, points: Sequence[SweepPoint], colour: str
+) -> None:
+    known = [
+        (p.row.ms, p.contact_error_mm, p.value) for p in points if p.contact_error_mm is not None
+    ]
     if candidate == "mean":
         for _, error, _ in known[:1]:
             axes.axhline(error, color=colour, ls=":", label="mean of other touches")
         return
     times, errors, values = ([row[k] for row in known] for k in range(3))
     label = f"{candidate}, {parameter}" if parameter else candidate
-    axes.plot(times, errors, _MARKS.get(parameter, "*"), color=colour, label=label, ms=5 if parameter else 11)
+    axes.plot(
+        times,
+        errors,
+        _MARKS.get(parameter, "*"),
+        color=colour,
+        label=label,
+        ms=5 if parameter else 11,
+    )
     for ms, error, value in zip(times, errors, values, strict=True) if parameter else ():
         below = parameter in _PREFIXES
         axes.annotate(
-            f"{_PREFIXES.get(parameter, '')}{value:g}", (ms, error), textcoords="offset points",
-            xytext=(3, -9 if below else 3), fontsize=7, color=colour,
-        )  # fmt: skip
+            f"{_PREFIXES.get(parameter, '')}{value:g}",
+            (ms, error),
+            textcoords="offset points",
+            xytext=(3, -9 if below else 3),
+            fontsize=7,
+            color=colour,
+        )

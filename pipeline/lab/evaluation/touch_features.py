@@ -1,8 +1,9 @@
 """Features of a touch, by the encoder that compares sets of touches.
 
-The encoder is the network that estimates an object's pose from a sensor's touches, so its features are what users of a
-touch depend on. It is shipped with the project; reports state the digest of its weights. A sensor's encoder does not
-change when pose networks are trained further, so that distances of different days are comparable.
+The encoder is the network that estimates an object's pose from a sensor's touches, so its features
+are what users of a touch depend on. It is shipped with the project; reports state the digest of its
+weights. A sensor's encoder does not change when pose networks are trained further, so that
+distances of different days are comparable.
 """
 
 from typing import Any
@@ -20,7 +21,11 @@ _TASK = "touch_pose"
 def load_encoder_weights(target: SensorSpec) -> Weights | NoWeights:
     """The encoder of a sensor's touches, or the reason that there is none."""
     own = weights_registry.load_for_task(_TASK, f"encoder_{target.name}", None)
-    return own if isinstance(own, Weights) else weights_registry.load_for_task(_TASK, f"pose_{target.name}", None)
+    return (
+        own
+        if isinstance(own, Weights)
+        else weights_registry.load_for_task(_TASK, f"pose_{target.name}", None)
+    )
 
 
 def encode_change(target: SensorSpec, change: Floats) -> Floats | None:

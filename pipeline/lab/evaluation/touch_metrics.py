@@ -15,18 +15,29 @@ from pipeline.stages.metrics.stage_metrics import PSNR_CAP_DB, Metric, compute_m
 
 TOUCH_METRICS: Mapping[str, Metric] = {
     "psnr_db": Metric(
-        unit="dB", better="higher", meaning="over the pixels of all touches together, as in the paper's code"
+        unit="dB",
+        better="higher",
+        meaning="over the pixels of all touches together, as in the paper's code",
     ),
     "ssim": Metric(unit="", better="higher", meaning="similarity to the recorded touch"),
-    "psnr_exact_db": Metric(unit="dB", better="higher", meaning="the same against a bubble's imprint without noise"),
-    "ssim_exact": Metric(unit="", better="higher", meaning="the same against a bubble's imprint without noise"),
+    "psnr_exact_db": Metric(
+        unit="dB", better="higher", meaning="the same against a bubble's imprint without noise"
+    ),
+    "ssim_exact": Metric(
+        unit="", better="higher", meaning="the same against a bubble's imprint without noise"
+    ),
     "error_mm": Metric(unit="mm", better="lower", meaning="mean absolute error of the membrane"),
     "iou": Metric(unit="", better="higher", meaning="overlap of contact"),
-    "correlation": Metric(unit="", better="higher", meaning="with the true change, both less the mean touch"),
+    "correlation": Metric(
+        unit="", better="higher", meaning="with the true change, both less the mean touch"
+    ),
 }
 MIN_GRASPS = 5  # for an interval
-_N_DRAWS, _INTERVAL = 1000, (2.5, 97.5)  # percentiles
-_SQUARED = {"psnr_db": "squared", "psnr_exact_db": "squared_exact"}  # metric -> squared error that it is computed from
+# percentiles
+_N_DRAWS = 1000
+_INTERVAL = (2.5, 97.5)
+# metric -> squared error that it is computed from
+_SQUARED = {"psnr_db": "squared", "psnr_exact_db": "squared_exact"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,21 +50,34 @@ class TouchMetrics:
 
 
 def compute_touch_metrics(
-    made: Floats, touch_depth: DepthMap | None, true: RecordedTouch, known: Mask, mean: Floats | None
+    made: Floats,
+    touch_depth: DepthMap | None,
+    true: RecordedTouch,
+    known: Mask,
+    mean: Floats | None,
 ) -> TouchMetrics:
     """All metrics of a generated change (rows, cols, channels).
 
-    `touch_depth` is its membrane, if known; `known` (rows, cols) is what the source sees; `mean` is the mean change of
-    other touches of this sensor, None leaves out the correlation.
+    `touch_depth` is its membrane, if known; `known` (rows, cols) is what the source sees; `mean` is
+    the mean change of other touches of this sensor, None leaves out the correlation.
     """
     regions = true.compute_region_masks(known)
     values: dict[tuple[str, Region], float] = {}
-    image, exact = true.render_image(made), true.render_image(true.noise_free_change)
+    image = true.render_image(made)
+    exact = true.render_image(true.noise_free_change)
     ssim_map = compute_similarity_map(image, true.image, true.peak_value)
-    ssim_map_exact = compute_similarity_map(image, exact, true.peak_value) if true.is_depth else ssim_map
+    ssim_map_exact = (
+        compute_similarity_map(image, exact, true.peak_value) if true.is_depth else ssim_map
+    )
     inner = np.zeros(true.contact.shape, np.bool_)
     inner[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX] = True
-    membrane = made[..., 0] if true.is_depth else None if touch_depth is None else touch_depth.indentation_mm
+    membrane = (
+        made[..., 0]
+        if true.is_depth
+        else None
+        if touch_depth is None
+        else touch_depth.indentation_mm
+    )
     for region, where in regions.items():
         metrics = {
             "squared": _mean_square(image - true.image, where),
@@ -68,12 +92,16 @@ def compute_touch_metrics(
         if mean is not None:
             metrics["correlation"] = _correlation(made - mean, true.noise_free_change - mean, where)
         values |= {(name, region): value for name, value in metrics.items() if math.isfinite(value)}
-    counts: dict[Region, int] = {region: int(np.count_nonzero(where)) for region, where in regions.items()}
+    counts: dict[Region, int] = {
+        region: int(np.count_nonzero(where)) for region, where in regions.items()
+    }
     return TouchMetrics(values=values, n_pixels=counts, peak_value=true.peak_value)
 
 
 def pool_metrics(touches: Sequence[TouchMetrics]) -> dict[str, dict[str, float]]:
-    """Metric -> region -> value of many touches: PSNR over all pixels together, otherwise the mean over touches."""
+    """Metric -> region -> value of many touches: PSNR over all pixels together, otherwise the
+    mean over touches.
+    """
     pooled: dict[str, dict[str, float]] = {}
     for name, source, region in _list_sources(touches):
         those = [one for one in touches if (source, region) in one.values]
@@ -90,8 +118,12 @@ def pool_metrics(touches: Sequence[TouchMetrics]) -> dict[str, dict[str, float]]
 def _list_sources(touches: Sequence[TouchMetrics]) -> list[tuple[str, str, Region]]:
     """(metric, value that it is pooled from, region) of all that is known of some touch."""
     keys = dict.fromkeys(key for one in touches for key in one.values)
-    return [(name, source, region) for name in TOUCH_METRICS for source, region in keys
-            if source == _SQUARED.get(name, name)]  # fmt: skip
+    return [
+        (name, source, region)
+        for name in TOUCH_METRICS
+        for source, region in keys
+        if source == _SQUARED.get(name, name)
+    ]
 
 
 def bootstrap_metrics(
@@ -99,13 +131,17 @@ def bootstrap_metrics(
 ) -> dict[str, dict[str, tuple[float, float]]]:
     """Metric -> region -> 95 % interval of the pooled value, over draws of grasps with replacement.
 
-    `grasps` names the grasp of each touch, whose fingers are drawn together. Fewer than `MIN_GRASPS` give no interval.
+    `grasps` names the grasp of each touch, whose fingers are drawn together. Fewer than
+    `MIN_GRASPS` give no interval.
     """
     names = list(dict.fromkeys(grasps))
     if len(names) < MIN_GRASPS:
         return {}
-    counts = np.random.default_rng(0).multinomial(len(names), np.full(len(names), 1.0 / len(names)), _N_DRAWS)
-    weights = counts[:, [names.index(grasp) for grasp in grasps]].astype(np.float64)  # (draws, touches)
+    counts = np.random.default_rng(0).multinomial(
+        len(names), np.full(len(names), 1.0 / len(names)), _N_DRAWS
+    )
+    # a row per draw, a column per touch
+    weights = counts[:, [names.index(grasp) for grasp in grasps]].astype(np.float64)
     intervals: dict[str, dict[str, tuple[float, float]]] = {}
     for name, source, region in _list_sources(touches):
         values = np.array([one.values.get((source, region), np.nan) for one in touches])
@@ -121,7 +157,9 @@ def bootstrap_metrics(
 
 
 def _psnr_db(squared: float, peak: float) -> float:
-    return min(PSNR_CAP_DB, 10.0 * math.log10(peak * peak / squared)) if squared > 0 else PSNR_CAP_DB
+    return (
+        min(PSNR_CAP_DB, 10.0 * math.log10(peak * peak / squared)) if squared > 0 else PSNR_CAP_DB
+    )
 
 
 def _mean(values: Doubles, where: Mask) -> float:
@@ -135,34 +173,43 @@ def _mean_square(gap: Doubles, where: Mask) -> float:
 def _correlation(a: Floats, b: Floats, where: Mask) -> float:
     """Correlation of two changes in a region over all channels; NaN if one is constant."""
     x, y = (v[where].astype(np.float64).ravel() for v in (a, b))
-    x, y = x - x.mean(), y - y.mean()
+    x = x - x.mean()
+    y = y - y.mean()
     size = math.sqrt(float(x @ x) * float(y @ y))
     return float(x @ y) / size if size > 0 else math.nan
 
 
 BORDER_PX = 5  # half the window: nearer to the border it exceeds the image
-_SIGMA_PX, _K1, _K2 = 1.5, 0.01, 0.03
+_SIGMA_PX = 1.5
+_K1 = 0.01
+_K2 = 0.03
 
 
 def compute_similarity_map(a: NDArray[Any], b: NDArray[Any], data_range: float) -> Doubles:
-    """Return the similarity, 1 = equal, at every pixel (rows, cols) of images (rows, cols) or (rows, cols, channels).
+    """Return the similarity, 1 = equal, at every pixel (rows, cols) of images (rows, cols) or
+    (rows, cols, channels).
 
-    Structural similarity (Wang et al. 2004); mean over channels, of finite values. Gaussian window of 11 pixels,
-    population covariance, as scikit-image's `structural_similarity` with `gaussian_weights=True, sigma=1.5,
-    use_sample_covariance=False`, which averages pixels farther than `BORDER_PX` from the border; pixels beyond it are
-    mirrored.
+    Structural similarity (Wang et al. 2004); mean over channels, of finite values. Gaussian window
+    of 11 pixels, population covariance, as scikit-image's `structural_similarity` with
+    `gaussian_weights=True, sigma=1.5, use_sample_covariance=False`, which averages pixels farther
+    than `BORDER_PX` from the border; pixels beyond it are mirrored.
     """
     one, other = (np.asarray(image, np.float64) for image in (a, b))
     if one.ndim == 3:
-        return np.mean([_map(one[..., k], other[..., k], data_range) for k in range(one.shape[2])], axis=0)
+        return np.mean(
+            [_map(one[..., k], other[..., k], data_range) for k in range(one.shape[2])], axis=0
+        )
     return _map(one, other, data_range)
 
 
 def _map(a: Doubles, b: Doubles, data_range: float) -> Doubles:
-    mean_a, mean_b = _blur(a), _blur(b)
-    var_a, var_b = _blur(a * a) - mean_a**2, _blur(b * b) - mean_b**2
+    mean_a = _blur(a)
+    mean_b = _blur(b)
+    var_a = _blur(a * a) - mean_a**2
+    var_b = _blur(b * b) - mean_b**2
     together = _blur(a * b) - mean_a * mean_b
-    c1, c2 = (_K1 * data_range) ** 2, (_K2 * data_range) ** 2
+    c1 = (_K1 * data_range) ** 2
+    c2 = (_K2 * data_range) ** 2
     alike = (2 * mean_a * mean_b + c1) * (2 * together + c2)
     return alike / ((mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2))
 

@@ -57,7 +57,8 @@ class ScoringJob:
     target: str
     candidates: tuple[Candidate, ...]
     training_recordings: tuple[PressRecordings, ...] = ()  # for the mean touch
-    weights: Mapping[str, Path] = field(default_factory=dict)  # touch method or stage -> file in place of shipped ones
+    # touch method or stage -> file in place of shipped ones
+    weights: Mapping[str, Path] = field(default_factory=dict)
     methods: Mapping[str, str] = field(default_factory=dict)  # stage -> method, without touch
     settings: tuple[str, ...] = ()  # stage.parameter=value
     pose_methods: tuple[str, ...] = ()  # pose methods that judge the touches
@@ -71,7 +72,8 @@ class ScoredTouch:
     touch_name: str  # recording and frame
     metrics: TouchMetrics
     ms: float  # of all stages up to the touch; 0 for baselines
-    pose_errors: Mapping[str, tuple[float, float]]  # method -> (mm, deg) in the target's image plane; absent = no pose
+    # method -> (mm, deg) in the target's image plane; absent = no pose
+    pose_errors: Mapping[str, tuple[float, float]]
     features: Floats | None  # of the encoder; None = no encoder for this sensor
     notes: tuple[str, ...] = ()
     finger: GraspFinger | None = None  # for poses of both fingers together; None = not known
@@ -97,17 +99,30 @@ def open_presses(
     of: PressRecordings, source: str, target: str, methods: Mapping[str, str]
 ) -> Generator[Translation, None, None]:
     """Translate presses of a source that also know what the target recorded of them."""
-    translation = open_translation(Request(
-        recording=of.source, target=target, source=source, stream=of.source_stream, mesh=of.mesh,
-        mesh_unit="m" if of.mesh else "auto", methods=tuple(methods.items()),
-    ))  # fmt: skip
+    translation = open_translation(
+        Request(
+            recording=of.source,
+            target=target,
+            source=source,
+            stream=of.source_stream,
+            mesh=of.mesh,
+            mesh_unit="m" if of.mesh else "auto",
+            methods=tuple(methods.items()),
+        )
+    )
     with closing(translation), closing(open_recording(of.target)) as other:
         streams = translation.stream, other.stream(of.target_stream or target)
         yield replace(translation, recording=replace(translation.recording, streams=streams))
 
 
-def _score_touches(job: ScoringJob, translation: Translation, progress: Progress) -> Iterator[ScoredTouch]:
-    mean = compute_mean_change(job.training_recordings, job.target) if job.training_recordings else None
+def _score_touches(
+    job: ScoringJob, translation: Translation, progress: Progress
+) -> Iterator[ScoredTouch]:
+    mean = (
+        compute_mean_change(job.training_recordings, job.target)
+        if job.training_recordings
+        else None
+    )
     indices = job.recordings.frames or translation.select_paired(range(translation.n_frames))
     for k, index in enumerate(indices):
         progress.step(k / len(indices), f"{job.recordings.object_name} {k + 1} of {len(indices)}")
@@ -124,12 +139,22 @@ class _TouchScorer:
     """Scores candidates on one recorded touch, with a cache of what they have in common."""
 
     def __init__(
-        self, job: ScoringJob, translation: Translation, index: int, name: str,
-        observed: tuple[TactileFrame, Truth | None], mean: Floats | None,
-    ) -> None:  # fmt: skip
-        self._job, self._index, self._name, self._mean = job, index, name, mean
-        self._translation = replace(translation, graph=Graph((), cache=Cache(_CACHE_BYTES)))  # of this touch alone
-        self._true, self._truth = self._read_recorded_touch(*observed), observed[1]
+        self,
+        job: ScoringJob,
+        translation: Translation,
+        index: int,
+        name: str,
+        observed: tuple[TactileFrame, Truth | None],
+        mean: Floats | None,
+    ) -> None:
+        self._job = job
+        self._index = index
+        self._name = name
+        self._mean = mean
+        # of this touch alone
+        self._translation = replace(translation, graph=Graph((), cache=Cache(_CACHE_BYTES)))
+        self._true = self._read_recorded_touch(*observed)
+        self._truth = observed[1]
         self._ms: dict[str, float] = {}
         target_depth = self._evaluate("physics", {}, "target_depth")["target_depth"].output
         assert isinstance(target_depth, TargetDepth)
@@ -153,27 +178,53 @@ class _TouchScorer:
             candidate=candidate.name,
             touch_name=self._name,
             metrics=metrics,
-            ms=sum(self._ms[result.method.key] for result in results.values() if result.method is not None),
-            pose_errors=self._compute_pose_errors(candidate, {**given, "touch": touch, "touch_depth": touch_depth}),
+            ms=sum(
+                self._ms[result.method.key]
+                for result in results.values()
+                if result.method is not None
+            ),
+            pose_errors=self._compute_pose_errors(
+                candidate, {**given, "touch": touch, "touch_depth": touch_depth}
+            ),
             features=touch_features.encode_change(self._translation.target, change),
-            notes=tuple(dict.fromkeys(result.fallback for result in results.values() if result.fallback)),
-            finger=self._find_finger(touch_depth) if PAPER_GRASP in self._job.pose_methods else None,
+            notes=tuple(
+                dict.fromkeys(result.fallback for result in results.values() if result.fallback)
+            ),
+            finger=self._find_finger(touch_depth)
+            if PAPER_GRASP in self._job.pose_methods
+            else None,
         )
 
     def _score_own_sensor(self, candidate: Candidate) -> ScoredTouch:
-        """Poses of the source's own depth, registered in its frame; there is no touch to compare."""
+        """Poses of the source's own depth, registered in its frame.
+
+        There is no touch to compare.
+        """
         results = self._evaluate("physics", {}, "depth")
-        given = {"touch": make_reference_touch(self._translation.target), "touch_depth": results["depth"].output}
+        given = {
+            "touch": make_reference_touch(self._translation.target),
+            "touch_depth": results["depth"].output,
+        }
         return ScoredTouch(
-            candidate=candidate.name, touch_name=self._name, features=None,
-            ms=sum(self._ms[result.method.key] for result in results.values() if result.method is not None),
+            candidate=candidate.name,
+            touch_name=self._name,
+            features=None,
+            ms=sum(
+                self._ms[result.method.key]
+                for result in results.values()
+                if result.method is not None
+            ),
             metrics=TouchMetrics(values={}, n_pixels={}, peak_value=self._true.peak_value),
             pose_errors=self._compute_pose_errors(candidate, given),
-        )  # fmt: skip
+        )
 
     def _find_finger(self, touch_depth: DepthMap | None) -> GraspFinger | None:
-        """The contact of a touch in the grasp frame; None where the frame, the tool or its pose is not known."""
-        truth, mesh = self._truth, self._translation.mesh
+        """The contact of a touch in the grasp frame.
+
+        None where the frame, the tool or its pose is not known.
+        """
+        truth = self._truth
+        mesh = self._translation.mesh
         if touch_depth is None or truth is None or mesh is None:
             return None
         if truth.grasp_from_sensor is None or truth.sensor_from_object is None:
@@ -181,17 +232,29 @@ class _TouchScorer:
         points = touch_depth.camera.back_project(touch_depth.depth_mm)[touch_depth.contact]
         points = points[np.isfinite(points).all(axis=1)]
         return GraspFinger(
-            points_mm=rigid.apply(truth.grasp_from_sensor, points), mesh=mesh,
+            points_mm=rigid.apply(truth.grasp_from_sensor, points),
+            mesh=mesh,
             grasp_from_object=truth.grasp_from_sensor @ truth.sensor_from_object,
-        )  # fmt: skip
+        )
 
-    def _evaluate(self, touch: str, given: Mapping[str, object], stage: str, pose: str = "") -> dict[str, StageResult]:
-        """Results up to a stage with one touch and pose method; remembers the times of computed stages."""
+    def _evaluate(
+        self, touch: str, given: Mapping[str, object], stage: str, pose: str = ""
+    ) -> dict[str, StageResult]:
+        """Results up to a stage with one touch and pose method.
+
+        Remembers the times of computed stages.
+        """
         chosen = {**self._job.methods, "touch": touch} | ({"pose": pose} if pose else {})
-        files = {stage: file for stage, file in self._job.weights.items() if stage in chosen or stage == "depth"}
+        files = {
+            stage: file
+            for stage, file in self._job.weights.items()
+            if stage in chosen or stage == "depth"
+        }
         if touch in self._job.weights:
             files["touch"] = self._job.weights[touch]
-        request = replace(self._translation.request, methods=tuple(chosen.items()), weights=tuple(files.items()))
+        request = replace(
+            self._translation.request, methods=tuple(chosen.items()), weights=tuple(files.items())
+        )
         like = replace(self._translation, request=request)
         params = default_params(like.methods)
         for assignment in self._job.settings:
@@ -216,22 +279,31 @@ class _TouchScorer:
             )
         if candidate.name == RECORDED:
             depth = self._estimate_target_depth()
-            return {"touch": make_touch_from_change(target, self._true.change), "touch_depth": depth}
+            return {
+                "touch": make_touch_from_change(target, self._true.change),
+                "touch_depth": depth,
+            }
         return {}
 
     def _estimate_target_depth(self) -> DepthMap:
         """Depth of the target's own frame."""
         read = self._translation.with_target_as_source()
-        read = replace(read, request=replace(read.request, methods=tuple(self._job.methods.items())))
+        read = replace(
+            read, request=replace(read.request, methods=tuple(self._job.methods.items()))
+        )
         output = read.evaluate(self._index, ["depth"])["depth"].output
         assert isinstance(output, DepthMap)
         return output
 
     def _read_recorded_touch(self, frame: TactileFrame, truth: Truth | None) -> RecordedTouch:
-        """The recorded touch with its truth, or with the depth of its own frame where no truth is recorded."""
+        """The recorded touch with its truth, or with the depth of its own frame where no truth
+        is recorded.
+        """
         target = self._translation.target
         if truth is not None and truth.indentation_mm is not None:
-            return build_recorded_touch(frame, replace(truth, contact=derive_contact(truth, target)), target)
+            return build_recorded_touch(
+                frame, replace(truth, contact=derive_contact(truth, target)), target
+            )
         depth = self._estimate_target_depth()
         recorded = build_without_truth(frame, target)
         if recorded.contact.shape != depth.contact.shape:
@@ -239,26 +311,42 @@ class _TouchScorer:
                 f"frame {frame.index} of {frame.sensor} has {recorded.contact.shape} pixels, but "
                 f"{depth.contact.shape} are described"
             )
-        return replace(recorded, indentation_mm=np.nan_to_num(depth.indentation_mm), contact=depth.contact)
+        return replace(
+            recorded, indentation_mm=np.nan_to_num(depth.indentation_mm), contact=depth.contact
+        )
 
     def _measure_touch_depth(self, touch: GeneratedTouch) -> DepthMap | None:
-        """The touch's own membrane if it has one, else depth estimated from its image as from a frame of the target."""
+        """The touch's own membrane if it has one, else depth estimated from its image as from a
+        frame of the target.
+        """
         how = "from_image" if touch.membrane is None else "membrane"
-        chosen = replace(self._translation, request=replace(
-            self._translation.request, methods=(*self._job.methods.items(), ("touch_depth", how))
-        ))  # fmt: skip
-        result = chosen.evaluate(self._index, ["touch_depth"], given={"touch": touch})["touch_depth"].output
+        chosen = replace(
+            self._translation,
+            request=replace(
+                self._translation.request,
+                methods=(*self._job.methods.items(), ("touch_depth", how)),
+            ),
+        )
+        result = chosen.evaluate(self._index, ["touch_depth"], given={"touch": touch})[
+            "touch_depth"
+        ].output
         assert isinstance(result, DepthMap)
         return result
 
-    def _compute_pose_errors(self, candidate: Candidate, given: Mapping[str, object]) -> dict[str, tuple[float, float]]:
+    def _compute_pose_errors(
+        self, candidate: Candidate, given: Mapping[str, object]
+    ) -> dict[str, tuple[float, float]]:
         """Method -> (mm, deg) in the target's image plane; methods without a pose are absent."""
         pose_errors: dict[str, tuple[float, float]] = {}
         truth = self._translation.read_ground_truth(self._index)
         stage = self._translation.catalogue.stage("pose")
         for name in self._job.pose_methods:
             is_own = candidate.name == OWN
-            if candidate.name == NO_CONTACT or name == PAPER_GRASP or (is_own and name == "network"):
+            if (
+                candidate.name == NO_CONTACT
+                or name == PAPER_GRASP
+                or (is_own and name == "network")
+            ):
                 continue
             pose = self._evaluate("physics", given, "pose", name)["pose"].output
             assert isinstance(pose, ObjectPose)

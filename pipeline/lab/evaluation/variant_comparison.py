@@ -45,17 +45,28 @@ class VariantView:
 
     def build_tile(self, stage: str, *, starts_row: bool = False) -> Tile:
         """A stage's preview with its metrics and warnings."""
-        view, title = self.stages.get(stage), f"{self.label} · {self.titles.get(stage, stage)}"
+        view = self.stages.get(stage)
+        title = f"{self.label} · {self.titles.get(stage, stage)}"
         if view is None:
-            return Tile(title=title, problem=self.problem or "this route does not have it", starts_row=starts_row)
-        metrics, result, truth = self.stage_metrics(stage), view.result, view.truth_view
+            return Tile(
+                title=title,
+                problem=self.problem or "this route does not have it",
+                starts_row=starts_row,
+            )
+        metrics = self.stage_metrics(stage)
+        result = view.result
+        truth = view.truth_view
         words = [f"{name} {value:.3g}" for name, value in metrics.items()]
         return Tile(
-            title=title, subtitle=" · ".join([*words, *(() if result is None else result.warnings)]), metrics=metrics,
-            preview=view.preview, truth=None if truth is None else truth.truth,
+            title=title,
+            subtitle=" · ".join([*words, *(() if result is None else result.warnings)]),
+            metrics=metrics,
+            preview=view.preview,
+            truth=None if truth is None else truth.truth,
             difference=None if truth is None else truth.difference_to_truth,
-            problem="" if result is None else result.fallback, starts_row=starts_row,
-        )  # fmt: skip
+            problem="" if result is None else result.fallback,
+            starts_row=starts_row,
+        )
 
     def stage_metrics(self, stage: str) -> dict[str, float]:
         """Name -> value of one stage's metrics."""
@@ -64,16 +75,28 @@ class VariantView:
 
 
 def compare_pair(
-    runner: VariantRunner, first: Variant, open_second: Callable[[], Variant], frame: int, display: DisplayParams,
-    stage: str, differs: str, progress: Progress = SILENT, *, second_may_fail: bool = False,
-) -> Iterator[Comparison]:  # fmt: skip
-    """Yield the comparison of two variants at one frame: first while the second is computed, then whole.
+    runner: VariantRunner,
+    first: Variant,
+    open_second: Callable[[], Variant],
+    frame: int,
+    display: DisplayParams,
+    stage: str,
+    differs: str,
+    progress: Progress = SILENT,
+    *,
+    second_may_fail: bool = False,
+) -> Iterator[Comparison]:
+    """Yield the comparison of two variants at one frame: first while the second is computed, then
+    whole.
 
-    `stage` is the compared stage, "" for all; `differs` says in words what differs between the variants.
-    Raises TouchError. If `second_may_fail`, an error of the second is shown in its place instead.
+    `stage` is the compared stage, "" for all; `differs` says in words what differs between the
+    variants. Raises TouchError. If `second_may_fail`, an error of the second is shown in its place
+    instead.
     """
     one = evaluate_view(runner, first, frame, display, stage, progress)
-    yield build_tiles(one, VariantView(label="B", titles=one.titles, problem=IN_PROGRESS), frame, stage, differs)
+    yield build_tiles(
+        one, VariantView(label="B", titles=one.titles, problem=IN_PROGRESS), frame, stage, differs
+    )
     try:
         second = open_second()
         moment = find_same_moment(first.translation, second.translation, frame)
@@ -86,26 +109,35 @@ def compare_pair(
 
 
 def find_same_moment(one: Translation, other: Translation, frame: int) -> int:
-    """The frame of another translation that shows what `frame` shows: its partner in another stream of the recording.
+    """The frame of another translation that shows what `frame` shows: its partner in another stream
+    of the recording.
 
-    In another recording it is the frame of the same number. Raises SettingProblem where there is none.
+    In another recording it is the frame of the same number. Raises SettingProblem where there is
+    none.
     """
     if one.request.recording != other.request.recording or one.stream.name == other.stream.name:
         return other.check_index(frame)
     partner = int(pair_frames(one.stream, other.stream).partners[frame])
     if partner == NO_PARTNER:
         raise SettingProblem(
-            f"{other.stream.name!r} recorded no frame at the time of frame {frame}; choose another one"
+            f"{other.stream.name!r} recorded no frame at the time of frame {frame}; choose "
+            "another one"
         )
     return partner
 
 
 def evaluate_view(
-    runner: VariantRunner, variant: Variant, frame: int, display: DisplayParams, stage: str, progress: Progress = SILENT
+    runner: VariantRunner,
+    variant: Variant,
+    frame: int,
+    display: DisplayParams,
+    stage: str,
+    progress: Progress = SILENT,
 ) -> VariantView:
     """The source frame and one stage, or all stages for "". Raises TouchError."""
     translation = variant.translation
-    source, truth = translation.source, translation.read_ground_truth(translation.check_index(frame))
+    source = translation.source
+    truth = translation.read_ground_truth(translation.check_index(frame))
     recorded = translation.stream.frame(frame)
     preview, camera = make_recorded_preview(recorded, source, display)
     layer = make_frame_layer(SOURCE, recorded.image, camera, preview, source)
@@ -113,20 +145,30 @@ def evaluate_view(
     requested = [name for name in translation.stages if stage in ("", name)]
     result = runner.evaluate(variant, frame, requested, progress)
     results = {name: add_truth_warnings(each, truth) for name, each in result.results.items()}
-    context, true_outputs = result.make_context(display), translation.read_true_outputs(frame)
+    context = result.make_context(display)
+    true_outputs = translation.read_true_outputs(frame)
     for name, each in results.items():
         view = translation.catalogue.views[name]
         preview = view.make_preview(each.output, context)
         views[name] = StageView(
-            preview=preview, layers=view.make_layers(each.output, context, preview), result=each,
+            preview=preview,
+            layers=view.make_layers(each.output, context, preview),
+            result=each,
             truth_view=build_truth_view(name, view, preview, true_outputs, context),
-        )  # fmt: skip
-    titles = {SOURCE: "Source", **{name: translation.catalogue.stage(name).title for name in translation.stages}}
+        )
+    titles = {
+        SOURCE: "Source",
+        **{name: translation.catalogue.stage(name).title for name in translation.stages},
+    }
     metrics = translation.compute_metrics_against(results, truth)
-    return VariantView(label=variant.label, stages=views, metrics=metrics, titles=titles, translation=translation)
+    return VariantView(
+        label=variant.label, stages=views, metrics=metrics, titles=titles, translation=translation
+    )
 
 
-def build_tiles(one: VariantView, other: VariantView, frame: int, stage: str, differs: str) -> Comparison:
+def build_tiles(
+    one: VariantView, other: VariantView, frame: int, stage: str, differs: str
+) -> Comparison:
     """A stage of both and their difference, or all stages of both for ""."""
     summary = f"A and B on frame {frame}: {differs}"
     one, other = _share_scales(one, other)
@@ -134,24 +176,40 @@ def build_tiles(one: VariantView, other: VariantView, frame: int, stage: str, di
         summary = f"{summary} · B: {other.problem}"
     if not stage:
         names = list(dict.fromkeys((*one.stages, *other.stages)))
-        rows = [view.build_tile(name, starts_row=name == names[0]) for view in (one, other) for name in names]
+        rows = [
+            view.build_tile(name, starts_row=name == names[0])
+            for view in (one, other)
+            for name in names
+        ]
         return Comparison(tiles=tuple(rows), summary=summary)
     layers = ((view.stages[stage].layers if stage in view.stages else ()) for view in (one, other))
     return Comparison(
-        tiles=(one.build_tile(stage), other.build_tile(stage), _build_difference_tile(one, other, stage)),
-        summary=summary, stage=stage,
+        tiles=(
+            one.build_tile(stage),
+            other.build_tile(stage),
+            _build_difference_tile(one, other, stage),
+        ),
+        summary=summary,
+        stage=stage,
         views_3d=tuple(zip(layers, (one.translation, other.translation), strict=True)),
-    )  # fmt: skip
+    )
 
 
 def _share_scales(one: VariantView, other: VariantView) -> tuple[VariantView, VariantView]:
     """Both variants with one colour scale per stage, also where their sensors have other ranges."""
     both = one.stages.keys() & other.stages.keys()
-    shared = {name: share_scale(one.stages[name].preview, other.stages[name].preview) for name in both}
+    shared = {
+        name: share_scale(one.stages[name].preview, other.stages[name].preview) for name in both
+    }
 
     def recolour(view: VariantView, which: int) -> VariantView:
-        changed = {name: replace(view.stages[name], preview=previews[which]) for name, previews in shared.items()}
-        return replace(view, stages={name: changed.get(name, each) for name, each in view.stages.items()})
+        changed = {
+            name: replace(view.stages[name], preview=previews[which])
+            for name, previews in shared.items()
+        }
+        return replace(
+            view, stages={name: changed.get(name, each) for name, each in view.stages.items()}
+        )
 
     return recolour(one, 0), recolour(other, 1)
 
@@ -159,14 +217,26 @@ def _share_scales(one: VariantView, other: VariantView) -> tuple[VariantView, Va
 def _build_difference_tile(one: VariantView, other: VariantView, stage: str) -> Tile:
     """A less B; wipe and blink alternate between the two."""
     a, b = (view.stages[stage].preview if stage in view.stages else None for view in (one, other))
-    values, reference = one.stage_metrics(stage), other.stage_metrics(stage)
+    values = one.stage_metrics(stage)
+    reference = other.stage_metrics(stage)
     metrics = {name: values[name] - reference[name] for name in values if name in reference}
     subtitle = " · ".join(f"{name} {value:+.3g}" for name, value in metrics.items())
-    difference = None if a is None or b is None else compute_difference(a, b, label="A less B", fit_scale=True)
+    difference = (
+        None
+        if a is None or b is None
+        else compute_difference(a, b, label="A less B", fit_scale=True)
+    )
     if difference is None:
-        problem = "" if b is None else "no difference: the two have other pixels, or no common scale"
+        problem = (
+            "" if b is None else "no difference: the two have other pixels, or no common scale"
+        )
         return Tile(title="A less B", subtitle=subtitle, metrics=metrics, problem=problem)
     return Tile(
-        title="A less B", subtitle=subtitle, metrics=metrics, preview=a, truth=b, difference=difference,
+        title="A less B",
+        subtitle=subtitle,
+        metrics=metrics,
+        preview=a,
+        truth=b,
+        difference=difference,
         default_mode="difference",
-    )  # fmt: skip
+    )

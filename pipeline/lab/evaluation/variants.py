@@ -1,4 +1,5 @@
-"""Variants of one frame: translations that differ in a method, a seed, parameter values or any setting.
+"""Variants of one frame: translations that differ in a method, a seed, parameter values or any
+setting.
 
 One runner evaluates them all, with one cache, so that what they have in common is computed once.
 """
@@ -71,7 +72,10 @@ class VariantResult:
 
 
 class VariantRunner:
-    """Evaluates variants with one cache and remembers how long each stage took; used by one thread at a time."""
+    """Evaluates variants with one cache and remembers how long each stage took.
+
+    Used by one thread at a time.
+    """
 
     def __init__(self, like: Graph | None = None) -> None:
         """Shares the cache of the graph `like`, if given."""
@@ -80,9 +84,18 @@ class VariantRunner:
         self._loaded: set[str] = set()  # keys of methods whose network is loaded
 
     def evaluate(
-        self, variant: Variant, frame: int, stages: Sequence[str], progress: Progress = SILENT, *, timed: bool = False
+        self,
+        variant: Variant,
+        frame: int,
+        stages: Sequence[str],
+        progress: Progress = SILENT,
+        *,
+        timed: bool = False,
     ) -> VariantResult:
-        """Compute `stages` of one frame; raises TouchError. `timed` leaves out the time of loading networks."""
+        """Compute `stages` of one frame.
+
+        Raises TouchError. `timed` leaves out the time of loading networks.
+        """
         translation = replace(variant.translation, graph=self.graph, params=variant.stage_params)
         results = translation.evaluate(frame, stages, progress)
         ms = math.nan
@@ -90,11 +103,17 @@ class VariantRunner:
             for name, result in results.items():
                 given = {other: r.output for other, r in results.items() if other != name}
                 self._measure(translation, frame, result, given)
-            ms = sum(self._times_ms.get(_time_key(result)) or result.ms for result in results.values())
+            ms = sum(
+                self._times_ms.get(_time_key(result)) or result.ms for result in results.values()
+            )
         return VariantResult(variant=variant, frame=frame, results=results, ms=ms)
 
     def evaluate_all(
-        self, variants: Sequence[Variant], frame: int, stages: Sequence[str], progress: Progress = SILENT
+        self,
+        variants: Sequence[Variant],
+        frame: int,
+        stages: Sequence[str],
+        progress: Progress = SILENT,
     ) -> Iterator[VariantResult]:
         """Results one after the other, timed; one that fails has its problem. Raises Cancelled."""
         for index, variant in enumerate(variants):
@@ -110,14 +129,25 @@ class VariantRunner:
         self.graph.cache.clear()
         self._loaded.clear()
 
-    def _measure(self, translation: Translation, frame: int, result: StageResult, given: Mapping[str, object]) -> None:
-        """Remember a computed stage's time; the first run of a network is repeated, as it includes loading."""
-        method, key = result.method, _time_key(result)
+    def _measure(
+        self, translation: Translation, frame: int, result: StageResult, given: Mapping[str, object]
+    ) -> None:
+        """Remember a computed stage's time.
+
+        The first run of a network is repeated, as it includes loading.
+        """
+        method = result.method
+        key = _time_key(result)
         if result.state != "computed" and self._times_ms.get(key) is not None:
             return
         ms = result.ms
         is_computed = result.state == "computed" and not result.fallback
-        if method is not None and method.weights is not None and is_computed and method.key not in self._loaded:
+        if (
+            method is not None
+            and method.weights is not None
+            and is_computed
+            and method.key not in self._loaded
+        ):
             self._loaded.add(method.key)
             anew = replace(translation, graph=Graph(()))
             ms = anew.evaluate(frame, [result.name], given=given)[result.name].ms
@@ -131,10 +161,11 @@ def _time_key(result: StageResult) -> tuple[str, str]:
 def list_method_variants(
     translation: Translation, params: MethodParams, stage: str
 ) -> tuple[tuple[Variant, ...], tuple[str, ...]]:
-    """(a variant per method of a stage in the catalogue's order, sentences about methods without weights).
+    """(a variant per method of a stage in the catalogue's order, sentences about methods without
+    weights).
 
-    A network needs weights of this direction; a weights file that the translation names is tried first. Raises
-    SettingProblem if there is no such stage.
+    A network needs weights of this direction; a weights file that the translation names is tried
+    first. Raises SettingProblem if there is no such stage.
     """
     request = translation.request
     given = dict(request.weights)
@@ -152,5 +183,9 @@ def list_method_variants(
                 continue
         methods = tuple({**dict(request.methods), stage: method.name}.items())
         changed = replace(request, methods=methods, weights=tuple(weights.items()))
-        variants.append(Variant(label=method.title, translation=replace(translation, request=changed), params=params))
+        variants.append(
+            Variant(
+                label=method.title, translation=replace(translation, request=changed), params=params
+            )
+        )
     return tuple(variants), tuple(excluded)

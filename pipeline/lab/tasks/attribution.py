@@ -1,4 +1,6 @@
-"""Why a decision was wrong: ground truth replaces one stage after the other, and the rollout runs again from there."""
+"""Why a decision was wrong: ground truth replaces one stage after the other, and the rollout
+runs again from there.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -29,7 +31,9 @@ def correct_estimates(
     *,
     progress: Progress = SILENT,
 ) -> tuple[CorrectedEstimate, ...]:
-    """Estimates with the truth in one more stage each, in running order; the last is `truth` itself.
+    """Estimates with the truth in one more stage each, in running order.
+
+    The last is `truth` itself.
 
     `estimate` reads values in place of stages, one mapping per finger.
     """
@@ -38,40 +42,70 @@ def correct_estimates(
         given: list[dict[str, object]] = [{} for _ in moments]
         by_stage = list(zip(*(list_true_stages(moment, touch) for moment in moments), strict=True))
         for done, steps in enumerate(by_stage):
-            part = SubProgress(progress, done / len(by_stage), 1.0 / len(by_stage), f"truth in place of {steps[0][1]}")
+            part = SubProgress(
+                progress,
+                done / len(by_stage),
+                1.0 / len(by_stage),
+                f"truth in place of {steps[0][1]}",
+            )
             part.step(0.0, "")
             for one, (stage, _, value) in zip(given, steps, strict=True):
                 one[stage] = value
-            corrected.append(CorrectedEstimate(stage=steps[0][0], title=steps[0][1], estimate=estimate(given, part)))
+            corrected.append(
+                CorrectedEstimate(
+                    stage=steps[0][0], title=steps[0][1], estimate=estimate(given, part)
+                )
+            )
     return (*corrected, CorrectedEstimate(stage="pose", title=POSE_TITLE, estimate=truth))
 
 
 def share_error(
-    error_mm: float, corrected: Sequence[CorrectedEstimate], judge: Callable[[Any], tuple[float, bool]]
+    error_mm: float,
+    corrected: Sequence[CorrectedEstimate],
+    judge: Callable[[Any], tuple[float, bool]],
 ) -> tuple[StageShare, ...]:
-    """The shares of `error_mm`, which add up to it; `judge` returns error and success of an estimate."""
+    """The shares of `error_mm`, which add up to it.
+
+    `judge` returns error and success of an estimate.
+    """
     shares: list[StageShare] = []
     left = error_mm
     for one in corrected:
         now, succeeds = judge(one.estimate)
         shares.append(
-            StageShare(stage=one.stage, title=one.title, share_mm=left - now, remaining_mm=now, succeeds=succeeds)
+            StageShare(
+                stage=one.stage,
+                title=one.title,
+                share_mm=left - now,
+                remaining_mm=now,
+                succeeds=succeeds,
+            )
         )
         left = now
     return tuple(shares)
 
 
-def list_true_stages(moment: Moment, touch: str, last: str = "touch_depth") -> list[tuple[str, str, object]]:
-    """(stage, title, truth) of one finger for the stages that the controller's touch comes from, up to `last`."""
+def list_true_stages(
+    moment: Moment, touch: str, last: str = "touch_depth"
+) -> list[tuple[str, str, object]]:
+    """(stage, title, truth) of one finger for the stages that the controller's touch comes from,
+    up to `last`.
+    """
     last = "depth" if touch in (TRUE, OWN) else last
     translation, results = moment.evaluate(touch, last)
     before = translation.stages[: translation.stages.index(last) + 1]
     truths = translation.read_true_outputs(0)
-    return list(list_substitutions(translation, {name: truths[name] for name in before if name in truths}, results))
+    return list(
+        list_substitutions(
+            translation, {name: truths[name] for name in before if name in truths}, results
+        )
+    )
 
 
 def describe_decision(decision: Decision) -> str:
-    """The error, its two largest shares, and the first truth with which a failed rollout succeeds."""
+    """The error, its two largest shares, and the first truth with which a failed rollout
+    succeeds.
+    """
     text = f"off by {decision.error_mm:.1f} mm"
     named = [
         f"{part.share_mm:.1f} by {part.title}"
@@ -83,4 +117,8 @@ def describe_decision(decision: Decision) -> str:
     if not decision.shares:
         return text
     first = next((part for part in decision.shares if part.succeeds), None)
-    return text + (f"; with the truth in place of {first.title} it succeeds" if first else "; it fails with the truth")
+    return text + (
+        f"; with the truth in place of {first.title} it succeeds"
+        if first
+        else "; it fails with the truth"
+    )

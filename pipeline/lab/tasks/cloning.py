@@ -1,7 +1,8 @@
 """Training task: a controller copies the scripted expert of marble rolling (behaviour cloning).
 
-The expert knows where the ball is. Its demonstrations are what the target sensor records meanwhile; noise on the motion
-that is carried out, and not on the expert's command, leads to places that the network will visit by its own errors.
+The expert knows where the ball is. Its demonstrations are what the target sensor records meanwhile;
+noise on the motion that is carried out, and not on the expert's command, leads to places that the
+network will visit by its own errors.
 """
 
 from __future__ import annotations
@@ -35,12 +36,15 @@ class ClonedPolicyTask:
         160, "Demonstrations", low=1, high=100_000, help="each with another sensor instance"
     )
     n_ticks: int = setting(25, "Ticks", low=1, high=1000, help="of each demonstration")
-    noise_mm: float = setting(0.5, "Motion noise", unit="mm", low=0.0, high=10.0, help="deviation of the plate's steps")
+    noise_mm: float = setting(
+        0.5, "Motion noise", unit="mm", low=0.0, high=10.0, help="deviation of the plate's steps"
+    )
     demonstration_seed: int = setting(1, "Seed of presses", low=0, high=2**31 - 1)
 
     def sample(self, rng: np.random.Generator) -> Example:
         """An image of the target and the expert's step."""
-        index, tick = int(rng.integers(self.n_demonstrations)), int(rng.integers(self.n_ticks))
+        index = int(rng.integers(self.n_demonstrations))
+        tick = int(rng.integers(self.n_ticks))
         return self._make_example(self.demonstration_seed, index, tick)
 
     def make_validation_example(self, split: Split, index: int) -> Example:  # noqa: ARG002 - only new starts
@@ -51,7 +55,9 @@ class ClonedPolicyTask:
         """There are no unseen objects."""
         return 1 << 30 if split == "unseen_grasps" else 0
 
-    def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
+    def compute_loss(
+        self, network: nn.Module, batch: Mapping[str, Tensor]
+    ) -> tuple[Tensor, dict[str, Any]]:
         """Mean distance of the steps, in mm."""
         error = (network(batch["image"]) - batch["step"]).square().sum(1)
         loss = (error + 1e-4).sqrt().mean()
@@ -73,10 +79,14 @@ class ClonedPolicyTask:
 
 @memoise(1 << 16, most_bytes=_MAX_BYTES)
 def demonstrate(seed: int, index: int, n_ticks: int, noise_mm: float) -> tuple[Floats, Floats]:
-    """Images (n, 3, 48, 64) of the target and the expert's steps (n, 2) in mm of one demonstration."""
+    """Images (n, 3, 48, 64) of the target and the expert's steps (n, 2) in mm of one
+    demonstration.
+    """
     trial = draw_trial(seed, index, 1.0)
-    rng, ball = np.random.default_rng([seed, index]), trial.start()
-    images, steps = [], []
+    rng = np.random.default_rng([seed, index])
+    ball = trial.start()
+    images = []
+    steps = []
     for tick in range(n_ticks):
         step = command_as_expert(ball.contact_mm)
         frame, _ = trial.record(TARGET, ball, tick)

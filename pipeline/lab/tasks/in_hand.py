@@ -1,8 +1,9 @@
-"""Pose of a grasped object in a hand's plane from the touches of its two fingers, near the planned grasp.
+"""Pose of a grasped object in a hand's plane from the touches of its two fingers, near the planned
+grasp.
 
-Two parallel fingers leave an object three degrees of freedom: translation and rotation in their plane. Each finger's
-touch is registered on the object's signed distances from starts over the range of grasps; the finger that the object
-explains better counts more.
+Two parallel fingers leave an object three degrees of freedom: translation and rotation in their
+plane. Each finger's touch is registered on the object's signed distances from starts over the range
+of grasps; the finger that the object explains better counts more.
 """
 
 import math
@@ -24,13 +25,20 @@ from pipeline.stages.pose.registration.starts import InitialPose
 from pipeline.stages.pose.signed_distances import PoseParams, prepare_search
 
 FINGERS = ("left", "right")
-_FLIP: Doubles = freeze(rigid.rotation((math.pi, 0.0, 0.0)))  # the right finger looks back at the left one
+# the right finger looks back at the left one
+_FLIP: Doubles = freeze(rigid.rotation((math.pi, 0.0, 0.0)))
 GRIP_MM = 0.6  # indentation that the controller expects
 _OFFSETS_MM = (-5.0, -2.5, 0.0, 2.5, 5.0)  # starts over the grid of grasps
 _ANGLES_DEG = tuple(range(-60, 61, 10))
-_MAX_ANGLE_DEG, _MAX_OFFSET_MM = 60.0, 9.0  # beyond these a pose is not one of the planned grasp
-_CERTAIN_MM = 0.5  # predicted error of a generated bubble up to which its pixels are used; a network outpaints the rest
-_AGREE_MM, _AGREE_DEG = 2.0, 10.0  # two fingers that differ by less are averaged
+# beyond these a pose is not one of the planned grasp
+_MAX_ANGLE_DEG = 60.0
+_MAX_OFFSET_MM = 9.0
+# predicted error of a generated bubble up to which its pixels are used; a network outpaints the
+# rest
+_CERTAIN_MM = 0.5
+# two fingers that differ by less are averaged
+_AGREE_MM = 2.0
+_AGREE_DEG = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +52,9 @@ class PlanarPose:
     @property
     def matrix(self) -> Doubles:
         """As (4, 4)."""
-        return rigid.translation(self.x_mm, self.y_mm, 0.0) @ rigid.rotation((0.0, 0.0, self.angle_rad))
+        return rigid.translation(self.x_mm, self.y_mm, 0.0) @ rigid.rotation(
+            (0.0, 0.0, self.angle_rad)
+        )
 
     def describe(self) -> dict[str, float]:
         """Its values by name, the angle in degrees."""
@@ -56,7 +66,9 @@ def parse_planar_pose(values: Mapping[str, float]) -> PlanarPose:
     try:
         x_mm, y_mm, angle_deg = (values[name] for name in ("x_mm", "y_mm", "angle_deg"))
     except KeyError as error:
-        raise SettingProblem(f"a decision of the rollout has no {error}; run the task again") from error
+        raise SettingProblem(
+            f"a decision of the rollout has no {error}; run the task again"
+        ) from error
     return PlanarPose(x_mm=x_mm, y_mm=y_mm, angle_rad=math.radians(angle_deg))
 
 
@@ -67,13 +79,19 @@ def project_to_plane(hand_from_object: Doubles) -> PlanarPose:
     return PlanarPose(x_mm=float(x), y_mm=float(y), angle_rad=angle)
 
 
-def press_between_fingers(mesh: Mesh, grasp: PlanarPose, finger: str, indentation_mm: float) -> Doubles:
-    """Return the pose (4, 4) of a grasped object for one finger, its deepest point `indentation_mm` into the gel.
+def press_between_fingers(
+    mesh: Mesh, grasp: PlanarPose, finger: str, indentation_mm: float
+) -> Doubles:
+    """Return the pose (4, 4) of a grasped object for one finger, its deepest point `indentation_mm`
+    into the gel.
 
-    The pose maps object coordinates (mm) to the finger's alignment frame: z = 0 at the gel, pressing towards -z.
+    The pose maps object coordinates (mm) to the finger's alignment frame: z = 0 at the gel,
+    pressing towards -z.
     """
     pose = (np.eye(4) if finger == "left" else _FLIP) @ grasp.matrix
-    pose[2, 3] = -indentation_mm - compute_lowest_mm(rigid.apply(pose, mesh.vertices_mm), mesh.triangles)
+    pose[2, 3] = -indentation_mm - compute_lowest_mm(
+        rigid.apply(pose, mesh.vertices_mm), mesh.triangles
+    )
     return pose
 
 
@@ -85,8 +103,13 @@ class FingerEstimate:
     misfit_mm: float
 
 
-def estimate_grasp(touches: Sequence[DepthMap | None], mesh: Mesh, sensor: SensorSpec) -> PlanarPose | None:
-    """The grasp from one touch per finger in `sensor`'s frame; None where no finger has a usable touch."""
+def estimate_grasp(
+    touches: Sequence[DepthMap | None], mesh: Mesh, sensor: SensorSpec
+) -> PlanarPose | None:
+    """The grasp from one touch per finger in `sensor`'s frame.
+
+    None where no finger has a usable touch.
+    """
     found = [
         _estimate_by_finger(touch, mesh, sensor, finger)
         for touch, finger in zip(touches, FINGERS, strict=True)
@@ -108,7 +131,9 @@ def _is_near(a: PlanarPose, b: PlanarPose) -> bool:
     return apart_mm < _AGREE_MM and abs(a.angle_rad - b.angle_rad) < math.radians(_AGREE_DEG)
 
 
-def _estimate_by_finger(touch: DepthMap, mesh: Mesh, sensor: SensorSpec, finger: str) -> FingerEstimate | None:
+def _estimate_by_finger(
+    touch: DepthMap, mesh: Mesh, sensor: SensorSpec, finger: str
+) -> FingerEstimate | None:
     prepared = prepare_search(_keep_certain(touch), mesh, PoseParams())
     if isinstance(prepared, ObjectPose):
         return None
@@ -131,7 +156,9 @@ def _estimate_by_finger(touch: DepthMap, mesh: Mesh, sensor: SensorSpec, finger:
 
 
 def _keep_certain(touch: DepthMap) -> DepthMap:
-    """A generated touch where its predicted error is within the limit, or the better half of its contact."""
+    """A generated touch where its predicted error is within the limit, or the better half of its
+    contact.
+    """
     if touch.expected_error_mm is None or not touch.is_generated or not touch.contact.any():
         return touch
     limit_mm = max(_CERTAIN_MM, float(np.nanmedian(touch.expected_error_mm[touch.contact])))

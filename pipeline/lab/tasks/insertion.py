@@ -1,7 +1,8 @@
-"""Insertion: a tool that two fingers hold in an unknown pose is aligned over its hole and lowered compliantly.
+"""Insertion: a tool that two fingers hold in an unknown pose is aligned over its hole and lowered
+compliantly.
 
-The controller is made for soft bubbles and reads GelSlims through a translation (paper, downstream tasks). Clearance,
-lead-in, force limit and compliance are not in the paper and are chosen here.
+The controller is made for soft bubbles and reads GelSlims through a translation (paper, downstream
+tasks). Clearance, lead-in, force limit and compliance are not in the paper and are chosen here.
 """
 
 import math
@@ -60,7 +61,9 @@ class _ToolFile(msgspec.Struct, kw_only=True, frozen=True, forbid_unknown_fields
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tool:
-    """A tool and its hole; the tool frame has +x along the insertion and z along the fingers' normal."""
+    """A tool and its hole; the tool frame has +x along the insertion and z along the fingers'
+    normal.
+    """
 
     name: str
     mesh: Mesh
@@ -76,15 +79,23 @@ class Tool:
 
 _TOOLS: dict[str, tuple[Doubles, float]] = {  # tool_from_shape, depth of the hole in mm
     "hex_key": (rigid.rotation((0.0, 0.0, -0.5 * math.pi)), 8.0),  # the long arm
-    "screwdriver": (rigid.translation(10.0, 0.0, 0.0) @ rigid.rotation((0.0, -0.5 * math.pi, 0.0)), 5.0),
+    "screwdriver": (
+        rigid.translation(10.0, 0.0, 0.0) @ rigid.rotation((0.0, -0.5 * math.pi, 0.0)),
+        5.0,
+    ),
     "spanner": (rigid.rotation((0.0, 0.0, -math.radians(195.0))), 8.0),  # the handle
     "pencil": (np.eye(4), 8.0),
 }
 PAPER = {  # of 30; the paper's tools 1 to 3 are others
-    ("hex_key", "t2t"): "18/30", ("screwdriver", "t2t"): "10/30", ("spanner", "t2t"): "15/30",
-    ("pencil", "t2t"): "21/30", ("hex_key", "vqvae"): "9/30", ("screwdriver", "vqvae"): "8/30",
-    ("spanner", "vqvae"): "15/30", ("pencil", "vqvae"): "7/30",
-}  # fmt: skip
+    ("hex_key", "t2t"): "18/30",
+    ("screwdriver", "t2t"): "10/30",
+    ("spanner", "t2t"): "15/30",
+    ("pencil", "t2t"): "21/30",
+    ("hex_key", "vqvae"): "9/30",
+    ("screwdriver", "vqvae"): "8/30",
+    ("spanner", "vqvae"): "15/30",
+    ("pencil", "vqvae"): "7/30",
+}
 
 
 @derive_once
@@ -98,18 +109,22 @@ def make_tool(case: str) -> Tool:
 
 
 def load_tool(path: Path) -> Tool:
-    """A user's tool: a TOML file with `mesh`, `depth_mm`, and if need be `mesh_unit`, `face`, `axis_deg` and limits.
+    """A user's tool: a TOML file with `mesh`, `depth_mm`, and if need be `mesh_unit`, `face`,
+    `axis_deg` and limits.
 
-    The mesh is laid with `face` to the left finger and turned by `axis_deg` in the fingers' plane, so that its
-    inserted end points to +x. Raises FileProblem.
+    The mesh is laid with `face` to the left finger and turned by `axis_deg` in the fingers' plane,
+    so that its inserted end points to +x. Raises FileProblem.
     """
     read = convert(read_toml(path, "the task"), _ToolFile, "the task", path)
     shape = shapes.load_mesh_shape(path.parent / read.mesh, read.mesh_unit, read.face)
     mesh = transform_mesh(shape.mesh, rigid.rotation((0.0, 0.0, math.radians(read.axis_deg))))
     tool = Tool(
-        name=path.stem, mesh=mesh, depth_mm=read.depth_mm, lead_in_mm=read.lead_in_mm,
+        name=path.stem,
+        mesh=mesh,
+        depth_mm=read.depth_mm,
+        lead_in_mm=read.lead_in_mm,
         force_limit_n=read.force_limit_n,
-    )  # fmt: skip
+    )
     assert tool.peg.depth_mm  # raises MeshProblem now and not in a trial
     return tool
 
@@ -118,12 +133,19 @@ def run(plan: TrialPlan, progress: Progress = SILENT) -> tuple[Rollout, ...]:
     """One grasp, estimated through every touch, inserted at every clearance."""
     tool = make_tool(plan.case)
     return run_through_touches(
-        plan, tool.mesh, tool.name, partial(measure_miss_mm, tool.peg), partial(_lower, tool), progress
+        plan,
+        tool.mesh,
+        tool.name,
+        partial(measure_miss_mm, tool.peg),
+        partial(_lower, tool),
+        progress,
     )
 
 
 def measure_miss_mm(peg: Peg, held: PlanarPose, believed: PlanarPose) -> float:
-    """How far the inserted part lies off the hole's axis in the fingers' plane: the larger of its two ends."""
+    """How far the inserted part lies off the hole's axis in the fingers' plane: the larger of
+    its two ends.
+    """
     y, z = 0.5 * (peg.points_mm.min(axis=0) + peg.points_mm.max(axis=0))[1:]
     ends = np.array([(peg.tip_mm, y, z), (peg.tip_mm - peg.depth_mm, y, z)])
     off = rigid.apply(rigid.invert(believed.matrix) @ held.matrix, ends) - ends
@@ -132,14 +154,19 @@ def measure_miss_mm(peg: Peg, held: PlanarPose, believed: PlanarPose) -> float:
 
 def _lower(tool: Tool, held: PlanarPose, believed: PlanarPose, clearance_mm: float) -> Attempt:
     return insert(
-        tool.peg, held.matrix, believed.matrix, clearance_mm=clearance_mm, lead_in_mm=tool.lead_in_mm,
+        tool.peg,
+        held.matrix,
+        believed.matrix,
+        clearance_mm=clearance_mm,
+        lead_in_mm=tool.lead_in_mm,
         force_limit_n=tool.force_limit_n,
-    )  # fmt: skip
+    )
 
 
 def build_scene(rollout: RecordedRollout) -> TaskScene:
     """The hole's plate and both fingers around the tool."""
-    tool, first = make_tool(rollout.plan.case), rollout.summary.decisions[0]
+    tool = make_tool(rollout.plan.case)
+    first = rollout.summary.decisions[0]
     plate = make_hole_mesh(tool.peg, rollout.summary.tolerance_mm, tool.lead_in_mm)
     fingers = make_fingers(tool.mesh, parse_planar_pose(first.truth))
     return TaskScene(
@@ -149,23 +176,40 @@ def build_scene(rollout: RecordedRollout) -> TaskScene:
 
 
 TASK = ManipulationTask(
-    name="insertion", title="Peg insertion", source=SOURCE, target=TARGET, cases=tuple(_TOOLS),
-    touches=("t2t", "vqvae", "true", "none"), tolerances_mm=TOLERANCES_MM, tolerance_title="clearance, mm", n_trials=30,
-    error_title="off the hole's axis", run=run, build_scene=build_scene, published=PAPER,
+    name="insertion",
+    title="Peg insertion",
+    source=SOURCE,
+    target=TARGET,
+    cases=tuple(_TOOLS),
+    touches=("t2t", "vqvae", "true", "none"),
+    tolerances_mm=TOLERANCES_MM,
+    tolerance_title="clearance, mm",
+    n_trials=30,
+    error_title="off the hole's axis",
+    run=run,
+    build_scene=build_scene,
+    published=PAPER,
     load_case=lambda path: load_tool(path).name,
-)  # fmt: skip
+)
 
 
 TICK_S = 0.02
-STIFFNESS_N_MM, STIFFNESS_NMM_RAD, HAND_KG = 2.0, 2000.0, 0.5  # of the hand's impedance control
-SPEED_MM_S, START_MM = 30.0, 15.0  # of the descent, and the tip's height at its start if the belief is true
+# of the hand's impedance control
+STIFFNESS_N_MM = 2.0
+STIFFNESS_NMM_RAD = 2000.0
+HAND_KG = 0.5
+# of the descent, and the tip's height at its start if the belief is true
+SPEED_MM_S = 30.0
+START_MM = 15.0
 BEYOND_MM = 4.0  # commanded beyond the full depth, for a tip that is shorter than believed
 SETTLE_S = 0.2
 SHORT_MM = 0.3  # of the full depth that still counts
 WORLD_FROM_UPRIGHT: Doubles = np.array(
     [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
-"""A tool over its hole: its x points down, its z, the normal of the fingers, along the world's y."""
+"""A tool over its hole: its x points down, its z, the normal of the fingers, along the world's
+y.
+"""
 
 
 def insert(
@@ -177,7 +221,9 @@ def insert(
     lead_in_mm: float,
     force_limit_n: float,
 ) -> Attempt:
-    """Lower a tool that the hand holds at `hand_from_tool` as if it held it at `believed` (4, 4)."""
+    """Lower a tool that the hand holds at `hand_from_tool` as if it held it at `believed` (4,
+    4).
+    """
     joints, actuators = write_compliant_joints("hand", STIFFNESS_N_MM, STIFFNESS_NMM_RAD, HAND_KG)
     above = WORLD_FROM_UPRIGHT @ rigid.translation(-peg.tip_mm - START_MM, 0.0, 0.0)
     world_from_hand = above @ rigid.invert(believed)  # at the joints' zero
@@ -188,29 +234,43 @@ def insert(
     body = (
         f'<body name="hand" gravcomp="1" {write_pose(start)}>{joints}'
         f'<inertial pos="0 0 0" mass="{HAND_KG}" diaginertia="2e-4 2e-4 2e-4"/>'
-        f'<geom type="mesh" mesh="peg" friction="0.3" mass="0" {write_pose(turned @ hand_from_tool)}/></body>'
+        '<geom type="mesh" mesh="peg" friction="0.3" mass="0" '
+        f"{write_pose(turned @ hand_from_tool)}/></body>"
     )
     scene = Scene(
-        write_hole(peg, clearance_mm, lead_in_mm) + body, extra_xml=actuators, meshes_mm={"peg": peg.points_mm}
+        write_hole(peg, clearance_mm, lead_in_mm) + body,
+        extra_xml=actuators,
+        meshes_mm={"peg": peg.points_mm},
     )
     ticks: list[Tick] = []
     full_mm = START_MM + peg.depth_mm + BEYOND_MM
-    largest, cause, depth = 0.0, "", -START_MM
+    largest = 0.0
+    cause = ""
+    depth = -START_MM
     n_ticks = round((full_mm / SPEED_MM_S + SETTLE_S) / TICK_S)
     for tick in range(n_ticks):
         lowered = min(full_mm, SPEED_MM_S * TICK_S * (tick + 1))
         scene.command("hand_z", -1e-3 * lowered)
         scene.advance(TICK_S)
-        hand, force = scene.get_pose("hand") @ turned, scene.measure_contact_force("hand")
+        hand = scene.get_pose("hand") @ turned
+        force = scene.measure_contact_force("hand")
         world_from_tool = hand @ hand_from_tool
         depth = -float(rigid.apply(world_from_tool, (peg.tip_mm, 0.0, 0.0))[2])
-        ticks.append(Tick(
-            time_s=TICK_S * (tick + 1), world_from_object=world_from_tool, world_from_hand=hand,
-            commanded=rigid.translation(0.0, 0.0, -lowered) @ world_from_hand, force_n=force,
-        ))  # fmt: skip
+        ticks.append(
+            Tick(
+                time_s=TICK_S * (tick + 1),
+                world_from_object=world_from_tool,
+                world_from_hand=hand,
+                commanded=rigid.translation(0.0, 0.0, -lowered) @ world_from_hand,
+                force_n=force,
+            )
+        )
         largest = max(largest, float(np.linalg.norm(force)))
         if largest > force_limit_n:
-            cause = f"jams {depth:.1f} mm deep of {peg.depth_mm:g} mm: the force exceeds {force_limit_n:g} N"
+            cause = (
+                f"jams {depth:.1f} mm deep of {peg.depth_mm:g} mm: the force exceeds "
+                f"{force_limit_n:g} N"
+            )
             break
         if depth >= peg.depth_mm:  # at the bottom of the hole: pushing on would jam it
             break
@@ -218,6 +278,8 @@ def insert(
     if not cause:
         cause = "inserted" if inserted else f"stops {depth:.1f} mm deep of {peg.depth_mm:g} mm"
     return Attempt(
-        ticks=tuple(ticks), succeeds=inserted and largest <= force_limit_n, cause=cause,
+        ticks=tuple(ticks),
+        succeeds=inserted and largest <= force_limit_n,
+        cause=cause,
         measures={"depth_mm": depth, "largest_force_n": largest},
-    )  # fmt: skip
+    )

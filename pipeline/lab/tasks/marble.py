@@ -1,7 +1,9 @@
-"""Marble rolling: a gel plate rolls a marble from a random start to the centre of its view and holds it there.
+"""Marble rolling: a gel plate rolls a marble from a random start to the centre of its view and
+holds it there.
 
-The controller is cloned on a GelSlim's images and reads a DIGIT through a translation (paper, downstream tasks). Sizes,
-load, speeds, the expert and the network are not in the paper and are chosen here.
+The controller is cloned on a GelSlim's images and reads a DIGIT through a translation (paper,
+downstream tasks). Sizes, load, speeds, the expert and the network are not in the paper and are
+chosen here.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,8 +15,20 @@ import numpy as np
 from pipeline.core.arrays import Doubles, Floats, Image
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame, Truth
-from pipeline.lab.tasks.attribution import CorrectedEstimate, describe_decision, list_true_stages, share_error
-from pipeline.lab.tasks.marble_trial import N_TICKS, SOURCE, TARGET, MarbleTrial, RecordedFrame, draw_trial
+from pipeline.lab.tasks.attribution import (
+    CorrectedEstimate,
+    describe_decision,
+    list_true_stages,
+    share_error,
+)
+from pipeline.lab.tasks.marble_trial import (
+    N_TICKS,
+    SOURCE,
+    TARGET,
+    MarbleTrial,
+    RecordedFrame,
+    draw_trial,
+)
 from pipeline.lab.tasks.rolling import TICK_S, make_ball
 from pipeline.lab.tasks.scene_bodies import make_box
 from pipeline.lab.tasks.task import (
@@ -32,17 +46,27 @@ from pipeline.stages.networks.network_factory import load_predictor
 from pipeline.stages.networks.weights_registry import load_for_task
 
 EXPERT = "expert"
-POLICY_TASK, WEIGHTS = "cloned_policy", "marble_gelslim"  # of `pipeline.lab.training`; shipped
-_ROWS, _COLS = 48, 64  # of the policy's input
+# of `pipeline.lab.training`; shipped
+POLICY_TASK = "cloned_policy"
+WEIGHTS = "marble_gelslim"
+# of the policy's input
+_ROWS = 48
+_COLS = 64
 N_HOLD_TICKS = 10
 LOST_MM = 7.0  # from the centre: the contact is outside the view
-GAIN, MAX_STEP_MM = 0.5, 0.8  # of the expert: plate's motion per tick over the ball's distance, and its limit
-_VIEW_HALF_MM, _PLATE_MM = (9.0, 6.75), 1.0  # halves of the gel that the target sees, and of the plate in the scene
+# of the expert: plate's motion per tick over the ball's distance, and its limit
+GAIN = 0.5
+MAX_STEP_MM = 0.8
+# halves of the gel that the target sees, and of the plate in the scene
+_VIEW_HALF_MM = (9.0, 6.75)
+_PLATE_MM = 1.0
 _LAST_STAGE = "touch"  # that the controller reads
 
 
 def command_as_expert(contact_mm: Doubles) -> Doubles:
-    """The plate's step (2,) in mm that rolls a ball at `contact_mm` (2,) of the gel toward the centre."""
+    """The plate's step (2,) in mm that rolls a ball at `contact_mm` (2,) of the gel toward the
+    centre.
+    """
     return limit_step(GAIN * contact_mm)
 
 
@@ -52,7 +76,9 @@ def limit_step(step_mm: Doubles) -> Doubles:
 
 
 def shrink_image(image: np.ndarray[Any, Any]) -> Floats:
-    """The policy's input (3, 48, 64) in shares of full brightness from an image (rows, cols, 3) of any size."""
+    """The policy's input (3, 48, 64) in shares of full brightness from an image (rows, cols, 3)
+    of any size.
+    """
     import cv2
 
     small = cv2.resize(image, (_COLS, _ROWS), interpolation=cv2.INTER_AREA)
@@ -71,12 +97,17 @@ class RollingRun:
 
 
 def roll(
-    trial: MarbleTrial, touch: str, *, replayed: Sequence[Doubles] = (), n_true: int = 0, record: Sequence[str] = ()
+    trial: MarbleTrial,
+    touch: str,
+    *,
+    replayed: Sequence[Doubles] = (),
+    n_true: int = 0,
+    record: Sequence[str] = (),
 ) -> RollingRun:
     """Control the ball for `N_TICKS` by one touch, after the steps `replayed`.
 
-    The first `n_true` stages of its translation are replaced by ground truth; `record` names sensors whose frames are
-    kept although the controller does not read them.
+    The first `n_true` stages of its translation are replaced by ground truth; `record` names
+    sensors whose frames are kept although the controller does not read them.
     """
     ball = trial.start(replayed)
     sensors = list_read_sensors(touch, needs_truth=n_true > 0) | dict.fromkeys(record)
@@ -86,14 +117,20 @@ def roll(
         expert = command_as_expert(ball.contact_mm)
         step = choose_step(trial, touch, recorded, ball.contact_mm, n_true)
         decision = Decision(
-            tick=tick, error_mm=float(np.linalg.norm(step - expert)), estimate=_describe(step), truth=_describe(expert)
+            tick=tick,
+            error_mm=float(np.linalg.norm(step - expert)),
+            estimate=_describe(step),
+            truth=_describe(expert),
         )
         done = ball.move_plate(step)
         run = replace(
-            run, steps=(*run.steps, step), decisions=(*run.decisions, decision), ticks=(*run.ticks, done),
+            run,
+            steps=(*run.steps, step),
+            decisions=(*run.decisions, decision),
+            ticks=(*run.ticks, done),
             distances_mm=(*run.distances_mm, float(np.linalg.norm(ball.contact_mm))),
             frames=(*run.frames, *((f"{name}_plate", *recorded[name]) for name in record)),
-        )  # fmt: skip
+        )
         if run.distances_mm[-1] > LOST_MM:
             break
     return run
@@ -109,7 +146,11 @@ def list_read_sensors(touch: str, *, needs_truth: bool = False) -> dict[str, Non
 
 
 def choose_step(
-    trial: MarbleTrial, touch: str, recorded: Mapping[str, RecordedFrame], contact_mm: Doubles, n_true: int = 0
+    trial: MarbleTrial,
+    touch: str,
+    recorded: Mapping[str, RecordedFrame],
+    contact_mm: Doubles,
+    n_true: int = 0,
 ) -> Doubles:
     """The plate's step by one touch; raises ModelMissing without the policy's weights."""
     if touch == NONE:
@@ -121,14 +162,18 @@ def choose_step(
     elif touch == OWN:
         image = recorded[TARGET if n_true else SOURCE][0].image
     else:
-        moment = trial.make_moment([recorded[name] for name in list_read_sensors(touch, needs_truth=n_true > 0)])
+        moment = trial.make_moment(
+            [recorded[name] for name in list_read_sensors(touch, needs_truth=n_true > 0)]
+        )
         steps = list_true_stages(moment, touch, _LAST_STAGE)[:n_true] if n_true else ()
         image = moment.generate_touch(touch, {stage: value for stage, _, value in steps}).image
     policy: Any = load_predictor(load_for_task(POLICY_TASK, WEIGHTS, None))
     return limit_step(np.asarray(policy(shrink_image(cast("Image", image)))[0], np.float64))
 
 
-def attribute_worst_decision(trial: MarbleTrial, touch: str, run: RollingRun, tolerance_mm: float) -> Decision:
+def attribute_worst_decision(
+    trial: MarbleTrial, touch: str, run: RollingRun, tolerance_mm: float
+) -> Decision:
     """The decision that is farthest from the expert's, with the shares of its error.
 
     Each share says whether the rollout, run again from that tick with the truth so far, succeeds.
@@ -153,7 +198,9 @@ def attribute_worst_decision(trial: MarbleTrial, touch: str, run: RollingRun, to
     return replace(worst, shares=share_error(worst.error_mm, corrected, judge))
 
 
-def _list_titles(trial: MarbleTrial, touch: str, recorded: Mapping[str, RecordedFrame]) -> tuple[tuple[str, str], ...]:
+def _list_titles(
+    trial: MarbleTrial, touch: str, recorded: Mapping[str, RecordedFrame]
+) -> tuple[tuple[str, str], ...]:
     """(stage, title) of what ground truth can replace before the policy."""
     if touch in (NONE, TRUE, EXPERT):
         return ()
@@ -183,19 +230,31 @@ def run_trial(plan: TrialPlan, progress: Progress = SILENT) -> Iterator[Rollout]
             record = (TARGET,) if touch == EXPERT else (SOURCE, TARGET)
         run = roll(trial, touch, record=record)
         for tolerance_mm in plan.tolerances_mm:
-            succeeds, decisions = is_held(run, tolerance_mm), run.decisions
+            succeeds = is_held(run, tolerance_mm)
+            decisions = run.decisions
             cause = _describe_end(run, tolerance_mm)
             if plan.attribute and not succeeds:
                 worst = attribute_worst_decision(trial, touch, run, tolerance_mm)
                 decisions = tuple(worst if one.tick == worst.tick else one for one in decisions)
-                cause += f"; worst command {TICK_S * worst.tick:.1f} s after the start, {describe_decision(worst)}"
+                cause += (
+                    f"; worst command {TICK_S * worst.tick:.1f} s after the start, "
+                    f"{describe_decision(worst)}"
+                )
             pairing = make_pairing("plate", trial.source.nominal, trial.target.nominal)
             yield Rollout(
-                case=plan.case, trial=plan.index, touch=touch, tolerance_mm=tolerance_mm, succeeds=succeeds,
-                cause=cause, measures={"end_mm": run.distances_mm[-1], "held_mm": measure_held_mm(run)},
-                decisions=decisions, ticks=run.ticks, frames=run.frames, pairings=(pairing,) if len(record) > 1 else (),
+                case=plan.case,
+                trial=plan.index,
+                touch=touch,
+                tolerance_mm=tolerance_mm,
+                succeeds=succeeds,
+                cause=cause,
+                measures={"end_mm": run.distances_mm[-1], "held_mm": measure_held_mm(run)},
+                decisions=decisions,
+                ticks=run.ticks,
+                frames=run.frames,
+                pairings=(pairing,) if len(record) > 1 else (),
                 mesh=make_ball(),
-            )  # fmt: skip
+            )
 
 
 def _describe_end(run: RollingRun, tolerance_mm: float) -> str:
@@ -216,9 +275,18 @@ def build_scene(_rollout: RecordedRollout) -> TaskScene:
 
 
 TASK = ManipulationTask(
-    name="marble", title="Marble rolling", source=SOURCE, target=TARGET, cases=("marble",),
-    touches=(TRUE, "t2d2", OWN), further_touches=(EXPERT,), tolerances_mm=(1.0,),
-    error_title="from the expert's step", build_scene=build_scene,
-    tolerance_title="held within, mm", n_trials=20, run=run_trial,
+    name="marble",
+    title="Marble rolling",
+    source=SOURCE,
+    target=TARGET,
+    cases=("marble",),
+    touches=(TRUE, "t2d2", OWN),
+    further_touches=(EXPERT,),
+    tolerances_mm=(1.0,),
+    error_title="from the expert's step",
+    build_scene=build_scene,
+    tolerance_title="held within, mm",
+    n_trials=20,
+    run=run_trial,
     published={("marble", TRUE): "20/20", ("marble", "t2d2"): "15/20"},
-)  # fmt: skip
+)

@@ -15,10 +15,14 @@ from pipeline.lab.tasks.rolling import RADIUS_MM, TICK_S, RollingBall, make_ball
 from pipeline.lab.tasks.touches import Moment, SensorPlace, place_sensor
 from pipeline.physics.simulation.press import simulate_press
 
-SOURCE, TARGET = "digit", "gelslim"
+SOURCE = "digit"
+TARGET = "gelslim"
 N_TICKS = 60
-START_MM, INDENTATION_MM = (2.0, 3.7), (0.3, 0.6)  # distance from the centre; both sensors see the whole contact
-_CONTEXT_MM = ((2.0, 2.0), (-2.0, 2.0), (2.0, -2.0), (-2.0, -2.0))  # touches before a trial that show the DIGIT's LEDs
+# distance from the centre; both sensors see the whole contact
+START_MM = (2.0, 3.7)
+INDENTATION_MM = (0.3, 0.6)
+# touches before a trial that show the DIGIT's LEDs
+_CONTEXT_MM = ((2.0, 2.0), (-2.0, 2.0), (2.0, -2.0), (-2.0, -2.0))
 RecordedFrame = tuple[TactileFrame, Truth | None]
 
 
@@ -42,7 +46,8 @@ class MarbleTrial:
         """Images of the source from before the trial."""
         poses = [rigid.translation(x, y, RADIUS_MM - self.indentation_mm) for x, y in _CONTEXT_MM]
         recorded = [
-            self.source.record(make_ball(), pose, index=N_TICKS + k, time_s=0.0) for k, pose in enumerate(poses)
+            self.source.record(make_ball(), pose, index=N_TICKS + k, time_s=0.0)
+            for k, pose in enumerate(poses)
         ]
         return tuple(cast("Image", frame.image) for frame, _ in recorded)
 
@@ -74,7 +79,8 @@ class MarbleTrial:
 def draw_trial(seed: int, index: int, vary: float) -> MarbleTrial:
     """Trial `index` of a seed."""
     rng = np.random.default_rng([seed, zlib.crc32(b"marble"), index])
-    distance, angle = rng.uniform(*START_MM), rng.uniform(0.0, 2.0 * np.pi)
+    distance = rng.uniform(*START_MM)
+    angle = rng.uniform(0.0, 2.0 * np.pi)
     indentation = float(rng.uniform(*INDENTATION_MM))
     source, target = (place_sensor(name, rng, vary) for name in (SOURCE, TARGET))
     start = (float(distance * np.cos(angle)), float(distance * np.sin(angle)))

@@ -1,4 +1,6 @@
-"""Run a recorded rollout again from its plan: to attribute the error of its decisions, and to replay it."""
+"""Run a recorded rollout again from its plan: to attribute the error of its decisions, and to
+replay it.
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -9,7 +11,9 @@ from pipeline.core.errors import NotConverged
 from pipeline.core.progress import SILENT, Progress
 from pipeline.lab.tasks.task import Decision, RecordedRollout, Rollout, load_task
 
-SAME_MM, SAME_N = 1e-3, 1e-2  # of poses and forces: rounding of another processor
+# of poses and forces: rounding of another processor
+SAME_MM = 1e-3
+SAME_N = 1e-2
 _LEAST_MM = 0.05  # a share that is named
 
 
@@ -27,7 +31,9 @@ class RolloutAgreement:
         return self.same_outcome and self.pose_mm <= SAME_MM and self.force_n <= SAME_N
 
 
-def run_again(rollout: RecordedRollout, progress: Progress = SILENT, *, attribute: bool = False) -> Rollout:
+def run_again(
+    rollout: RecordedRollout, progress: Progress = SILENT, *, attribute: bool = False
+) -> Rollout:
     """The rollout of the same plan, with its errors attributed if asked; raises TouchError."""
     plan = replace(rollout.plan, attribute=attribute, record_frames=True)
     (again,) = load_task(plan.task).run(plan, progress)
@@ -47,7 +53,9 @@ def compare_rollouts(recorded: RecordedRollout, again: Rollout) -> RolloutAgreem
     )
 
 
-def attribute_rollout(rollout: RecordedRollout, progress: Progress = SILENT) -> tuple[Decision, ...]:
+def attribute_rollout(
+    rollout: RecordedRollout, progress: Progress = SILENT
+) -> tuple[Decision, ...]:
     """The decisions with their errors attributed: as recorded, or by running the rollout again.
 
     Raises NotConverged where the rollout that was run again is another one than the recorded.
@@ -57,7 +65,8 @@ def attribute_rollout(rollout: RecordedRollout, progress: Progress = SILENT) -> 
     again = run_again(rollout, progress, attribute=True)
     if not compare_rollouts(rollout, again).is_same:
         raise NotConverged(
-            "run again, this rollout ends otherwise than recorded: it is of another version of this program; "
+            "run again, this rollout ends otherwise than recorded: it is of another version of "
+            "this program; "
             "run the task again with --attribute"
         )
     return again.decisions

@@ -1,4 +1,5 @@
-"""Repro bundle of a rollout: a folder with its recording and its case, which runs again from the plan.
+"""Repro bundle of a rollout: a folder with its recording and its case, which runs again from the
+plan.
 
 bundle.json      version, a note, the command that replays it
 rollout.h5       the recording with the plan
@@ -34,7 +35,9 @@ class RolloutReplay:
 def write_rollout_bundle(path: Path, folder: Path, *, note: str = "") -> None:
     """Write the repro bundle of a recorded rollout into a new folder; raises TouchError."""
     if folder.exists():
-        raise FileProblem("something of this name is there already and is kept; choose another", folder)
+        raise FileProblem(
+            "something of this name is there already and is kept; choose another", folder
+        )
     rollout = read_rollout(path)
 
     def fill(part: Path) -> None:
@@ -44,7 +47,13 @@ def write_rollout_bundle(path: Path, folder: Path, *, note: str = "") -> None:
         command = shlex.join(["tactoscope", "replay", str(folder.absolute())])
         write_json(
             part / "bundle.json",
-            {_VERSION_KEY: _VERSION, "made with": __version__, "note": note, "of": path.name, "command": command},
+            {
+                _VERSION_KEY: _VERSION,
+                "made with": __version__,
+                "note": note,
+                "of": path.name,
+                "command": command,
+            },
             "the repro bundle",
         )
 
@@ -55,7 +64,9 @@ def copy_case(case: Path, folder: Path) -> None:
     """Copy a case's TOML file and the mesh next to it into a folder; raises FileProblem."""
     mesh = str(read_toml(case, "the task").get("mesh", ""))
     if mesh != Path(mesh).name:
-        raise FileProblem("the mesh of a recorded case must lie next to its TOML file", case, field="mesh")
+        raise FileProblem(
+            "the mesh of a recorded case must lie next to its TOML file", case, field="mesh"
+        )
     folder.mkdir(parents=True, exist_ok=True)
     for name in (case.name, mesh):
         if (case.parent / name).resolve() != (folder / name).resolve():
@@ -63,7 +74,10 @@ def copy_case(case: Path, folder: Path) -> None:
 
 
 def is_rollout_bundle(folder: Path) -> bool:
-    """Whether a folder is the repro bundle of a rollout; raises FileProblem where it is no bundle at all."""
+    """Whether a folder is the repro bundle of a rollout.
+
+    Raises FileProblem where it is no bundle at all.
+    """
     head = read_json(folder / "bundle.json", "the repro bundle")
     return isinstance(head, dict) and _VERSION_KEY in head
 
@@ -73,8 +87,12 @@ def replay_rollout(folder: Path, progress: Progress = SILENT) -> RolloutReplay:
     head = read_json(folder / "bundle.json", "the repro bundle")
     version = head.get(_VERSION_KEY) if isinstance(head, dict) else None
     if version != _VERSION:
-        raise FileProblem(f"the repro bundle has version {version!r}, this program reads {_VERSION}", folder)
+        raise FileProblem(
+            f"the repro bundle has version {version!r}, this program reads {_VERSION}", folder
+        )
     rollout = read_rollout(folder / _ROLLOUT)
     again = run_again(rollout, progress)
     note = head.get("note", "") if isinstance(head, dict) else ""
-    return RolloutReplay(note=str(note), cause=again.cause, agreement=compare_rollouts(rollout, again))
+    return RolloutReplay(
+        note=str(note), cause=again.cause, agreement=compare_rollouts(rollout, again)
+    )

@@ -1,6 +1,7 @@
 """Rollouts as recordings: the frames of all sensors, and in the group `rollout` what the robot did.
 
-    /rollout                 summary (JSON: outcome, decisions, attribution), plan (JSON), key (digest of the plan)
+    /rollout                 summary (JSON: outcome, decisions, attribution), plan (JSON), key
+    (digest of the plan)
         time                 (n,) "s"
         world_from_object    (n, 4, 4) "mm"
         world_from_hand      (n, 4, 4) "mm"
@@ -8,7 +9,8 @@
         force                (n, 3) "N" on the object, world axes
         world_from_NAME      (n, 4, 4) "mm", another moving body of this name
 
-Frame `i` of the streams is the moment of decision `i`. A plan names a TOML case by its file name, without its folder.
+Frame `i` of the streams is the moment of decision `i`. A plan names a TOML case by its file name,
+without its folder.
 """
 
 import contextlib
@@ -30,7 +32,8 @@ from pipeline.io.hdf5_writer import RecordingWriter
 from pipeline.lab.recorder import BUBBLE_STEP_MM
 from pipeline.lab.tasks.task import RecordedRollout, Rollout, RolloutSummary, TrialPlan
 
-GROUP, CASE_SUFFIX = "rollout", ".toml"
+GROUP = "rollout"
+CASE_SUFFIX = ".toml"
 _BODY = "world_from_"  # of a dataset's name
 _DIGITS = 6  # of numbers in a summary: equal on machines whose last bits differ
 
@@ -42,15 +45,27 @@ def summarise(rollout: Rollout) -> dict[str, object]:
 
 
 def write_rollout(rollout: Rollout, path: Path, key: str, plan: TrialPlan) -> None:
-    """Write a rollout and the plan that it is of; raises FileProblem where nothing can be written."""
+    """Write a rollout and the plan that it is of.
+
+    Raises FileProblem where nothing can be written.
+    """
     ticks = rollout.ticks
     names = ticks[0].world_from_bodies if ticks else ()
     bodies = {name: [tick.world_from_bodies[name] for tick in ticks] for name in names}
-    own = replace(plan, touches=(rollout.touch,), tolerances_mm=(rollout.tolerance_mm,), case=_name_case(plan.case))
+    own = replace(
+        plan,
+        touches=(rollout.touch,),
+        tolerances_mm=(rollout.tolerance_mm,),
+        case=_name_case(plan.case),
+    )
     with RecordingWriter(
-        path, object_mesh=rollout.mesh, pairings=rollout.pairings, notes=(f"rollout: {rollout.cause}",),
-        coding="row differences", depth_step_mm=BUBBLE_STEP_MM,
-    ) as writer:  # fmt: skip
+        path,
+        object_mesh=rollout.mesh,
+        pairings=rollout.pairings,
+        notes=(f"rollout: {rollout.cause}",),
+        coding="row differences",
+        depth_step_mm=BUBBLE_STEP_MM,
+    ) as writer:
         for stream, frame, truth in rollout.frames:
             writer.append(stream, frame, truth)
         writer.write_group(
@@ -63,7 +78,11 @@ def write_rollout(rollout: Rollout, path: Path, key: str, plan: TrialPlan) -> No
                 "force": (np.array([tick.force_n for tick in ticks]), "N"),
                 **{f"{_BODY}{name}": (np.array(poses), "mm") for name, poses in bodies.items()},
             },
-            {"summary": json.dumps(summarise(rollout)), "plan": json.dumps(asdict(own)), "key": key},
+            {
+                "summary": json.dumps(summarise(rollout)),
+                "plan": json.dumps(asdict(own)),
+                "key": key,
+            },
         )
 
 
@@ -72,11 +91,15 @@ def _name_case(case: str) -> str:
 
 
 def read_rollout(path: Path) -> RecordedRollout:
-    """A recorded rollout with all ticks; raises FileProblem for another file, and for a damaged one."""
+    """A recorded rollout with all ticks.
+
+    Raises FileProblem for another file, and for a damaged one.
+    """
     with contextlib.closing(hdf5.read(path)) as recording:
         mesh = recording.object_mesh
     with _open_group(path) as group:
-        plan, summary = _read_plan(group, path), _read_summary(group, path)
+        plan = _read_plan(group, path)
+        summary = _read_summary(group, path)
         time_s = _read_table(group, "time", "s", (), path)
         n = len(time_s)
         poses = {
@@ -88,21 +111,36 @@ def read_rollout(path: Path) -> RecordedRollout:
             if key not in poses:
                 raise FileProblem(f"the rollout has no table {key!r}", path, field=f"{GROUP}/{key}")
         rollout = RecordedRollout(
-            path=path, plan=plan, summary=summary, mesh=mesh, time_s=time_s,
-            world_from_object=poses.pop("world_from_object"), world_from_hand=poses.pop("world_from_hand"),
-            commanded=poses.pop("commanded"), force_n=_read_table(group, "force", "N", (3,), path),
+            path=path,
+            plan=plan,
+            summary=summary,
+            mesh=mesh,
+            time_s=time_s,
+            world_from_object=poses.pop("world_from_object"),
+            world_from_hand=poses.pop("world_from_hand"),
+            commanded=poses.pop("commanded"),
+            force_n=_read_table(group, "force", "N", (3,), path),
             world_from_bodies={key.removeprefix(_BODY): table for key, table in poses.items()},
-        )  # fmt: skip
-    tables = (rollout.world_from_object, rollout.world_from_hand, rollout.commanded, rollout.force_n)
+        )
+    tables = (
+        rollout.world_from_object,
+        rollout.world_from_hand,
+        rollout.commanded,
+        rollout.force_n,
+    )
     if n == 0 or {len(table) for table in (*tables, *rollout.world_from_bodies.values())} != {n}:
         raise FileProblem("the rollout's tables have different lengths, or none", path, field=GROUP)
     if not all(0 <= decision.tick < n for decision in summary.decisions):
-        raise FileProblem(f"a decision of the rollout lies outside its {n} ticks", path, field=f"{GROUP}/summary")
+        raise FileProblem(
+            f"a decision of the rollout lies outside its {n} ticks", path, field=f"{GROUP}/summary"
+        )
     return rollout
 
 
 def list_places(path: Path) -> Mapping[str, str]:
-    """Stream of the source -> title, for every finger or plate of a rollout that records two sensors."""
+    """Stream of the source -> title, for every finger or plate of a rollout that records two
+    sensors.
+    """
     with contextlib.closing(hdf5.read(path)) as recording:
         sensors = {stream.name: stream.sensor for stream in recording.streams}
         sources = [pair.source for pair in recording.pairings if pair.source in sensors]
@@ -133,9 +171,15 @@ def _open_group(path: Path) -> Generator[Any]:
         with h5py.File(path, "r") as file:
             hdf5_validation.require_self_contained(file, path)
             if GROUP not in file:
-                raise FileProblem("this is no rollout of a task; `tactoscope task --record` writes some", path)
+                raise FileProblem(
+                    "this is no rollout of a task; `tactoscope task --record` writes some", path
+                )
             group: Any = file[GROUP]
-            n_bytes = sum(16 * int(part.size or 0) for part in group.values() if isinstance(part, h5py.Dataset))
+            n_bytes = sum(
+                16 * int(part.size or 0)
+                for part in group.values()
+                if isinstance(part, h5py.Dataset)
+            )
             require_budget(n_bytes, "the rollout's tables", path, field=GROUP)
             yield group
     except TouchError:
@@ -146,30 +190,42 @@ def _open_group(path: Path) -> Generator[Any]:
 
 def _read_plan(group: Any, path: Path) -> TrialPlan:
     if "plan" not in group.attrs:
-        raise FileProblem("the rollout is of an older version and lacks its plan; run the task again", path)
+        raise FileProblem(
+            "the rollout is of an older version and lacks its plan; run the task again", path
+        )
     plan = convert(json.loads(str(group.attrs["plan"])), TrialPlan, "the plan of the rollout", path)
     case = _name_case(plan.case)  # a file names no other folder
     return replace(plan, case=str(path.parent / case) if case.endswith(CASE_SUFFIX) else case)
 
 
 def _read_summary(group: Any, path: Path) -> RolloutSummary:
-    return convert(json.loads(str(group.attrs["summary"])), RolloutSummary, "the summary of the rollout", path)
+    return convert(
+        json.loads(str(group.attrs["summary"])), RolloutSummary, "the summary of the rollout", path
+    )
 
 
 def _read_table(group: Any, key: str, unit: str, shape: tuple[int, ...], path: Path) -> Doubles:
-    table = hdf5_validation.require_dataset(group, key, unit, hdf5_validation.FLOAT_KINDS, (None, *shape), path)[()]
+    table = hdf5_validation.require_dataset(
+        group, key, unit, hdf5_validation.FLOAT_KINDS, (None, *shape), path
+    )[()]
     if not np.isfinite(table).all():
         raise FileProblem(
-            f"the rollout's table {key!r} holds numbers that are not finite", path, field=f"{GROUP}/{key}"
+            f"the rollout's table {key!r} holds numbers that are not finite",
+            path,
+            field=f"{GROUP}/{key}",
         )
     return freeze(table.astype(np.float64))
 
 
 def read_summary(path: Path, key: str) -> Mapping[str, Any] | None:
-    """The summary of a rollout that was run with this key; None for another one or a file that cannot be read."""
+    """The summary of a rollout that was run with this key.
+
+    None for another one or a file that cannot be read.
+    """
     import h5py
 
-    with contextlib.suppress(Exception), h5py.File(path, "r") as file:  # one that cannot be read is written again
+    # one that cannot be read is written again
+    with contextlib.suppress(Exception), h5py.File(path, "r") as file:
         attributes = file[GROUP].attrs
         if attributes["key"] == key:
             return json.loads(str(attributes["summary"]))

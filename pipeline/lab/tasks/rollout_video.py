@@ -34,7 +34,8 @@ from pipeline.views.colours import Rgb
 from pipeline.views.display_params import DisplayParams
 from pipeline.views.preview import Preview
 
-_SIZE_PX, _DPI = (1120, 640), 100
+_SIZE_PX = (1120, 640)
+_DPI = 100
 _SCENE_PX = (10, 70, 600, 560)  # left, top, width, height of the scene
 _FORCE_AXES = (0.62, 0.1, 0.35, 0.28)  # left, bottom, width, height as shares
 _TOUCH_TITLES = ("source", "generated touch", "true touch")
@@ -50,12 +51,17 @@ class _Background(NamedTuple):
 
 
 def write_rollout_video(path: Path, out: Path, progress: Progress = SILENT) -> None:
-    """Write a recorded rollout as .mp4 or .avi, one image per tick at the rate of the ticks; raises TouchError."""
+    """Write a recorded rollout as .mp4 or .avi, one image per tick at the rate of the ticks.
+
+    Raises TouchError.
+    """
     require_separate(out, [path])
     check_folder_for(out)
     rollout = read_rollout(path)
     steps_s = np.diff(rollout.time_s)
-    rate_hz = 1.0 / float(np.median(steps_s)) if len(steps_s) and np.median(steps_s) > 0 else _MAX_RATE_HZ
+    rate_hz = (
+        1.0 / float(np.median(steps_s)) if len(steps_s) and np.median(steps_s) > 0 else _MAX_RATE_HZ
+    )
     write_video(out, draw_ticks(rollout, progress), float(np.clip(rate_hz, 1.0, _MAX_RATE_HZ)))
 
 
@@ -66,13 +72,17 @@ def draw_ticks(rollout: RecordedRollout, progress: Progress = SILENT) -> Iterato
     except TouchError:
         scene = make_plain_scene(rollout)
     left, top, width, height = _SCENE_PX
-    drawing = SceneDrawing(make_scene_layers(scene), *make_view(compute_bounds(scene), width, height))
-    shown, background = -1, None
+    drawing = SceneDrawing(
+        make_scene_layers(scene), *make_view(compute_bounds(scene), width, height)
+    )
+    shown = -1
+    background = None
     for tick in range(rollout.n_ticks):
         progress.step(tick / rollout.n_ticks, f"tick {tick}")
         decision = rollout.find_decision(tick)
         if background is None or decision != shown:
-            background, shown = _draw_background(rollout, decision), decision
+            background = _draw_background(rollout, decision)
+            shown = decision
         image = background.pixels.copy()
         image[top : top + height, left : left + width] = drawing.draw(scene.place(tick))
         _draw_cursor(image, background, tick)
@@ -83,18 +93,29 @@ def draw_ticks(rollout: RecordedRollout, progress: Progress = SILENT) -> Iterato
 def read_touches(rollout: RecordedRollout, decision: int) -> tuple[Preview | None, ...]:
     """Source, generated and true touch of a decision's frame; None where there is none."""
     try:
-        task, touch = load_task(rollout.plan.task), rollout.summary.touch
+        task = load_task(rollout.plan.task)
+        touch = rollout.summary.touch
         request = make_touch_request(touch, rollout.path, task.source, task.target)
         with open_translation(request) as translation:
             index = min(decision, translation.n_frames - 1)
-            frame, results = translation.stream.frame(index), translation.evaluate(index, ["touch"])
-            display, truths = DisplayParams(), translation.read_true_outputs(index)
+            frame = translation.stream.frame(index)
+            results = translation.evaluate(index, ["touch"])
+            display = DisplayParams()
+            truths = translation.read_true_outputs(index)
             source = render_pane("source", frame, results, translation, display).preview
             made = render_pane("touch", frame, results, translation, display).preview
-            true = render_pane("touch", frame, results, translation, display, "truth") if "touch" in truths else None
+            true = (
+                render_pane("touch", frame, results, translation, display, "truth")
+                if "touch" in truths
+                else None
+            )
     except TouchError:
         return None, None, None
-    return source, None if touch in (TRUE, NONE, OWN) else made, None if true is None else true.preview
+    return (
+        source,
+        None if touch in (TRUE, NONE, OWN) else made,
+        None if true is None else true.preview,
+    )
 
 
 def _draw_background(rollout: RecordedRollout, decision: int) -> _Background:
@@ -103,12 +124,21 @@ def _draw_background(rollout: RecordedRollout, decision: int) -> _Background:
     width, height = _SIZE_PX
     figure: Any = make_figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI)
     run = rollout.summary
-    title = f"{run.case}, trial {run.trial}, touch {run.touch}, {run.tolerance_mm:g} mm: {run.cause.partition(';')[0]}"
-    figure.text(0.01, 0.955, title, fontsize=12, weight="bold", color="black" if run.succeeds else "#8c2d04")
+    title = (
+        f"{run.case}, trial {run.trial}, touch {run.touch}, {run.tolerance_mm:g} mm: "
+        f"{run.cause.partition(';')[0]}"
+    )
+    figure.text(
+        0.01, 0.955, title, fontsize=12, weight="bold", color="black" if run.succeeds else "#8c2d04"
+    )
     if run.decisions and not run.succeeds:
-        error = describe_error(run.decisions[decision], load_task(rollout.plan.task).error_title, succeeds=False)
+        error = describe_error(
+            run.decisions[decision], load_task(rollout.plan.task).error_title, succeeds=False
+        )
         figure.text(0.01, 0.915, error, fontsize=9)
-    for k, (name, preview) in enumerate(zip(_TOUCH_TITLES, read_touches(rollout, decision), strict=True)):
+    for k, (name, preview) in enumerate(
+        zip(_TOUCH_TITLES, read_touches(rollout, decision), strict=True)
+    ):
         axes = figure.add_axes((0.555 + 0.148 * k, 0.52, 0.14, 0.36))
         axes.set_axis_off()
         axes.set_title(name if preview is not None else f"{name}: none", fontsize=9)
@@ -126,15 +156,23 @@ def _draw_background(rollout: RecordedRollout, decision: int) -> _Background:
         Line2D([], [], color=_to_hex(OBJECT_COLOUR), linewidth=4, label=TRUE_NAME),
         Line2D([], [], color=_to_hex(ESTIMATE_COLOUR), linestyle="--", label=ESTIMATE_NAME),
     ]
-    figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.3, 0.9), ncols=2, fontsize=8, frameon=False)
+    figure.legend(
+        handles=handles,
+        loc="lower left",
+        bbox_to_anchor=(0.3, 0.9),
+        ncols=2,
+        fontsize=8,
+        frameon=False,
+    )
     figure.canvas.draw()
     pixels = np.asarray(figure.canvas.buffer_rgba())[:height, :width, :3].copy()
     x = axes.transData.transform(np.column_stack([rollout.time_s, np.zeros(rollout.n_ticks)]))[:, 0]
     box = axes.get_window_extent()
     return _Background(
-        pixels=freeze(pixels), cursor_x_px=tuple(round(value) for value in x.tolist()),
+        pixels=freeze(pixels),
+        cursor_x_px=tuple(round(value) for value in x.tolist()),
         cursor_rows=(round(height - box.y1), round(height - box.y0)),
-    )  # fmt: skip
+    )
 
 
 def _to_hex(colour: Rgb) -> str:

@@ -18,7 +18,8 @@ from pipeline.lab.tasks.rollout_file import read_summary, summarise, write_rollo
 from pipeline.lab.tasks.task import TrialPlan, load_task
 from pipeline.lab.tasks.touches import check_touch
 
-TASKS_VERSION = 2  # incremented when a plan gives another rollout: older ones on disk are run again then
+# incremented when a plan gives another rollout: older ones on disk are run again then
+TASKS_VERSION = 2
 MAX_TRIALS = 10_000
 _POLL_S = 0.5
 Summary = Mapping[str, Any]
@@ -33,19 +34,33 @@ class TrialJob:
 
 
 def make_jobs(
-    task_name: str, *, cases: Sequence[str] = (), touches: Sequence[str] = (), tolerances_mm: Sequence[float] = (),
-    n_trials: int = 0, seed: int = 0, vary: float = 1.0, attribute: bool = False, folder: Path | None = None,
-) -> list[TrialJob]:  # fmt: skip
-    """One job per case and trial; what is not given is the task's own. Raises SettingProblem and other TouchErrors."""
+    task_name: str,
+    *,
+    cases: Sequence[str] = (),
+    touches: Sequence[str] = (),
+    tolerances_mm: Sequence[float] = (),
+    n_trials: int = 0,
+    seed: int = 0,
+    vary: float = 1.0,
+    attribute: bool = False,
+    folder: Path | None = None,
+) -> list[TrialJob]:
+    """One job per case and trial.
+
+    What is not given is the task's own. Raises SettingProblem and other TouchErrors.
+    """
     is_file = task_name.endswith(".toml")
     task = load_task("insertion" if is_file else task_name)
     if is_file and task.load_case is not None:
         path = Path(task_name).resolve()
         task.load_case(path)
-        task, cases = replace(task, cases=(str(path),)), ()
+        task = replace(task, cases=(str(path),))
+        cases = ()
     unknown = [case for case in cases if case not in task.cases]
     if unknown:
-        raise SettingProblem(f"{task.name} has no case {unknown[0]!r}; there are {', '.join(task.cases)}")
+        raise SettingProblem(
+            f"{task.name} has no case {unknown[0]!r}; there are {', '.join(task.cases)}"
+        )
     check_range("--trials", n_trials or 1, 1, MAX_TRIALS)
     if any(not 0.0 < one <= 20.0 for one in tolerances_mm):
         raise SettingProblem("--tolerance-mm must lie above 0 and within 20 mm")
@@ -56,18 +71,28 @@ def make_jobs(
     return [
         TrialJob(
             plan=TrialPlan(
-                task=task.name, case=case, index=index, touches=tuple(touches) or task.touches,
-                tolerances_mm=tuple(tolerances_mm) or task.tolerances_mm, seed=seed, vary=vary, attribute=attribute,
+                task=task.name,
+                case=case,
+                index=index,
+                touches=tuple(touches) or task.touches,
+                tolerances_mm=tuple(tolerances_mm) or task.tolerances_mm,
+                seed=seed,
+                vary=vary,
+                attribute=attribute,
                 record_frames=folder is not None,
             ),
             folder=folder,
         )
-        for case in cases or task.cases for index in range(n_trials or task.n_trials)
-    ]  # fmt: skip
+        for case in cases or task.cases
+        for index in range(n_trials or task.n_trials)
+    ]
 
 
 def run_job(job: TrialJob) -> list[Summary]:
-    """Run one trial and write its rollouts, or read those that are on disk; the summaries in the plan's order."""
+    """Run one trial and write its rollouts, or read those that are on disk.
+
+    The summaries in the plan's order.
+    """
     key = compute_digest((__version__, TASKS_VERSION, repr(asdict(job.plan))))
     finished = _read_finished(job, key)
     if finished is not None:
@@ -87,13 +112,17 @@ def _read_finished(job: TrialJob, key: str) -> list[Summary] | None:
     case = Path(job.plan.case).stem
     found = [
         read_summary(job.folder / f"{case}_{touch}_{tolerance:g}mm_{job.plan.index:03d}.h5", key)
-        for touch in job.plan.touches for tolerance in job.plan.tolerances_mm
-    ]  # fmt: skip
+        for touch in job.plan.touches
+        for tolerance in job.plan.tolerances_mm
+    ]
     return None if None in found else [one for one in found if one is not None]
 
 
 def run_jobs(
-    jobs: Sequence[TrialJob], n_processes: int, cluster: ClusterPool | None = None, progress: Progress = SILENT
+    jobs: Sequence[TrialJob],
+    n_processes: int,
+    cluster: ClusterPool | None = None,
+    progress: Progress = SILENT,
 ) -> list[Summary]:
     """The summaries of all rollouts in the order of the jobs, however many processes run them.
 
@@ -114,5 +143,7 @@ def run_jobs(
                 done += len(finished)
                 progress.step(done / len(jobs), f"{done} of {len(jobs)} trials")
     except BrokenProcessPool as error:
-        raise NotConverged("a worker process died, perhaps out of memory; run again with --jobs 1") from error
+        raise NotConverged(
+            "a worker process died, perhaps out of memory; run again with --jobs 1"
+        ) from error
     return [one for future in futures for one in future.result()]

@@ -11,7 +11,9 @@ from pipeline.core.geometry.camera import Camera
 from pipeline.core.geometry.rasterisation import render_mesh
 from pipeline.views.layers import Layer, ViewBounds
 
-_FIELD_OF_VIEW_DEG, _AWAY = 28.0, 3.7  # as in the window: angle, and distance in radii of the scene
+# as in the window: angle, and distance in radii of the scene
+_FIELD_OF_VIEW_DEG = 28.0
+_AWAY = 3.7
 _AMBIENT = 0.45  # share of light from everywhere
 _LIGHT = (0.3, -0.5, -0.8)  # in the camera's frame, toward the scene
 _BACKGROUND = 250
@@ -19,25 +21,43 @@ _LINE_PX = 2
 
 
 def make_view(bounds: ViewBounds, width_px: int, height_px: int) -> tuple[Camera, Doubles]:
-    """A pinhole camera that sees a scene as the window's first view does, and its pose camera_from_world (4, 4)."""
-    direction, centre = _normalise(np.array(bounds.direction)), np.array(bounds.centre_mm)
+    """A pinhole camera that sees a scene as the window's first view does, and its pose
+    camera_from_world (4, 4).
+    """
+    direction = _normalise(np.array(bounds.direction))
+    centre = np.array(bounds.centre_mm)
     right = _normalise(np.cross(np.array(bounds.up), direction))
     camera_from_world = np.eye(4)
     camera_from_world[:3, :3] = right, np.cross(-direction, right), -direction
-    camera_from_world[:3, 3] = -camera_from_world[:3, :3] @ (centre + _AWAY * bounds.radius_mm * direction)
+    camera_from_world[:3, 3] = -camera_from_world[:3, :3] @ (
+        centre + _AWAY * bounds.radius_mm * direction
+    )
     focal_px = 0.5 * min(width_px, height_px) / math.tan(0.5 * math.radians(_FIELD_OF_VIEW_DEG))
     camera = Camera(
-        rows=height_px, cols=width_px, fx_px=focal_px, fy_px=focal_px, cx_px=0.5 * width_px, cy_px=0.5 * height_px
+        rows=height_px,
+        cols=width_px,
+        fx_px=focal_px,
+        fy_px=focal_px,
+        cx_px=0.5 * width_px,
+        cy_px=0.5 * height_px,
     )
     return camera, camera_from_world
 
 
 class SceneDrawing:
-    """Draws the layers of a scene at any poses; what did not move since the last image is not rasterised again."""
+    """Draws the layers of a scene at any poses.
 
-    def __init__(self, layers: tuple[Layer, ...], camera: Camera, camera_from_world: Doubles) -> None:
-        self._layers, self._camera, self._camera_from_world = layers, camera, camera_from_world
-        self._last: dict[str, tuple[bytes, tuple[Doubles, Doubles]]] = {}  # layer -> its pose, depth and shade
+    What did not move since the last image is not rasterised again.
+    """
+
+    def __init__(
+        self, layers: tuple[Layer, ...], camera: Camera, camera_from_world: Doubles
+    ) -> None:
+        self._layers = layers
+        self._camera = camera
+        self._camera_from_world = camera_from_world
+        # layer -> its pose, depth and shade
+        self._last: dict[str, tuple[bytes, tuple[Doubles, Doubles]]] = {}
 
     def draw(self, poses: Mapping[str, Doubles]) -> Image:
         """Solid surfaces, then faint ones, then lines over all; (rows, cols, 3)."""

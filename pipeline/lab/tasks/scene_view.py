@@ -14,11 +14,16 @@ from pipeline.views.layers import Layer, ViewBounds, make_lines_layer, make_mesh
 OBJECT_COLOUR: Rgb = (0, 114, 178)  # true pose: blue, a solid (Okabe-Ito)
 ESTIMATE_COLOUR: Rgb = (213, 94, 0)  # estimated pose: vermilion, dashed edges
 SURROUNDINGS_COLOUR: Rgb = (150, 156, 166)
-TRUE_NAME, ESTIMATE_NAME = "true pose", "estimated pose"
+TRUE_NAME = "true pose"
+ESTIMATE_NAME = "estimated pose"
 VIEW_FRAME = "world"
-_DIRECTION, _UP = (0.45, -1.0, 0.4), (0.0, 0.0, 1.0)  # of the camera in the world, from the front above
+# of the camera in the world, from the front above
+_DIRECTION = (0.45, -1.0, 0.4)
+_UP = (0.0, 0.0, 1.0)
 _SURROUNDINGS_OPACITY = 0.3
-_DASHES, _DASH_SHARE = 3.0, 0.6  # length of a dash with its gap in mm, and the dash's part of it
+# length of a dash with its gap in mm, and the dash's part of it
+_DASHES = 3.0
+_DASH_SHARE = 0.6
 _SHARP = 0.9  # cosine between two faces up to which their common edge is drawn
 _MAX_EDGES = 600
 _NO_AREA_MM2 = 1e-9
@@ -36,16 +41,26 @@ class RolloutScene:
     hand_from_estimates: tuple[Doubles, ...]  # (4, 4) mm of each decision; () = not known
 
     def place(self, tick: int) -> dict[str, Doubles]:
-        """world_from_body (4, 4) of every body by name, the object's true and estimated pose among them."""
+        """world_from_body (4, 4) of every body by name, the object's true and estimated pose
+        among them.
+        """
         run = self.rollout
-        parents = {"world": np.eye(4), "object": run.world_from_object[tick], "hand": run.world_from_hand[tick]}
+        parents = {
+            "world": np.eye(4),
+            "object": run.world_from_object[tick],
+            "hand": run.world_from_hand[tick],
+        }
         parents |= {name: poses[tick] for name, poses in run.world_from_bodies.items()}
         placed = {
-            body.name: parents[body.parent] @ body.parent_from_body for body in self.bodies if body.parent in parents
+            body.name: parents[body.parent] @ body.parent_from_body
+            for body in self.bodies
+            if body.parent in parents
         }
         placed[TRUE_NAME] = run.world_from_object[tick]
         if self.hand_from_estimates:
-            placed[ESTIMATE_NAME] = run.world_from_hand[tick] @ self.hand_from_estimates[run.find_decision(tick)]
+            placed[ESTIMATE_NAME] = (
+                run.world_from_hand[tick] @ self.hand_from_estimates[run.find_decision(tick)]
+            )
         return placed
 
 
@@ -55,14 +70,20 @@ def build_scene(rollout: RecordedRollout) -> RolloutScene:
     scene = TaskScene(bodies=()) if build is None else build(rollout)
     locate = scene.hand_from_estimate
     return RolloutScene(
-        rollout=rollout, mesh=scene.object_mesh or rollout.mesh or _POINT, bodies=scene.bodies,
-        hand_from_estimates=() if locate is None else tuple(locate(one) for one in rollout.summary.decisions),
-    )  # fmt: skip
+        rollout=rollout,
+        mesh=scene.object_mesh or rollout.mesh or _POINT,
+        bodies=scene.bodies,
+        hand_from_estimates=()
+        if locate is None
+        else tuple(locate(one) for one in rollout.summary.decisions),
+    )
 
 
 def make_plain_scene(rollout: RecordedRollout) -> RolloutScene:
     """The object alone, for a rollout whose task or case is not known here."""
-    return RolloutScene(rollout=rollout, mesh=rollout.mesh or _POINT, bodies=(), hand_from_estimates=())
+    return RolloutScene(
+        rollout=rollout, mesh=rollout.mesh or _POINT, bodies=(), hand_from_estimates=()
+    )
 
 
 def make_scene_layers(scene: RolloutScene) -> tuple[Layer, ...]:
@@ -70,9 +91,15 @@ def make_scene_layers(scene: RolloutScene) -> tuple[Layer, ...]:
     layers = [make_mesh_layer(TRUE_NAME, scene.mesh, OBJECT_COLOUR)]
     if scene.hand_from_estimates:
         dashes = cut_dashes(find_edges(scene.mesh))
-        layers.append(make_lines_layer(ESTIMATE_NAME, dashes, repeat_colour(ESTIMATE_COLOUR, len(dashes))))
+        layers.append(
+            make_lines_layer(ESTIMATE_NAME, dashes, repeat_colour(ESTIMATE_COLOUR, len(dashes)))
+        )
     for body in scene.bodies:
-        layers.append(make_mesh_layer(body.name, body.mesh, SURROUNDINGS_COLOUR, opacity=_SURROUNDINGS_OPACITY))
+        layers.append(
+            make_mesh_layer(
+                body.name, body.mesh, SURROUNDINGS_COLOUR, opacity=_SURROUNDINGS_OPACITY
+            )
+        )
     return tuple(layers)
 
 
@@ -80,13 +107,19 @@ def compute_bounds(scene: RolloutScene) -> ViewBounds:
     """The view of the whole way of the object, from the front above."""
     ways = scene.rollout.world_from_object[:: max(1, scene.rollout.n_ticks // 8)]
     corners = np.array([scene.mesh.vertices_mm.min(axis=0), scene.mesh.vertices_mm.max(axis=0)])
-    reached = np.concatenate([rigid.apply(pose, corners) for pose in (*ways, scene.rollout.world_from_object[-1])])
-    low, high = reached.min(axis=0), reached.max(axis=0)
+    reached = np.concatenate(
+        [rigid.apply(pose, corners) for pose in (*ways, scene.rollout.world_from_object[-1])]
+    )
+    low = reached.min(axis=0)
+    high = reached.max(axis=0)
     x, y, z = (0.5 * (low + high)).tolist()
     return ViewBounds(
-        centre_mm=(x, y, z), radius_mm=_MARGIN * float(np.linalg.norm(high - low)), frame=VIEW_FRAME,
-        direction=_DIRECTION, up=_UP,
-    )  # fmt: skip
+        centre_mm=(x, y, z),
+        radius_mm=_MARGIN * float(np.linalg.norm(high - low)),
+        frame=VIEW_FRAME,
+        direction=_DIRECTION,
+        up=_UP,
+    )
 
 
 def find_edges(mesh: Mesh) -> Floats:
@@ -94,15 +127,21 @@ def find_edges(mesh: Mesh) -> Floats:
     corners = mesh.vertices_mm[mesh.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(normals, axis=1)
-    faces, normals = mesh.triangles[area > _NO_AREA_MM2], normals[area > _NO_AREA_MM2]
+    faces = mesh.triangles[area > _NO_AREA_MM2]
+    normals = normals[area > _NO_AREA_MM2]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    places, place_of_vertex = np.unique(mesh.vertices_mm.round(_DIGITS), axis=0, return_inverse=True)
-    edges = np.sort(place_of_vertex.ravel()[faces[:, [[0, 1], [1, 2], [2, 0]]]].reshape(-1, 2), axis=1)
+    places, place_of_vertex = np.unique(
+        mesh.vertices_mm.round(_DIGITS), axis=0, return_inverse=True
+    )
+    edges = np.sort(
+        place_of_vertex.ravel()[faces[:, [[0, 1], [1, 2], [2, 0]]]].reshape(-1, 2), axis=1
+    )
     unique, of_edge = np.unique(edges, axis=0, return_inverse=True)
     order = np.argsort(of_edge, kind="stable")
     starts = np.searchsorted(of_edge[order], np.arange(len(unique)))
     counts = np.bincount(of_edge, minlength=len(unique))
-    first, second = order[starts] // 3, order[np.minimum(starts + 1, len(order) - 1)] // 3
+    first = order[starts] // 3
+    second = order[np.minimum(starts + 1, len(order) - 1)] // 3
     cosine = np.abs((normals[first] * normals[second]).sum(axis=1))
     chosen = unique[(counts != 2) | (cosine < _SHARP)]
     if len(chosen) < 6:
@@ -124,5 +163,6 @@ def cut_dashes(ends_mm: Floats) -> Floats:
 
 _POINT = Mesh(
     vertices_mm=freeze(np.array([(0.0, 0.0, 0.0), (0.5, 0.0, 0.0), (0.0, 0.5, 0.0)])),
-    triangles=freeze(np.array([(0, 1, 2)], dtype=np.int32)), name="object",
-)  # fmt: skip  # of a recording without a mesh
+    triangles=freeze(np.array([(0, 1, 2)], dtype=np.int32)),
+    name="object",
+)  # of a recording without a mesh

@@ -1,7 +1,9 @@
-"""Cup stacking: a cup that two fingers hold by its rim is turned upright over a standing one, lowered and released.
+"""Cup stacking: a cup that two fingers hold by its rim is turned upright over a standing one,
+lowered and released.
 
-The fingers touch a piece of the rim from inside and outside. Size, taper, weight and friction of the cups are not in
-the paper and are chosen here. Cups are tapered rings of flat walls with a bottom.
+The fingers touch a piece of the rim from inside and outside. Size, taper, weight and friction of
+the cups are not in the paper and are chosen here. Cups are tapered rings of flat walls with a
+bottom.
 """
 
 import math
@@ -30,16 +32,35 @@ from pipeline.lab.tasks.task import (
 from pipeline.physics.simulation import shapes
 from pipeline.physics.simulation.shapes.solids import transform_mesh
 
-RIM_MM, HEIGHT_MM, WALL_MM = 40.0, 60.0, 2.4  # radius of the rim's middle, as of the shape `cup_rim`; height; thickness
+# radius of the rim's middle, as of the shape `cup_rim`; height; thickness
+RIM_MM = 40.0
+HEIGHT_MM = 60.0
+WALL_MM = 2.4
 GRIP_BELOW_MM = 4.5  # the fingers' centre below the rim's crest
-CUP_KG, FRICTION, N_WALLS = 0.03, 0.3, 16
-TICK_S, SPEED_MM_S, SETTLE_S = 0.04, 60.0, 0.8
-START_MM, RELEASE_MM = 15.0, 12.0  # height of the bottom above the standing rim; above the nested position
-MAX_TILT_DEG, MAX_OFF_MM, MAX_HIGH_MM = 5.0, 5.0, 6.0  # of a nested cup
-_RIM_FROM_SHAPE: Doubles = rigid.translation(GRIP_BELOW_MM, 0.0, 0.0) @ rigid.rotation((0.0, -0.5 * math.pi, 0.0))
+CUP_KG = 0.03
+FRICTION = 0.3
+N_WALLS = 16
+TICK_S = 0.04
+SPEED_MM_S = 60.0
+SETTLE_S = 0.8
+# height of the bottom above the standing rim; above the nested position
+START_MM = 15.0
+RELEASE_MM = 12.0
+# of a nested cup
+MAX_TILT_DEG = 5.0
+MAX_OFF_MM = 5.0
+MAX_HIGH_MM = 6.0
+_RIM_FROM_SHAPE: Doubles = rigid.translation(GRIP_BELOW_MM, 0.0, 0.0) @ rigid.rotation(
+    (0.0, -0.5 * math.pi, 0.0)
+)
 # The rim's +x, its crest, is up; its +z, outward, is the cup's x.
 _CUP_FROM_RIM: Doubles = np.array(
-    [[0.0, 0.0, 1.0, RIM_MM], [0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, HEIGHT_MM - GRIP_BELOW_MM], [0.0, 0.0, 0.0, 1.0]]
+    [
+        [0.0, 0.0, 1.0, RIM_MM],
+        [0.0, -1.0, 0.0, 0.0],
+        [1.0, 0.0, 0.0, HEIGHT_MM - GRIP_BELOW_MM],
+        [0.0, 0.0, 0.0, 1.0],
+    ]
 )
 
 
@@ -55,7 +76,9 @@ def compute_nested_mm(clearance_mm: float) -> float:
 
 
 def write_cup(clearance_mm: float) -> str:
-    """MJCF geoms of a cup whose bottom is narrower than the inside of its rim by `clearance_mm` in radius."""
+    """MJCF geoms of a cup whose bottom is narrower than the inside of its rim by `clearance_mm`
+    in radius.
+    """
     bottom_mm = RIM_MM - WALL_MM - clearance_mm
     slope = math.atan2(RIM_MM - bottom_mm, HEIGHT_MM)
     middle = 0.5 * (RIM_MM + bottom_mm)
@@ -71,13 +94,16 @@ def write_cup(clearance_mm: float) -> str:
         )
         for k in range(N_WALLS)
     ]
-    radius, thick = 1e-3 * bottom_mm, 1e-3 * 0.5 * WALL_MM
+    radius = 1e-3 * bottom_mm
+    thick = 1e-3 * 0.5 * WALL_MM
     walls.append(f'<geom type="cylinder" size="{radius} {thick}" pos="0 0 {thick}" {attributes}/>')
     return "".join(walls)
 
 
 def place_cup(held: PlanarPose, believed: PlanarPose, height_mm: float) -> Doubles:
-    """world_from_cup of the held cup when the hand believes to hold it upright over the origin at a height."""
+    """world_from_cup of the held cup when the hand believes to hold it upright over the origin
+    at a height.
+    """
     upright = rigid.translation(0.0, 0.0, height_mm) @ _CUP_FROM_RIM
     return upright @ rigid.invert(believed.matrix) @ held.matrix @ rigid.invert(_CUP_FROM_RIM)
 
@@ -88,9 +114,13 @@ def measure_off_mm(held: PlanarPose, believed: PlanarPose) -> float:
 
 
 def stack(held: PlanarPose, believed: PlanarPose, clearance_mm: float) -> Attempt:
-    """Lower and release a cup held at `held` as if it were held at `believed`; judge it when it has settled."""
+    """Lower and release a cup held at `held` as if it were held at `believed`.
+
+    Judge it when it has settled.
+    """
     nested_mm = compute_nested_mm(clearance_mm)
-    top_mm, end_mm = HEIGHT_MM + START_MM, nested_mm + RELEASE_MM
+    top_mm = HEIGHT_MM + START_MM
+    end_mm = nested_mm + RELEASE_MM
     start = place_cup(held, believed, top_mm)
     cup = write_cup(clearance_mm)
     scene = Scene(
@@ -98,18 +128,24 @@ def stack(held: PlanarPose, believed: PlanarPose, clearance_mm: float) -> Attemp
         f'<body name="standing"><freejoint/>{cup}</body>'
         f'<body name="hand" mocap="true" {write_pose(start)}/>'
         f'<body name="cup" {write_pose(start)}><freejoint/>{cup}</body>',
-        extra_xml='<equality><weld name="grip" body1="hand" body2="cup" solref="0.02 1"/></equality>',
+        extra_xml='<equality><weld name="grip" body1="hand" body2="cup" solref="0.02 '
+        '1"/></equality>',
     )
     ticks: list[Tick] = []
 
     def step(commanded: Doubles) -> None:
         scene.move_mocap("hand", commanded)
         scene.advance(TICK_S)
-        ticks.append(Tick(
-            time_s=TICK_S * (len(ticks) + 1), world_from_object=scene.get_pose("cup"), commanded=commanded,
-            world_from_hand=scene.get_pose("hand"), force_n=scene.measure_contact_force("cup"),
-            world_from_bodies={"standing": scene.get_pose("standing")},
-        ))  # fmt: skip
+        ticks.append(
+            Tick(
+                time_s=TICK_S * (len(ticks) + 1),
+                world_from_object=scene.get_pose("cup"),
+                commanded=commanded,
+                world_from_hand=scene.get_pose("hand"),
+                force_n=scene.measure_contact_force("cup"),
+                world_from_bodies={"standing": scene.get_pose("standing")},
+            )
+        )
 
     lowered = 0.0
     while lowered < top_mm - end_mm:
@@ -131,11 +167,15 @@ def _judge_stack(ticks: list[Tick], standing: Doubles, nested_mm: float) -> Atte
     if tilt_deg > MAX_TILT_DEG:
         cause = f"a cup is tilted by {tilt_deg:.0f} degrees"
     else:
-        cause = "upright and nested" if nested else f"upright but {high_mm:.0f} mm higher than nested"
+        cause = (
+            "upright and nested" if nested else f"upright but {high_mm:.0f} mm higher than nested"
+        )
     return Attempt(
-        ticks=tuple(ticks), succeeds=nested and tilt_deg <= MAX_TILT_DEG, cause=cause,
+        ticks=tuple(ticks),
+        succeeds=nested and tilt_deg <= MAX_TILT_DEG,
+        cause=cause,
         measures={"tilt_deg": tilt_deg, "off_mm": off_mm, "above_nested_mm": high_mm},
-    )  # fmt: skip
+    )
 
 
 def run(plan: TrialPlan, progress: Progress = SILENT) -> tuple[Rollout, ...]:
@@ -145,33 +185,50 @@ def run(plan: TrialPlan, progress: Progress = SILENT) -> tuple[Rollout, ...]:
 
 def make_cup(clearance_mm: float) -> Mesh:
     """The cup of `write_cup` as one mesh."""
-    bottom_mm, half = RIM_MM - WALL_MM - clearance_mm, 0.5 * WALL_MM
+    bottom_mm = RIM_MM - WALL_MM - clearance_mm
+    half = 0.5 * WALL_MM
     profile = (
-        (np.array(bottom_mm + half), 0.0), (np.array(RIM_MM + half), HEIGHT_MM), (np.array(RIM_MM - half), HEIGHT_MM),
-        (np.array(bottom_mm - half), WALL_MM), (np.array(0.0), WALL_MM), (np.array(0.0), 0.0),
-    )  # fmt: skip
+        (np.array(bottom_mm + half), 0.0),
+        (np.array(RIM_MM + half), HEIGHT_MM),
+        (np.array(RIM_MM - half), HEIGHT_MM),
+        (np.array(bottom_mm - half), WALL_MM),
+        (np.array(0.0), WALL_MM),
+        (np.array(0.0), 0.0),
+    )
     return make_ring(profile, list_angles(N_WALLS), "cup")
 
 
 def build_scene(rollout: RecordedRollout) -> TaskScene:
     """The standing cup, and both fingers at the rim of the held one."""
-    first, cup = rollout.summary.decisions[0], make_cup(rollout.summary.tolerance_mm)
+    first = rollout.summary.decisions[0]
+    cup = make_cup(rollout.summary.tolerance_mm)
     held = parse_planar_pose(first.truth)
-    cup_from_fingers = _CUP_FROM_RIM @ rigid.invert(held.matrix)  # the hand of a tick is the frame of the held cup
+    # the hand of a tick is the frame of the held cup
+    cup_from_fingers = _CUP_FROM_RIM @ rigid.invert(held.matrix)
     return TaskScene(
-        bodies=(SceneBody(name="standing cup", mesh=cup, parent="standing"),
-                *make_fingers(make_rim(), held, cup_from_fingers)),
+        bodies=(
+            SceneBody(name="standing cup", mesh=cup, parent="standing"),
+            *make_fingers(make_rim(), held, cup_from_fingers),
+        ),
         hand_from_estimate=lambda decision: rigid.invert(
             place_cup(held, parse_planar_pose(decision.estimate), 0.0)
         ),
         object_mesh=cup,
-    )  # fmt: skip
+    )
 
 
 TASK = ManipulationTask(
-    name="stack", title="Cup stacking", source=SOURCE, target=TARGET, cases=("cup",),
-    touches=("t2t", "vqvae", "true", "none"), tolerances_mm=(2.0, 4.0, 8.0),
-    tolerance_title="clearance in radius, mm", n_trials=30, run=run,
-    error_title="off the cup's axis", build_scene=build_scene,
+    name="stack",
+    title="Cup stacking",
+    source=SOURCE,
+    target=TARGET,
+    cases=("cup",),
+    touches=("t2t", "vqvae", "true", "none"),
+    tolerances_mm=(2.0, 4.0, 8.0),
+    tolerance_title="clearance in radius, mm",
+    n_trials=30,
+    run=run,
+    error_title="off the cup's axis",
+    build_scene=build_scene,
     published={("cup", "t2t"): "22/30", ("cup", "vqvae"): "21/30"},
-)  # fmt: skip
+)

@@ -1,4 +1,5 @@
-"""What a task is: trials of cases, each a rollout with decisions and an outcome. All values can be pickled.
+"""What a task is: trials of cases, each a rollout with decisions and an outcome. All values can be
+pickled.
 
 A task is one module with `TASK` and one line in `_TASKS`, or an entry point in `tactoscope.tasks`.
 """
@@ -20,7 +21,9 @@ from pipeline.core.values.frames import Pairing, TactileFrame, Truth
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialPlan:
-    """One trial: the same seed, case and index give the same start, whatever the touch and the tolerance."""
+    """One trial: the same seed, case and index give the same start, whatever the touch and the
+    tolerance.
+    """
 
     task: str  # a name of the catalogue, or a TOML file
     case: str
@@ -35,7 +38,9 @@ class TrialPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StageShare:
-    """Decrease of a decision's error when one more stage is replaced by ground truth, and the outcome from there."""
+    """Decrease of a decision's error when one more stage is replaced by ground truth, and the
+    outcome from there.
+    """
 
     stage: str
     title: str
@@ -64,7 +69,8 @@ class Tick:
     world_from_hand: Doubles  # (4, 4) mm, as it is
     commanded: Doubles  # (4, 4) mm, the hand as commanded
     force_n: Doubles  # (3,) on the object, world axes
-    world_from_bodies: Mapping[str, Doubles] = field(default_factory=dict)  # (4, 4) mm, other moving bodies by name
+    # (4, 4) mm, other moving bodies by name
+    world_from_bodies: Mapping[str, Doubles] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,7 +102,8 @@ class Rollout(RolloutSummary):
     """One run of one trial with one touch and one tolerance."""
 
     ticks: tuple[Tick, ...] = ()
-    frames: tuple[tuple[str, TactileFrame, Truth | None], ...] = ()  # stream, frame, truth; the same index = one moment
+    # stream, frame, truth; the same index = one moment
+    frames: tuple[tuple[str, TactileFrame, Truth | None], ...] = ()
     pairings: tuple[Pairing, ...] = ()
     mesh: Mesh | None = None
 
@@ -155,7 +162,8 @@ class TaskScene:
     """What surrounds the object of a rollout, and where a decision believes the object."""
 
     bodies: tuple[SceneBody, ...]  # the object is not among them
-    hand_from_estimate: Callable[[Decision], Doubles] | None = None  # (4, 4) mm, hand_from_object as estimated
+    # (4, 4) mm, hand_from_object as estimated
+    hand_from_estimate: Callable[[Decision], Doubles] | None = None
     object_mesh: Mesh | None = None  # where the touched mesh is only a part of the object
 
 
@@ -173,10 +181,13 @@ class ManipulationTask:
     tolerance_title: str
     n_trials: int  # by default, as in the paper
     run: RunTrial  # one rollout for each touch and tolerance, in this order
-    further_touches: tuple[str, ...] = ()  # of this task alone, besides "true", "none" and touch methods
+    # of this task alone, besides "true", "none" and touch methods
+    further_touches: tuple[str, ...] = ()
     error_title: str = "error"  # what a decision's `error_mm` measures
-    published: Mapping[tuple[str, str], str] = field(default_factory=dict)  # (case, touch) -> the paper's result
-    load_case: Callable[[Path], str] | None = None  # the name of a user's TOML file as a case; raises TouchError
+    # (case, touch) -> the paper's result
+    published: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    # the name of a user's TOML file as a case; raises TouchError
+    load_case: Callable[[Path], str] | None = None
     build_scene: Callable[[RecordedRollout], TaskScene] | None = None  # None = the object alone
 
 
@@ -194,5 +205,7 @@ def load_task(name: str) -> ManipulationTask:
         return added[name]
     if name not in _TASKS:
         known = ", ".join(sorted({*_TASKS, *added}))
-        raise SettingProblem(f"no task {name!r}; there are {known}, and TOML files of tools for insertion")
+        raise SettingProblem(
+            f"no task {name!r}; there are {known}, and TOML files of tools for insertion"
+        )
     return load_reference(_TASKS[name])

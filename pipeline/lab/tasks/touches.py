@@ -1,7 +1,9 @@
-"""Touches of a task: what every sensor of a finger records at one moment, and its translation, without a file between.
+"""Touches of a task: what every sensor of a finger records at one moment, and its translation,
+without a file between.
 
-A finger is a place for a sensor: the source records there, and for truth the target records the same moment. The moment
-is a recording of one frame in memory, so that translation, ground truth and error attribution work as on files.
+A finger is a place for a sensor: the source records there, and for truth the target records the
+same moment. The moment is a recording of one frame in memory, so that translation, ground truth and
+error attribution work as on files.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,7 +32,10 @@ from pipeline.stages.networks.weights_registry import WEIGHTS_FOLDER
 from pipeline.translation.catalogue import BUILT_IN
 from pipeline.translation.translate import Request, Translation, load_nothing
 
-TRUE, NONE, OWN = "true", "none", "own"  # the target itself; no touch; the source itself, without a translation
+# the target itself; no touch; the source itself, without a translation
+TRUE = "true"
+NONE = "none"
+OWN = "own"
 _CACHE_BYTES = 64 << 20  # all stages of a moment, with and without truth in their place
 
 
@@ -45,17 +50,27 @@ class SensorPlace:
     def record(
         self, mesh: Mesh, finger_from_object: Doubles, *, index: int, time_s: float
     ) -> tuple[TactileFrame, Truth | None]:
-        """The frame of the object at this pose in the finger's alignment frame; truth None: not converged."""
+        """The frame of the object at this pose in the finger's alignment frame.
+
+        Truth None: not converged.
+        """
         press = simulate_press(mesh, finger_from_object, self.instance, seed=self.seed + index)
         frame = TactileFrame(
-            sensor=self.nominal.name, image=press.image, reference=self.render_reference(), index=index, time_s=time_s
+            sensor=self.nominal.name,
+            image=press.image,
+            reference=self.render_reference(),
+            index=index,
+            time_s=time_s,
         )
         return frame, press.truth if press.converged else None
 
     def render_reference(self) -> np.ndarray:
         """The reference image of the instance."""
         flat = np.zeros(self.nominal.camera.shape, np.float32)
-        return cast("np.ndarray", render_sensor_image(self.instance, flat, self.instance.rest_depth_mm, self.seed - 1))
+        return cast(
+            "np.ndarray",
+            render_sensor_image(self.instance, flat, self.instance.rest_depth_mm, self.seed - 1),
+        )
 
 
 def load_placed_sensor(name: str) -> SensorSpec:
@@ -68,43 +83,59 @@ def place_sensor(name: str, rng: np.random.Generator, vary: float) -> SensorPlac
     """An instance of a sensor drawn by `rng`; `vary` as in `vary_sensor`."""
     instance_seed, noise_seed = (int(seed) for seed in rng.integers(1 << 31, size=2))
     nominal = load_placed_sensor(name)
-    return SensorPlace(nominal=nominal, instance=vary_sensor(nominal, instance_seed, vary), seed=1 + noise_seed)
+    return SensorPlace(
+        nominal=nominal, instance=vary_sensor(nominal, instance_seed, vary), seed=1 + noise_seed
+    )
 
 
 def check_touch(name: str, source: str, target: str) -> None:
-    """Raise SettingProblem unless `name` is "true", "none", "own" or a touch method for this direction."""
+    """Raise SettingProblem unless `name` is "true", "none", "own" or a touch method for this
+    direction.
+    """
     if name in (TRUE, NONE, OWN):
         return
     method = BUILT_IN.method("touch", name)
     found = (
         None
         if method.weights is None
-        else method.weights(load_sensor(source), load_placed_sensor(target), find_weights(name, source, target))
+        else method.weights(
+            load_sensor(source), load_placed_sensor(target), find_weights(name, source, target)
+        )
     )
     if isinstance(found, NoWeights):
         raise SettingProblem(f"--touch {name} cannot translate {source} to {target}: {found.why}")
 
 
 def find_weights(touch: str, source: str, target: str) -> Path | None:
-    """The shipped file of the VQ-VAE, which answers only with weights of one's choice; None = the method's own."""
+    """The shipped file of the VQ-VAE, which answers only with weights of one's choice.
+
+    None = the method's own.
+    """
     return WEIGHTS_FOLDER / f"vqvae_{source}_to_{target}{SUFFIX}" if touch == "vqvae" else None
 
 
 def make_touch_request(touch: str, recording: Path, source: str, target: str) -> Request:
-    """How a touch method translates; by the default route for "true" and others that read no translation."""
+    """How a touch method translates.
+
+    By the default route for "true" and others that read no translation.
+    """
     request = Request(recording=recording, source=source, target=target)
     if touch not in {method.name for method in BUILT_IN.stage("touch").methods}:
         return request
     methods = {"touch": touch, **({"touch_depth": "from_image"} if touch == "vqvae" else {})}
     weights = find_weights(touch, source, target)
     return replace(
-        request, route="t2t" if "frame" in BUILT_IN.method("touch", touch).reads else "t2d2",
-        methods=tuple(methods.items()), weights=() if weights is None else (("touch", weights),),
-    )  # fmt: skip
+        request,
+        route="t2t" if "frame" in BUILT_IN.method("touch", touch).reads else "t2d2",
+        methods=tuple(methods.items()),
+        weights=() if weights is None else (("touch", weights),),
+    )
 
 
 class Moment:
-    """One moment of one finger: the frames at hand, and every translation of them, each computed once."""
+    """One moment of one finger: the frames at hand, and every translation of them, each computed
+    once.
+    """
 
     def __init__(
         self,
@@ -118,48 +149,76 @@ class Moment:
     ) -> None:
         """`frames` holds one of the source, and for truth one of the target, of the same index.
 
-        `context_images` are other touches of the source's instance, which determine its illumination. `draft`: the
-        source's depth is computed as while a slider is dragged, in half the time.
+        `context_images` are other touches of the source's instance, which determine its
+        illumination. `draft`: the source's depth is computed as while a slider is dragged, in half
+        the time.
         """
         streams = tuple(_make_stream(*pair) for pair in frames)
-        self._recording = Recording(path=Path("moment"), format="moment", streams=streams, object_mesh=mesh)
-        self._source, self._target, self._mesh = source, target, mesh
-        self._context_images, self._draft = context_images, draft
+        self._recording = Recording(
+            path=Path("moment"), format="moment", streams=streams, object_mesh=mesh
+        )
+        self._source = source
+        self._target = target
+        self._mesh = mesh
+        self._context_images = context_images
+        self._draft = draft
         self._graph = Graph((), cache=Cache(_CACHE_BYTES))
 
     def open_translation(self, touch: str) -> Translation:
-        """The translation of the source's frame by a touch method; of the target's own frame for "true"."""
+        """The translation of the source's frame by a touch method.
+
+        Of the target's own frame for "true".
+        """
         source = self._target if touch == TRUE else self._source
         return Translation(
             request=make_touch_request(touch, self._recording.path, source.name, self._target.name),
-            recording=self._recording, stream=self._recording.stream(source.name), source=source, target=self._target,
-            alignment=resolve_alignment(source, self._target), calibration=None, mesh=self._mesh,
-            load_context_images=load_nothing if touch == TRUE else lambda _reference: self._context_images,
+            recording=self._recording,
+            stream=self._recording.stream(source.name),
+            source=source,
+            target=self._target,
+            alignment=resolve_alignment(source, self._target),
+            calibration=None,
+            mesh=self._mesh,
+            load_context_images=load_nothing
+            if touch == TRUE
+            else lambda _reference: self._context_images,
             graph=self._graph,
-        )  # fmt: skip
+        )
 
     def evaluate(
-        self, touch: str, stage: str, given: Mapping[str, object] | None = None, progress: Progress = SILENT
+        self,
+        touch: str,
+        stage: str,
+        given: Mapping[str, object] | None = None,
+        progress: Progress = SILENT,
     ) -> tuple[Translation, dict[str, StageResult]]:
-        """The translation by `touch` and its results up to `stage`, with values `given` in place of stages."""
+        """The translation by `touch` and its results up to `stage`, with values `given` in place
+        of stages.
+        """
         translation = self.open_translation(touch)
         params = {
             method.stage: method.draft(method.params())
             for method in translation.methods
             if self._draft and method.stage == "depth" and method.draft is not None
         }
-        return translation, replace(translation, params=params).evaluate(0, [stage], progress, given=given or {})
+        return translation, replace(translation, params=params).evaluate(
+            0, [stage], progress, given=given or {}
+        )
 
     def measure_depth(
         self, touch: str, given: Mapping[str, object] | None = None, progress: Progress = SILENT
     ) -> DepthMap:
-        """Depth of the touch that the controller gets: the target's or the source's own frame for "true" and "own"."""
+        """Depth of the touch that the controller gets: the target's or the source's own frame
+        for "true" and "own".
+        """
         stage = "depth" if touch in (TRUE, OWN) else "touch_depth"
         output = self.evaluate(touch, stage, given, progress)[1][stage].output
         assert isinstance(output, DepthMap)
         return output
 
-    def generate_touch(self, touch: str, given: Mapping[str, object] | None = None) -> GeneratedTouch:
+    def generate_touch(
+        self, touch: str, given: Mapping[str, object] | None = None
+    ) -> GeneratedTouch:
         """The generated touch of the source's frame."""
         output = self.evaluate(touch, "touch", given)[1]["touch"].output
         assert isinstance(output, GeneratedTouch)
@@ -169,14 +228,19 @@ class Moment:
 def _make_stream(frame: TactileFrame, truth: Truth | None) -> Stream:
     first = replace(frame, index=0)
     return Stream(
-        name=frame.sensor, sensor=frame.sensor, n_frames=1, frame=lambda _index: first, truth=lambda _index: truth,
+        name=frame.sensor,
+        sensor=frame.sensor,
+        n_frames=1,
+        frame=lambda _index: first,
+        truth=lambda _index: truth,
         has_truth=truth is not None,
-    )  # fmt: skip
+    )
 
 
 def make_pairing(name: str, source: SensorSpec, target: SensorSpec) -> Pairing:
     """The alignment of two sensors of one finger, by the names of their streams."""
     return Pairing(
-        source=f"{source.name}_{name}", target=f"{target.name}_{name}",
+        source=f"{source.name}_{name}",
+        target=f"{target.name}_{name}",
         target_from_source=resolve_alignment(source, target).target_from_source,
-    )  # fmt: skip
+    )

@@ -6,17 +6,21 @@ from pipeline.lab.tasks.task import RecordedRollout
 from pipeline.views.view import StepCurve
 
 _DIGITS = 6  # of a curve: rounding is no motion
-FORCE, COMMAND, MOTION, GAP = "force", "command", "motion", "deviation"
+FORCE = "force"
+COMMAND = "command"
+MOTION = "motion"
+GAP = "deviation"
 
 
 def make_traces(rollout: RecordedRollout) -> tuple[StepCurve, ...]:
     """One curve per quantity, one value per tick.
 
-    The force is the contact force on the object; command and motion are the ways of the commanded hand and of the hand
-    from the first command; the deviation is between the two.
+    The force is the contact force on the object; command and motion are the ways of the commanded
+    hand and of the hand from the first command; the deviation is between the two.
     """
     begin = rollout.commanded[0, :3, 3]
-    commanded, moved = rollout.commanded[:, :3, 3], rollout.world_from_hand[:, :3, 3]
+    commanded = rollout.commanded[:, :3, 3]
+    moved = rollout.world_from_hand[:, :3, 3]
     values = (
         (FORCE, "N", np.linalg.norm(rollout.force_n, axis=1)),
         (COMMAND, "mm", np.linalg.norm(commanded - begin, axis=1)),
@@ -24,7 +28,8 @@ def make_traces(rollout: RecordedRollout) -> tuple[StepCurve, ...]:
         (GAP, "mm", np.linalg.norm(commanded - moved, axis=1)),
     )
     return tuple(
-        StepCurve(name=name, unit=unit, values=tuple(one.round(_DIGITS).tolist())) for name, unit, one in values
+        StepCurve(name=name, unit=unit, values=tuple(one.round(_DIGITS).tolist()))
+        for name, unit, one in values
     )
 
 

@@ -1,4 +1,6 @@
-"""Recorded rollouts as rows of a table: what was tried, how it ended, and what was wrong at the decision."""
+"""Recorded rollouts as rows of a table: what was tried, how it ended, and what was wrong at the
+decision.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -56,7 +58,9 @@ def list_trials(path: Path, progress: Progress = SILENT) -> tuple[TrialRow, ...]
         if row is not None:
             rows.append(row)
     if not any(not row.problem for row in rows) and not (path.is_file() and rows):
-        raise FileProblem("this folder holds no rollout; `tactoscope task NAME --record FOLDER` writes some", path)
+        raise FileProblem(
+            "this folder holds no rollout; `tactoscope task NAME --record FOLDER` writes some", path
+        )
     return tuple(rows)
 
 
@@ -76,11 +80,18 @@ def make_row(path: Path, task: str, summary: RolloutSummary) -> TrialRow:
     worst = find_worst_decision(summary.decisions)
     share = max(worst.shares, key=lambda part: part.share_mm, default=None) if worst else None
     return TrialRow(
-        path=path, task=task, case=summary.case, trial=summary.trial, touch=summary.touch,
-        tolerance_mm=summary.tolerance_mm, succeeds=summary.succeeds, cause=summary.cause.partition(";")[0],
-        error_mm=worst.error_mm if worst else math.nan, error_deg=compute_error_deg(worst) if worst else math.nan,
+        path=path,
+        task=task,
+        case=summary.case,
+        trial=summary.trial,
+        touch=summary.touch,
+        tolerance_mm=summary.tolerance_mm,
+        succeeds=summary.succeeds,
+        cause=summary.cause.partition(";")[0],
+        error_mm=worst.error_mm if worst else math.nan,
+        error_deg=compute_error_deg(worst) if worst else math.nan,
         share=f"{share.title} {share.share_mm:.1f} mm" if share else "",
-    )  # fmt: skip
+    )
 
 
 def find_worst_decision(decisions: Sequence[Decision]) -> Decision | None:
@@ -89,7 +100,10 @@ def find_worst_decision(decisions: Sequence[Decision]) -> Decision | None:
 
 
 def compute_error_deg(decision: Decision) -> float:
-    """The largest difference of an angle between estimate and truth in degrees; NaN without angles."""
+    """The largest difference of an angle between estimate and truth in degrees.
+
+    NaN without angles.
+    """
     gaps = [abs(gap) for name, gap in compute_gaps(decision).items() if name.endswith("_deg")]
     return max(gaps, default=math.nan)
 

@@ -1,8 +1,9 @@
-"""The moved part of a membrane as a surface that can be registered: smoothed depth, and points with normals.
+"""The moved part of a membrane as a surface that can be registered: smoothed depth, and points with
+normals.
 
-Around a contact the membrane bends with the object, so a rim of its moved part takes part, not the contact alone: the
-flat face of a tool shows its motion only where the membrane bends around its edge. Farther out a bubble's membrane
-follows its own rim.
+Around a contact the membrane bends with the object, so a rim of its moved part takes part, not the
+contact alone: the flat face of a tool shows its motion only where the membrane bends around its
+edge. Farther out a bubble's membrane follows its own rim.
 """
 
 from dataclasses import dataclass
@@ -13,12 +14,17 @@ from pipeline.core.arrays import Doubles, Floats, Mask, freeze
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.values.results import DepthErrorModel, DepthMap
 
-COMPUTED = DepthErrorModel(rms_mm=0.01, correlation_mm=0.5)  # where a depth map does not state its error
+# where a depth map does not state its error
+COMPUTED = DepthErrorModel(rms_mm=0.01, correlation_mm=0.5)
 N_POINTS = 800  # of a surface: twice as many change a pose by a fifth of its uncertainty
 MIN_POINTS = 60  # fewer moved pixels are no touch that could be followed
-_MOVED_SHARE, _MOVED_MM = 0.15, 0.03  # moved: indented by this share of the touch, and at least by that much
+# moved: indented by this share of the touch, and at least by that much
+_MOVED_SHARE = 0.15
+_MOVED_MM = 0.03
 RIM_MM = 0.8  # moved part around the contact that takes part
-_SMOOTHING_MM, _COARSER = 0.08, 3.0  # standard deviation of the fine level, at least 1 px; that of the coarse one
+# standard deviation of the fine level, at least 1 px; that of the coarse one
+_SMOOTHING_MM = 0.08
+_COARSER = 3.0
 _MAX_SMOOTHING_PX = 10.0  # pixels of no depth have no width
 OUTLINE_REACH_MM = 1.0  # distances to the contact's outline are cut off here
 _STENCIL_PX = 2  # normals and their change along the image reach this far
@@ -44,7 +50,9 @@ _NEIGHBOURS = ((1, 2, 3, 4), (5, 0, 9, 10), (0, 6, 11, 12), (9, 11, 7, 0), (10, 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SmoothedDepth:
-    """A depth image after a Gaussian filter, and how near to the image's border its values are usable."""
+    """A depth image after a Gaussian filter, and how near to the image's border its values are
+    usable.
+    """
 
     depth_mm: Floats  # (rows, cols)
     margin_px: float  # the filter mixes in what is beyond the border
@@ -92,16 +100,22 @@ def make_surface(depth: DepthMap) -> MembraneSurface:
     pixel_mm = typical_mm / depth.camera.fx_px
     moved = _find_moved(indentation, depth.contact, RIM_MM / max(pixel_mm, 1e-9))
     fine_px = _find_fine_px(pixel_mm)
-    unknown_px = cv2.distanceTransform(known.astype(np.uint8), cv2.DIST_L2, 3) if not known.all() else None
+    unknown_px = (
+        cv2.distanceTransform(known.astype(np.uint8), cv2.DIST_L2, 3) if not known.all() else None
+    )
     if unknown_px is not None:
         moved &= unknown_px > 2.5 * fine_px
     return MembraneSurface(
         camera=depth.camera,
         levels=smooth_levels(filled, pixel_mm),
-        moved=moved.astype(np.float32), contact=depth.contact,
-        outline_mm=_measure_outline(depth.contact, pixel_mm), depth_mm=depth.depth_mm,
-        pixels=choose_pixels(moved), error=depth.error or COMPUTED, pixel_mm=pixel_mm,
-    )  # fmt: skip
+        moved=moved.astype(np.float32),
+        contact=depth.contact,
+        outline_mm=_measure_outline(depth.contact, pixel_mm),
+        depth_mm=depth.depth_mm,
+        pixels=choose_pixels(moved),
+        error=depth.error or COMPUTED,
+        pixel_mm=pixel_mm,
+    )
 
 
 def choose_pixels(moved: Mask) -> Doubles:
@@ -109,8 +123,10 @@ def choose_pixels(moved: Mask) -> Doubles:
     rows, cols = np.nonzero(moved)
     if rows.size > N_POINTS:
         chosen = np.linspace(0, rows.size - 1, N_POINTS).astype(np.intp)
-        chosen = np.random.default_rng(0).permutation(rows.size)[chosen]  # no stripes of a regular choice
-        rows, cols = rows[chosen], cols[chosen]
+        # no stripes of a regular choice
+        chosen = np.random.default_rng(0).permutation(rows.size)[chosen]
+        rows = rows[chosen]
+        cols = cols[chosen]
     return freeze(np.column_stack([cols, rows]).astype(np.float64))
 
 
@@ -128,7 +144,9 @@ def _measure_outline(contact: Mask, pixel_mm: float) -> Floats:
     """Signed distance (rows, cols) to the contact's outline, smoothed over a pixel."""
     import cv2
 
-    inside, outside = (cv2.distanceTransform(m.astype(np.uint8), cv2.DIST_L2, 5) for m in (contact, ~contact))
+    inside, outside = (
+        cv2.distanceTransform(m.astype(np.uint8), cv2.DIST_L2, 5) for m in (contact, ~contact)
+    )
     apart = np.clip((outside - inside) * np.float32(pixel_mm), -OUTLINE_REACH_MM, OUTLINE_REACH_MM)
     return np.asarray(cv2.GaussianBlur(apart, (0, 0), 1.0), np.float32)
 
@@ -151,7 +169,9 @@ def _smooth(depth_mm: Floats, sigma_px: float) -> SmoothedDepth:
 
 
 def sample_outline(outline_mm: Floats, pixels: Doubles) -> tuple[Doubles, Doubles]:
-    """Distances (n,) to the outline at image positions (n, 2), and their change (n, 2) per pixel right and down."""
+    """Distances (n,) to the outline at image positions (n, 2), and their change (n, 2) per pixel
+    right and down.
+    """
     offsets = np.array(_OFFSETS[:5], np.float64)
     x, y = (pixels[:, k] + offsets[:, k, None] for k in (0, 1))
     apart = _interpolate(outline_mm, x, y)
@@ -159,16 +179,21 @@ def sample_outline(outline_mm: Floats, pixels: Doubles) -> tuple[Doubles, Double
 
 
 def sample_surface(level: SmoothedDepth, camera: Camera, pixels: Doubles) -> LocalSurface:
-    """Points, normals and their change at image positions (n, 2) x, y, which lie inside the level's margin."""
+    """Points, normals and their change at image positions (n, 2) x, y, which lie inside the
+    level's margin.
+    """
     offsets = np.array(_OFFSETS, np.float64)
     x, y = (pixels[:, k] + offsets[:, k, None] for k in (0, 1))  # (13, n)
     z = _interpolate(level.depth_mm, x, y)
-    ray_x, ray_y = (x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px
+    ray_x = (x - camera.cx_px) / camera.fx_px
+    ray_y = (y - camera.cy_px) / camera.fy_px
     right, left, below, above = (list(side) for side in zip(*_NEIGHBOURS, strict=True))
-    # With p = fx z_x / z and q = fy z_y / z, a pinhole's depth image has the normal (p, q, -(1 + p x/z + q y/z)).
+    # With p = fx z_x / z and q = fy z_y / z, a pinhole's depth image has the normal (p, q, -(1 + p
+    # x/z + q y/z)).
     p = 0.5 * camera.fx_px * (z[right] - z[left]) / z[:5]
     q = 0.5 * camera.fy_px * (z[below] - z[above]) / z[:5]
-    normals = np.stack([p, q, -(1.0 + p * ray_x[:5] + q * ray_y[:5])], axis=1)  # (5, 3, n): fast along the points
+    # (5, 3, n): fast along the points
+    normals = np.stack([p, q, -(1.0 + p * ray_x[:5] + q * ray_y[:5])], axis=1)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return LocalSurface(
         points_mm=np.stack([ray_x[0] * z[0], ray_y[0] * z[0], z[0]]).T,
@@ -184,4 +209,6 @@ def _interpolate(image: Floats, x_px: Doubles, y_px: Doubles) -> Doubles:
 
     if not x_px.size:
         return np.zeros(x_px.shape)
-    return cv2.remap(image, x_px.astype(np.float32), y_px.astype(np.float32), cv2.INTER_LINEAR).astype(np.float64)
+    return cv2.remap(
+        image, x_px.astype(np.float32), y_px.astype(np.float32), cv2.INTER_LINEAR
+    ).astype(np.float64)

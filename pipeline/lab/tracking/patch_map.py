@@ -1,11 +1,13 @@
-"""Close loops between key frames, and fuse the contacts of a track into one surface, without a mesh.
+"""Close loops between key frames, and fuse the contacts of a track into one surface, without a
+mesh.
 
-Loops are closed by Open3D's pose graph (Choi, Zhou, Koltun 2015): its nodes are the key frames, its edges their
-registrations, weighted by the inverse of their covariance. The surface is Open3D's truncated signed distance volume of
-the contacts, which is where the membrane has the object's shape. A depth stage smooths a noisy bubble's membrane at the
-contact's edge, in every view alike, so views add what was measured: its noise averages out over them. A single frame's
-contact is too wide here and lacks parts there, so a place stays where two fifths of the views touch it whose membrane
-is there.
+Loops are closed by Open3D's pose graph (Choi, Zhou, Koltun 2015): its nodes are the key frames, its
+edges their registrations, weighted by the inverse of their covariance. The surface is Open3D's
+truncated signed distance volume of the contacts, which is where the membrane has the object's
+shape. A depth stage smooths a noisy bubble's membrane at the contact's edge, in every view alike,
+so views add what was measured: its noise averages out over them. A single frame's contact is too
+wide here and lacks parts there, so a place stays where two fifths of the views touch it whose
+membrane is there.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,16 +24,26 @@ from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.values.results import DepthMap
-from pipeline.lab.tracking.surface_registration import SurfaceFit, measure_overlap, register_surfaces
+from pipeline.lab.tracking.surface_registration import (
+    SurfaceFit,
+    measure_overlap,
+    register_surfaces,
+)
 from pipeline.lab.tracking.tracker import KeyFrame, TrackedFrame, is_accepted
 
 _LOOP_OVERLAP = 0.5  # key frames whose predicted overlap is larger are registered to each other
-_MIN_VOXEL_MM, _VOXEL_PX = 0.08, 0.5  # half a pixel: the rim of whole ones is a staircase
+# half a pixel: the rim of whole ones is a staircase
+_MIN_VOXEL_MM = 0.08
+_VOXEL_PX = 0.5
 _TRUNCATION_VOXELS = 4.0
-_CONTACT_SHARE = 0.4  # of the views at a place: leaves nearly the area of the true contact (docs/experiments.md)
-_BLOCK_VOXELS, _N_BLOCKS = 8, 4000  # a block's side; as many blocks as are allocated at first
+# of the views at a place: leaves nearly the area of the true contact (docs/experiments.md)
+_CONTACT_SHARE = 0.4
+# a block's side; as many blocks as are allocated at first
+_BLOCK_VOXELS = 8
+_N_BLOCKS = 4000
 _FARTHEST_MM = 1e3
-_DETAIL_MM = 0.4  # standard deviation of the filter on what was measured: a bubble's pixel; views average the rest
+# standard deviation of the filter on what was measured: a bubble's pixel; views average the rest
+_DETAIL_MM = 0.4
 _OUTLIER_MM = 1.5  # measured farther from the stage's depth: flying pixels and false matches
 _EMPTY = (
     "No block is touched",
@@ -62,11 +74,17 @@ def make_view(frame: TrackedFrame, depth: DepthMap) -> ContactView | None:
     if frame.sensor_from_start is None or frame.weak_directions:
         return None
     inner = cv2.erode(depth.contact.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    surface_mm = depth.depth_mm if depth.measured_depth_mm is None else _restore_detail(depth, depth.measured_depth_mm)
+    surface_mm = (
+        depth.depth_mm
+        if depth.measured_depth_mm is None
+        else _restore_detail(depth, depth.measured_depth_mm)
+    )
     return ContactView(
-        sensor_from_start=frame.sensor_from_start, camera=depth.camera, contact=freeze(inner),
+        sensor_from_start=frame.sensor_from_start,
+        camera=depth.camera,
+        contact=freeze(inner),
         depth_mm=freeze(np.where(np.isfinite(surface_mm), surface_mm, np.float32(0.0))),
-    )  # fmt: skip
+    )
 
 
 def _restore_detail(depth: DepthMap, measured_mm: Floats) -> Floats:
@@ -84,7 +102,9 @@ def _restore_detail(depth: DepthMap, measured_mm: Floats) -> Floats:
 
 
 def close_loops(keys: Sequence[KeyFrame]) -> tuple[tuple[KeyFrame, ...], int]:
-    """The key frames with poses that agree best with all registrations between them, and the number of closed loops."""
+    """The key frames with poses that agree best with all registrations between them, and the
+    number of closed loops.
+    """
     import open3d as o3d
 
     pipelines: Any = o3d.pipelines.registration
@@ -93,7 +113,8 @@ def close_loops(keys: Sequence[KeyFrame]) -> tuple[tuple[KeyFrame, ...], int]:
         graph.nodes.append(pipelines.PoseGraphNode(rigid.invert(key.sensor_from_start)))
     n_loops = 0
     for i, j in combinations(range(len(keys)), 2):
-        one, two = keys[i], keys[j]
+        one = keys[i]
+        two = keys[j]
         if one.part != two.part:
             continue
         two_from_one = two.sensor_from_start @ rigid.invert(one.sensor_from_start)
@@ -104,21 +125,29 @@ def close_loops(keys: Sequence[KeyFrame]) -> tuple[tuple[KeyFrame, ...], int]:
         if fit is None or not (is_parent or is_accepted(fit)):
             continue
         n_loops += not is_parent
-        graph.edges.append(pipelines.PoseGraphEdge(i, j, fit.current_from_key, _to_information(fit), not is_parent))
+        graph.edges.append(
+            pipelines.PoseGraphEdge(i, j, fit.current_from_key, _to_information(fit), not is_parent)
+        )
     if not n_loops:
         return tuple(keys), 0
     pipelines.global_optimization(
-        graph, pipelines.GlobalOptimizationLevenbergMarquardt(), pipelines.GlobalOptimizationConvergenceCriteria(),
+        graph,
+        pipelines.GlobalOptimizationLevenbergMarquardt(),
+        pipelines.GlobalOptimizationConvergenceCriteria(),
         pipelines.GlobalOptimizationOption(
             max_correspondence_distance=0.5, edge_prune_threshold=0.25, reference_node=0
         ),
-    )  # fmt: skip
+    )
     poses = [rigid.orthonormalise(rigid.invert(np.asarray(node.pose))) for node in graph.nodes]
-    return tuple(replace(key, sensor_from_start=freeze(pose)) for key, pose in zip(keys, poses, strict=True)), n_loops
+    return tuple(
+        replace(key, sensor_from_start=freeze(pose)) for key, pose in zip(keys, poses, strict=True)
+    ), n_loops
 
 
 def _to_information(fit: SurfaceFit) -> Doubles:
-    """The information matrix (6, 6) of an edge: of rotation and translation about the frame's origin, as in Open3D."""
+    """The information matrix (6, 6) of an edge: of rotation and translation about the frame's
+    origin, as in Open3D.
+    """
     about_origin = np.eye(6)  # t0 = t + c x w
     about_origin[3:, :3] = rigid.cross_matrix(fit.centre_mm)
     covariance = about_origin @ (fit.covariance + _LEAST_STD**2 * np.eye(6)) @ about_origin.T
@@ -135,12 +164,17 @@ def move_to_keys(
             moved.append(frame)
             continue
         from_key = frame.sensor_from_start @ rigid.invert(before[frame.key].sensor_from_start)
-        moved.append(replace(frame, sensor_from_start=freeze(from_key @ after[frame.key].sensor_from_start)))
+        moved.append(
+            replace(frame, sensor_from_start=freeze(from_key @ after[frame.key].sensor_from_start))
+        )
     return tuple(moved)
 
 
 def fuse_views(views: Sequence[ContactView]) -> Mesh | None:
-    """The surface of all views in the sensor frame of the first; None where they have no surface."""
+    """The surface of all views in the sensor frame of the first.
+
+    None where they have no surface.
+    """
     import open3d
 
     o3d: Any = open3d
@@ -150,25 +184,36 @@ def fuse_views(views: Sequence[ContactView]) -> Mesh | None:
     if not views:
         return None
     depths = [contact[contact > 0] for contact in contacts]
-    typical = [float(np.median(depth)) / view.camera.fx_px for depth, view in zip(depths, views, strict=True)]
+    typical = [
+        float(np.median(depth)) / view.camera.fx_px
+        for depth, view in zip(depths, views, strict=True)
+    ]
     voxel_mm = max(_MIN_VOXEL_MM, _VOXEL_PX * max(typical))
-    core, grid = (
-        o3d.core,
-        o3d.t.geometry.VoxelBlockGrid(
-            ("tsdf", "weight"), (o3d.core.float32, o3d.core.float32), (1, 1), voxel_mm, _BLOCK_VOXELS, _N_BLOCKS
-        ),
+    core = o3d.core
+    grid = o3d.t.geometry.VoxelBlockGrid(
+        ("tsdf", "weight"),
+        (o3d.core.float32, o3d.core.float32),
+        (1, 1),
+        voxel_mm,
+        _BLOCK_VOXELS,
+        _N_BLOCKS,
     )
     n_fused = 0
     for view, contact in zip(views, contacts, strict=True):
         depth = o3d.t.geometry.Image(core.Tensor(contact[:, :, None].copy()))
-        camera, placed = core.Tensor(view.camera.matrix), core.Tensor(view.sensor_from_start)
+        camera = core.Tensor(view.camera.matrix)
+        placed = core.Tensor(view.sensor_from_start)
         within = (depth, camera, placed, 1.0, _FARTHEST_MM, _TRUNCATION_VOXELS)
         blocks = _unless_empty(partial(grid.compute_unique_block_coordinates, *within))
         if blocks is not None:
             grid.integrate(blocks, *within)
             n_fused += 1
     surface = _unless_empty(partial(grid.extract_triangle_mesh, 0.0)) if n_fused else None
-    triangles = np.zeros(0, np.int32) if surface is None else surface.triangle.indices.numpy().astype(np.int32)
+    triangles = (
+        np.zeros(0, np.int32)
+        if surface is None
+        else surface.triangle.indices.numpy().astype(np.int32)
+    )
     if surface is None or not triangles.size:
         return None
     vertices = surface.vertex.positions.numpy().astype(np.float64)
@@ -181,9 +226,14 @@ def fuse_views(views: Sequence[ContactView]) -> Mesh | None:
     return Mesh(vertices_mm=freeze(vertices), triangles=freeze(triangles), name="patch")
 
 
-def _measure_contact_share(points_mm: Doubles, views: Sequence[ContactView], near_mm: float) -> Doubles:
-    """Share (n,) of the views touching each point (n, 3), of those whose membrane is within `near_mm` of it."""
-    n_there, n_touching = np.zeros(len(points_mm)), np.zeros(len(points_mm))
+def _measure_contact_share(
+    points_mm: Doubles, views: Sequence[ContactView], near_mm: float
+) -> Doubles:
+    """Share (n,) of the views touching each point (n, 3), of those whose membrane is within
+    `near_mm` of it.
+    """
+    n_there = np.zeros(len(points_mm))
+    n_touching = np.zeros(len(points_mm))
     for view in views:
         points = rigid.apply(view.sensor_from_start, points_mm)
         x_px, y_px, visible = view.camera.project(points)
@@ -204,8 +254,12 @@ def _unless_empty(run: Callable[[], Any]) -> Any:
         return None
 
 
-def _sort_mesh(vertices: Doubles, triangles: NDArray[np.int32]) -> tuple[Doubles, NDArray[np.int32]]:
-    """The same mesh in an order of its own: Open3D's threads return vertices in the order in which they end."""
+def _sort_mesh(
+    vertices: Doubles, triangles: NDArray[np.int32]
+) -> tuple[Doubles, NDArray[np.int32]]:
+    """The same mesh in an order of its own: Open3D's threads return vertices in the order in
+    which they end.
+    """
     order = np.lexsort(vertices.T)
     place = np.empty(len(order), np.int32)
     place[order] = np.arange(len(order), dtype=np.int32)

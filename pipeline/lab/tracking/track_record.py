@@ -14,18 +14,37 @@ from msgspec import Meta
 
 from pipeline.core.arrays import Doubles
 from pipeline.core.errors import FileProblem
-from pipeline.core.files import MOST_TEXT_BYTES, check_folder, format_json, read_bytes, read_json, write_together
+from pipeline.core.files import (
+    MOST_TEXT_BYTES,
+    check_folder,
+    format_json,
+    read_bytes,
+    read_json,
+    write_together,
+)
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh, load_mesh
 from pipeline.core.typed_data import FileName, Name, Number, convert
 
 TrackState = Literal["tracked", "lost", "no contact"]
-TRACKED_STAGES = {"depth": "source", "touch_depth": "generated touch"}  # whose membrane can be followed
-TABLE, SUMMARY, PATCH = "track.csv", "track.json", "patch.ply"
+# whose membrane can be followed
+TRACKED_STAGES = {"depth": "source", "touch_depth": "generated touch"}
+TABLE = "track.csv"
+SUMMARY = "track.json"
+PATCH = "patch.ply"
 MOTION = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 _COLUMNS = (
-    "frame", "state", "part", "key_frame", *MOTION, "std_mm", "std_deg", "overlap", "agreement", "not_measured",
-)  # fmt: skip
+    "frame",
+    "state",
+    "part",
+    "key_frame",
+    *MOTION,
+    "std_mm",
+    "std_deg",
+    "overlap",
+    "agreement",
+    "not_measured",
+)
 _Count = Annotated[int, Meta(ge=0, le=10**9)]
 
 
@@ -48,7 +67,8 @@ class TrackRow:
     state: TrackState
     part: _Count  # parts do not know of each other
     key_frame: _Count | None = None  # frame that it was registered to
-    x_mm: Number = math.nan  # motion since the first frame of the part: translation, and rotation vector
+    # motion since the first frame of the part: translation, and rotation vector
+    x_mm: Number = math.nan
     y_mm: Number = math.nan
     z_mm: Number = math.nan
     rx_deg: Number = math.nan
@@ -62,7 +82,10 @@ class TrackRow:
 
     @property
     def sensor_from_start(self) -> Doubles | None:
-        """Transform (4, 4) that takes the object's points of the part's first frame to this one; None if unknown."""
+        """Transform (4, 4) that takes the object's points of the part's first frame to this one.
+
+        None if unknown.
+        """
         motion = [getattr(self, name) for name in MOTION]
         return rigid.from_parts(motion[:3], motion[3:]) if all(map(math.isfinite, motion)) else None
 
@@ -91,11 +114,15 @@ class TrackRecord:
     @property
     def weak_directions(self) -> tuple[str, ...]:
         """Directions that are not measured in some frame."""
-        return tuple(sorted({one for row in self.rows for one in row.not_measured.split("; ") if one}))
+        return tuple(
+            sorted({one for row in self.rows for one in row.not_measured.split("; ") if one})
+        )
 
 
 def format_table(rows: Sequence[TrackRow]) -> str:
-    """Return the rows as CSV: state, motion since the first frame, predicted standard deviations, weak directions."""
+    """Return the rows as CSV: state, motion since the first frame, predicted standard
+    deviations, weak directions.
+    """
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(_COLUMNS)
@@ -114,10 +141,15 @@ def write_record(folder: Path, record: TrackRecord) -> None:
     """Write the three files into a folder, all or none; a surface only where one could be fused."""
     check_folder(folder)
     summary = {
-        "stage": record.stage, "frames": len(record.rows), "lost": record.count("lost"), "parts": record.n_parts,
-        "key_frames": list(record.key_frames), "closed_loops": record.n_loops,
-        "error": None if record.error is None else asdict(record.error), "problems": record.problems,
-    }  # fmt: skip
+        "stage": record.stage,
+        "frames": len(record.rows),
+        "lost": record.count("lost"),
+        "parts": record.n_parts,
+        "key_frames": list(record.key_frames),
+        "closed_loops": record.n_loops,
+        "error": None if record.error is None else asdict(record.error),
+        "problems": record.problems,
+    }
     contents = {TABLE: format_table(record.rows).encode(), SUMMARY: format_json(summary).encode()}
     if record.patch is not None:
         contents[PATCH] = format_patch(record.patch)
@@ -129,13 +161,17 @@ def write_record(folder: Path, record: TrackRecord) -> None:
 def format_patch(patch: Mesh) -> bytes:
     """Return a mesh in mm as a binary PLY."""
     rows: Any = np.empty(len(patch.triangles), dtype=[("n", "u1"), ("corners", "<i4", 3)])
-    rows["n"], rows["corners"] = 3, patch.triangles
+    rows["n"] = 3
+    rows["corners"] = patch.triangles
     head = (
         f"ply\nformat binary_little_endian 1.0\ncomment {patch.name}, mm\n"
-        f"element vertex {len(patch.vertices_mm)}\nproperty float x\nproperty float y\nproperty float z\n"
+        f"element vertex {len(patch.vertices_mm)}\nproperty float x\nproperty float y\nproperty "
+        "float z\n"
         f"element face {len(patch.triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
-    return head.encode("ascii", "replace") + patch.vertices_mm.astype("<f4").tobytes() + rows.tobytes()
+    return (
+        head.encode("ascii", "replace") + patch.vertices_mm.astype("<f4").tobytes() + rows.tobytes()
+    )
 
 
 class _Summary(msgspec.Struct, kw_only=True):
@@ -155,14 +191,22 @@ def is_track_folder(path: Path) -> bool:
 
 def read_record(folder: Path) -> TrackRecord:
     """Read the files that `write_record` wrote; raises FileProblem."""
-    summary = convert(read_json(folder / SUMMARY, "the track's summary"), _Summary, "the track's summary",
-                      folder / SUMMARY)  # fmt: skip
+    summary = convert(
+        read_json(folder / SUMMARY, "the track's summary"),
+        _Summary,
+        "the track's summary",
+        folder / SUMMARY,
+    )
     patch = folder / PATCH
     return TrackRecord(
-        stage=summary.stage, rows=_read_rows(folder / TABLE), key_frames=summary.key_frames,
-        n_loops=summary.closed_loops, error=summary.error, problems=summary.problems,
+        stage=summary.stage,
+        rows=_read_rows(folder / TABLE),
+        key_frames=summary.key_frames,
+        n_loops=summary.closed_loops,
+        error=summary.error,
+        problems=summary.problems,
         patch=load_mesh(patch, unit="mm") if patch.is_file() else None,
-    )  # fmt: skip
+    )
 
 
 def _read_rows(path: Path) -> tuple[TrackRow, ...]:
@@ -171,8 +215,13 @@ def _read_rows(path: Path) -> tuple[TrackRow, ...]:
         cells: list[Mapping[str, Any]] = list(csv.DictReader(lines))
     except (UnicodeDecodeError, csv.Error) as error:
         raise FileProblem(f"the track is no table ({error})", path) from error
-    given = [{name: value for name, value in row.items() if value and name in _COLUMNS} for row in cells]
+    given = [
+        {name: value for name, value in row.items() if value and name in _COLUMNS} for row in cells
+    ]
     try:
-        return tuple(msgspec.convert(given, list[TrackRow], strict=False))  # texts of a table as numbers
+        # texts of a table as numbers
+        return tuple(msgspec.convert(given, list[TrackRow], strict=False))
     except msgspec.ValidationError as error:
-        raise FileProblem(f"the track cannot be used ({str(error).replace('`', '')})", path) from error
+        raise FileProblem(
+            f"the track cannot be used ({str(error).replace('`', '')})", path
+        ) from error

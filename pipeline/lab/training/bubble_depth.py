@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
     from pipeline.lab.training.task import Example, Split
 
-OBSERVED_GAP_MM = 0.5  # the object's surface is trained where it is at most this far behind the membrane
+# the object's surface is trained where it is at most this far behind the membrane
+OBSERVED_GAP_MM = 0.5
 _UNTOUCHED_SHARE = 0.1
 _TIP_MM = 1.5  # decay of the weight behind the object's tip: a stiffer sensor feels the tip alone
 _SMALL_CONTACT_PX = 50.0  # contacts of fewer pixels weigh less
@@ -34,32 +35,51 @@ _SMALL_CONTACT_PX = 50.0  # contacts of fewer pixels weigh less
 class BubbleDepthTask(SimulatedPresses):
     """Settings of the examples and weights of the loss."""
 
-    side: int = setting(140, "Crop side", unit="px", low=32, high=1024, step=2, help="of the square cut from a frame")
+    side: int = setting(
+        140,
+        "Crop side",
+        unit="px",
+        low=32,
+        high=1024,
+        step=2,
+        help="of the square cut from a frame",
+    )
     membrane_weight: float = setting(0.5, "Membrane weight", low=0.0, high=100.0)
     mask_weight: float = setting(0.15, "Mask weight", low=0.0, high=100.0)
     uncertainty_weight: float = setting(0.05, "Uncertainty weight", low=0.0, high=100.0)
     touch_weight: float = setting(
-        0.0, "Touch weight", low=0.0, high=100.0, help="of what a gel would feel of the object's tip"
+        0.0,
+        "Touch weight",
+        low=0.0,
+        high=100.0,
+        help="of what a gel would feel of the object's tip",
     )
 
     def sample(self, rng: np.random.Generator) -> Example:
         """A press with new noise: a crop of the frame, rotated by quarter turns or mirrored."""
         index = int(rng.integers(self.n_presses))
-        press = bubble_presses.simulate_bubble_press("training", self.press_seed, index, self.folder)
+        press = bubble_presses.simulate_bubble_press(
+            "training", self.press_seed, index, self.folder
+        )
         if rng.random() < _UNTOUCHED_SHARE:
             zero = np.zeros_like(press.indentation_mm)
             press = replace(
-                press, indentation_mm=zero, contact=np.zeros_like(press.contact),
+                press,
+                indentation_mm=zero,
+                contact=np.zeros_like(press.contact),
                 gap_mm=np.full_like(zero, bubble_presses.MAX_GAP_MM),
                 incidence_cosine=bubble_camera.compute_rest_cosine(press.sensor).astype(np.float32),
-            )  # fmt: skip
+            )
         example = _make_example(press, rng, plain=False)
         rows, cols = press.indentation_mm.shape
         top, left = (int(rng.integers(0, max(n - self.side, 0) + 1)) for n in (rows, cols))
-        quarters, mirror = int(rng.integers(4)), bool(rng.integers(2))
+        quarters = int(rng.integers(4))
+        mirror = bool(rng.integers(2))
 
         def crop_and_flip(a: Floats) -> Floats:
-            part = np.rot90(a[..., top : top + self.side, left : left + self.side], quarters, axes=(-2, -1))
+            part = np.rot90(
+                a[..., top : top + self.side, left : left + self.side], quarters, axes=(-2, -1)
+            )
             return np.ascontiguousarray(part[..., ::-1] if mirror else part)
 
         return {name: crop_and_flip(a) for name, a in example.items()}
@@ -69,31 +89,55 @@ class BubbleDepthTask(SimulatedPresses):
         press = bubble_presses.simulate_bubble_press(split, VALIDATION_SEED, index, self.folder)
         return _make_example(press, np.random.default_rng([2, index]), plain=True)
 
-    def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
-        """Errors of the object's surface, the membrane and both masks, and likelihood of the predicted uncertainty."""
+    def compute_loss(
+        self, network: nn.Module, batch: Mapping[str, Tensor]
+    ) -> tuple[Tensor, dict[str, Any]]:
+        """Errors of the object's surface, the membrane and both masks, and likelihood of the
+        predicted uncertainty.
+        """
         import torch
         from torch.nn import functional
 
-        prediction, truth = decode_tensors(network(batch["image"]), batch["smooth"]), batch["truth"]
-        displacement, gap, contact = truth[:, 0], truth[:, 1], truth[:, 2]
+        prediction = decode_tensors(network(batch["image"]), batch["smooth"])
+        truth = batch["truth"]
+        displacement = truth[:, 0]
+        gap = truth[:, 1]
+        contact = truth[:, 2]
         observed = (gap < OBSERVED_GAP_MM).float()
-        weight = observed * (1.0 + 3.0 * torch.exp(-torch.clamp(batch["tip_mm"][:, 0], min=0.0) / _TIP_MM))
+        weight = observed * (
+            1.0 + 3.0 * torch.exp(-torch.clamp(batch["tip_mm"][:, 0], min=0.0) / _TIP_MM)
+        )
         error = torch.abs(prediction.object_displacement_mm - (displacement - gap))
         surface = ((error * weight).sum((1, 2)) / (weight.sum((1, 2)) + _SMALL_CONTACT_PX)).mean()
         membrane_error = torch.abs(prediction.displacement_mm - displacement)
         membrane = membrane_error.mean()
         masks = functional.binary_cross_entropy_with_logits(prediction.contact, contact)
-        masks = masks + functional.binary_cross_entropy_with_logits(prediction.object_in_view, observed)
+        masks = masks + functional.binary_cross_entropy_with_logits(
+            prediction.object_in_view, observed
+        )
         known = torch.where(observed > 0, error, membrane_error).detach()
         spread = (known * torch.exp(-prediction.log_error) + prediction.log_error).mean()
         touch = _compute_touch_error(prediction, displacement - gap, batch["tip_mm"][:, 0])
-        loss = surface + self.membrane_weight * membrane + self.mask_weight * masks + self.uncertainty_weight * spread
+        loss = (
+            surface
+            + self.membrane_weight * membrane
+            + self.mask_weight * masks
+            + self.uncertainty_weight * spread
+        )
         loss = loss + self.touch_weight * touch
-        terms = {"surface": surface, "membrane": membrane, "masks": masks, "spread": spread, "touch": touch}
+        terms = {
+            "surface": surface,
+            "membrane": membrane,
+            "masks": masks,
+            "spread": spread,
+            "touch": touch,
+        }
         return loss, {name: term.detach() for name, term in terms.items()}
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
-        """Errors of the object's surface where it is observed and of the membrane, and IoU of both masks."""
+        """Errors of the object's surface where it is observed and of the membrane, and IoU of
+        both masks.
+        """
         import torch
 
         rows: list[tuple[float, ...]] = []
@@ -102,26 +146,44 @@ class BubbleDepthTask(SimulatedPresses):
                 image, smooth = (torch.tensor(example[k])[None] for k in ("image", "smooth"))
                 prediction = decode_tensors(network(image), smooth)
             displacement, gap, contact = example["truth"]
-            observed, predicted = gap < OBSERVED_GAP_MM, prediction.contact[0].numpy() > 0
+            observed = gap < OBSERVED_GAP_MM
+            predicted = prediction.contact[0].numpy() > 0
             error = np.abs(prediction.object_displacement_mm[0].numpy() - (displacement - gap))
             tip = observed & (example["tip_mm"][0] < 1.0)
             predicted_observed = prediction.object_in_view[0].numpy() > 0
-            rows.append((
-                float(error[observed].mean()), float(error[tip].mean()),
-                float(np.abs(prediction.displacement_mm[0].numpy() - displacement).mean()),
-                _compute_iou(predicted, contact > 0), _compute_iou(observed, predicted_observed),
-            ))  # fmt: skip
-        names = ("object surface error, mm", "object tip error, mm", "membrane error, mm", "contact IoU",
-                 "observed object IoU")  # fmt: skip
+            rows.append(
+                (
+                    float(error[observed].mean()),
+                    float(error[tip].mean()),
+                    float(np.abs(prediction.displacement_mm[0].numpy() - displacement).mean()),
+                    _compute_iou(predicted, contact > 0),
+                    _compute_iou(observed, predicted_observed),
+                )
+            )
+        names = (
+            "object surface error, mm",
+            "object tip error, mm",
+            "membrane error, mm",
+            "contact IoU",
+            "observed object IoU",
+        )
         return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
 
 
-def _compute_touch_error(prediction: BubbleOutputTensors, object_mm: Tensor, behind_tip_mm: Tensor) -> Tensor:
-    """Expected error of the object's depth in a gel at a random level, where contact is stated with its probability."""
+def _compute_touch_error(
+    prediction: BubbleOutputTensors, object_mm: Tensor, behind_tip_mm: Tensor
+) -> Tensor:
+    """Expected error of the object's depth in a gel at a random level, where contact is stated
+    with its probability.
+    """
     import torch
 
     low, high = DEPTH_RANGE_MM
-    level = low + (high - low) * torch.rand(len(object_mm), 1, 1, device=object_mm.device) - behind_tip_mm
+    level = (
+        low
+        + (high - low) * torch.rand(len(object_mm), 1, 1, device=object_mm.device)
+        - behind_tip_mm
+    )
     true = torch.clamp(level, min=0.0)
     stated = torch.clamp(level + prediction.object_displacement_mm - object_mm, min=0.0)
     share = torch.sigmoid(prediction.contact)
@@ -135,7 +197,9 @@ def _compute_iou(a: Any, b: Any) -> float:
 
 def _make_example(press: BubblePress, rng: np.random.Generator, *, plain: bool) -> Example:
     rest, now = bubble_presses.simulate_noisy_depth_pair(press, rng, plain=plain)
-    displacement, level, valid, _ = compute_displacement(rest, now, press.sensor.limits.indentation_max_mm, [])
+    displacement, level, valid, _ = compute_displacement(
+        rest, now, press.sensor.limits.indentation_max_mm, []
+    )
     network_input = make_network_input(displacement, level, valid, press.sensor.pixel_mm)
     surface = press.sensor.rest_depth_mm.astype(np.float32) - press.indentation_mm + press.gap_mm
     observed = press.gap_mm < OBSERVED_GAP_MM

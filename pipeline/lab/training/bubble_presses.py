@@ -1,6 +1,8 @@
-"""Simulated presses of bubbles: objects of the catalogue and random bodies on sensor instances that differ.
+"""Simulated presses of bubbles: objects of the catalogue and random bodies on sensor instances that
+differ.
 
-The contact depends on a number alone and is cached; the depth camera's noise is sampled on every use.
+The contact depends on a number alone and is cached; the depth camera's noise is sampled on every
+use.
 """
 
 from dataclasses import dataclass, replace
@@ -23,9 +25,14 @@ from pipeline.sensors.spec import DepthCamera, SensorSpec, load_sensor
 VERSION = 3  # part of the seeds: incremented when the same number gives another press
 MAX_GAP_MM = 8.0  # larger gaps are stored as this: nothing in a frame tells them apart
 _N_GEOMETRIES = 12  # bubbles of other shapes and cameras, besides the nominal one
-_NOMINAL_SHARE, _CATALOGUE_SHARE, _AS_RECORDED_SHARE = 0.6, 0.33, 0.6  # in training: nominal geometries, training
+# in training: nominal geometries, training
+_NOMINAL_SHARE = 0.6
+_CATALOGUE_SHARE = 0.33
+_AS_RECORDED_SHARE = 0.6
 # objects, and poses and approach as in the data sets
-_SMALL_SHARE, _OUTLINE_SHARE = 0.45, 0.5  # a membrane bridges a free rim of 8 to 15 mm nearly as if it were a face
+# a membrane bridges a free rim of 8 to 15 mm nearly as if it were a face
+_SMALL_SHARE = 0.45
+_OUTLINE_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,9 +59,13 @@ def simulate_bubble_press(split: DataSplit, seed: int, index: int, folder: str =
 
     def make() -> BubblePress:
         _, mesh = sample_object(
-            split, rng, index, catalogue_share=_CATALOGUE_SHARE, small_share=_SMALL_SHARE,
+            split,
+            rng,
+            index,
+            catalogue_share=_CATALOGUE_SHARE,
+            small_share=_SMALL_SHARE,
             outline_share=_OUTLINE_SHARE,
-        )  # fmt: skip
+        )
         return _simulate_press(mesh, rng, sensor, as_recorded=not in_training)
 
     return _presses.get(f"bubble_{split}_{seed}_{index}", folder, make, sensor=sensor)
@@ -70,19 +81,32 @@ def _make_bubble(geometry: int) -> SensorSpec:
     rng = np.random.default_rng([VERSION, geometry])
     width, height, rise, focal = rng.uniform((0.75, 0.75, 0.7, 0.75), (1.05, 1.1, 1.15, 1.3))
     shape: Bubble = replace(
-        nominal.bubble, half_width_mm=width * nominal.bubble.half_width_mm,
-        half_height_mm=height * nominal.bubble.half_height_mm, height_mm=rise * nominal.bubble.height_mm,
-    )  # fmt: skip
+        nominal.bubble,
+        half_width_mm=width * nominal.bubble.half_width_mm,
+        half_height_mm=height * nominal.bubble.half_height_mm,
+        height_mm=rise * nominal.bubble.height_mm,
+    )
     surface = membrane.make_dome_membrane(
         80.0 - shape.height_mm, shape.height_mm, shape.half_width_mm, shape.half_height_mm
     )
-    camera = replace(nominal.camera, fx_px=focal * nominal.camera.fx_px, fy_px=focal * nominal.camera.fy_px)
-    return replace(nominal, bubble=shape, membrane=surface, camera=camera, rest_depth_mm=surface.rest_depth_mm(camera))
+    camera = replace(
+        nominal.camera, fx_px=focal * nominal.camera.fx_px, fy_px=focal * nominal.camera.fy_px
+    )
+    return replace(
+        nominal,
+        bubble=shape,
+        membrane=surface,
+        camera=camera,
+        rest_depth_mm=surface.rest_depth_mm(camera),
+    )
 
 
-def _simulate_press(mesh: Mesh, rng: np.random.Generator, sensor: SensorSpec, *, as_recorded: bool) -> BubblePress:
+def _simulate_press(
+    mesh: Mesh, rng: np.random.Generator, sensor: SensorSpec, *, as_recorded: bool
+) -> BubblePress:
     if as_recorded or rng.random() < _AS_RECORDED_SHARE:
-        deeper, pose = BUBBLE_DEEPER_MM, poses.sample_press_pose(mesh, rng)
+        deeper = BUBBLE_DEEPER_MM
+        pose = poses.sample_press_pose(mesh, rng)
     else:
         deeper = rng.uniform(-4.0, BUBBLE_DEEPER_MM + 2.0)
         pose = poses.sample_press_pose(mesh, rng, spread_mm=30.0, angle_deg=180.0, tilt_deg=12.0)
@@ -92,25 +116,36 @@ def _simulate_press(mesh: Mesh, rng: np.random.Generator, sensor: SensorSpec, *,
     depth = sensor.rest_depth_mm - press.indentation_mm
     gap = np.nan_to_num(np.maximum(surface - depth, 0.0), nan=MAX_GAP_MM)
     return BubblePress(
-        sensor=sensor, indentation_mm=press.indentation_mm, contact=press.contact,
+        sensor=sensor,
+        indentation_mm=press.indentation_mm,
+        contact=press.contact,
         gap_mm=np.minimum(gap, MAX_GAP_MM).astype(np.float32),
-        incidence_cosine=bubble_camera.compute_incidence_cosine(sensor.camera, depth).astype(np.float32),
-    )  # fmt: skip
+        incidence_cosine=bubble_camera.compute_incidence_cosine(sensor.camera, depth).astype(
+            np.float32
+        ),
+    )
 
 
-_QUIET_SHARE, _QUIET_NOISE = 0.15, 0.6  # of examples: little noise shows how a membrane sags between rims
-_MAX_NOISE, _MIN_NOISE = 2.0, 0.12  # times the described noise; Punyo's stereo camera has the least of those examined
+# of examples: little noise shows how a membrane sags between rims
+_QUIET_SHARE = 0.15
+_QUIET_NOISE = 0.6
+# times the described noise; Punyo's stereo camera has the least of those examined
+_MAX_NOISE = 2.0
+_MIN_NOISE = 0.12
 
 
 def simulate_noisy_depth_pair(
     press: BubblePress, rng: np.random.Generator, *, plain: bool = False
 ) -> tuple[Floats, Floats]:
-    """(reference, touched) depth (rows, cols) in mm, NaN = no value; `plain` adds the described noise alone.
+    """(reference, touched) depth (rows, cols) in mm, NaN = no value.
 
-    Instances with more or less noise, a fixed pattern (the membrane's texture), blobs of false matches, membranes that
-    do not return to rest, borders and holes without a value.
+    `plain` adds the described noise alone.
+
+    Instances with more or less noise, a fixed pattern (the membrane's texture), blobs of false
+    matches, membranes that do not return to rest, borders and holes without a value.
     """
-    sensor, shape = _sample_camera(press.sensor, rng, plain), press.indentation_mm.shape
+    sensor = _sample_camera(press.sensor, rng, plain)
+    shape = press.indentation_mm.shape
     rest = sensor.rest_depth_mm.astype(np.float64)
     now = rest - press.indentation_mm
     if not plain:
@@ -120,7 +155,8 @@ def simulate_noisy_depth_pair(
             now = now - _sample_drift(rng, shape, 1.3 if untouched else 0.25)
         if rng.random() < 0.4:
             now = now - _sample_blobs(rng, shape)
-        rest, now = rest + texture, now + texture
+        rest = rest + texture
+        now = now + texture
     seeds = rng.integers(0, 1 << 62, 2)
     cosines = (bubble_camera.compute_rest_cosine(sensor), press.incidence_cosine)
     first, second = (
@@ -131,12 +167,15 @@ def simulate_noisy_depth_pair(
         first += np.float32(rng.uniform(0.2, 0.8)) * (rest - first).astype(np.float32)
     if not plain and rng.random() < 0.3:
         gaps = _sample_gaps(rng, shape)
-        first[gaps], second[gaps] = np.nan, np.nan
+        first[gaps] = np.nan
+        second[gaps] = np.nan
     return freeze(first), freeze(second)
 
 
 def _sample_camera(sensor: SensorSpec, rng: np.random.Generator, plain: bool) -> SensorSpec:
-    """The instance with a time-of-flight or a stereo camera, of more or less noise than described."""
+    """The instance with a time-of-flight or a stereo camera, of more or less noise than
+    described.
+    """
     assert sensor.bubble is not None
     camera = _load_depth_camera("soft_bubble" if rng.random() < 0.5 else "soft_bubble_stereo")
     if plain or camera is None:
@@ -185,17 +224,26 @@ def _sample_blobs(rng: np.random.Generator, shape: tuple[int, ...]) -> Floats:
     """False matches that span some pixels, mm."""
     blobs = np.zeros(shape, np.float32)
     for _ in range(rng.integers(1, 9)):
-        row, col, width = rng.uniform(0, shape[0]), rng.uniform(0, shape[1]), rng.uniform(0.8, 4.0, 2)
-        y, x = np.arange(shape[0], dtype=np.float32) - row, np.arange(shape[1], dtype=np.float32) - col
+        row = rng.uniform(0, shape[0])
+        col = rng.uniform(0, shape[1])
+        width = rng.uniform(0.8, 4.0, 2)
+        y = np.arange(shape[0], dtype=np.float32) - row
+        x = np.arange(shape[1], dtype=np.float32) - col
         height = rng.uniform(-1.5, 1.5)
-        blobs += height * np.exp(-0.5 * ((y[:, None] / width[0]) ** 2 + (x[None, :] / width[1]) ** 2))
+        blobs += height * np.exp(
+            -0.5 * ((y[:, None] / width[0]) ** 2 + (x[None, :] / width[1]) ** 2)
+        )
     return blobs
 
 
 def _sample_gaps(rng: np.random.Generator, shape: tuple[int, ...]) -> Mask:
     """Pixels (rows, cols) without a value: beyond a ragged border, and in holes."""
     rows, cols = (np.linspace(-1.0, 1.0, n) for n in shape)
-    radius = np.hypot(rows[:, None] - rng.uniform(-0.2, 0.2), cols[None, :] - rng.uniform(-0.2, 0.2))
-    border = radius + 0.1 * _sample_field(rng, shape, rng.uniform(6.0, 20.0)) > rng.uniform(0.9, 1.6)
+    radius = np.hypot(
+        rows[:, None] - rng.uniform(-0.2, 0.2), cols[None, :] - rng.uniform(-0.2, 0.2)
+    )
+    border = radius + 0.1 * _sample_field(rng, shape, rng.uniform(6.0, 20.0)) > rng.uniform(
+        0.9, 1.6
+    )
     holes = _sample_field(rng, shape, rng.uniform(3.0, 8.0)) > rng.uniform(2.0, 4.0)
     return np.asarray(border | holes, np.bool_)

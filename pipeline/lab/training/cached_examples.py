@@ -1,7 +1,7 @@
 """Examples held on the training device, for a GPU that trains faster than processors make examples.
 
-They are made once, at the start of every part of a run, and sampled at random. The examples of a step depend on seed
-and step alone, so that a resumed run continues like an uninterrupted one.
+They are made once, at the start of every part of a run, and sampled at random. The examples of a
+step depend on seed and step alone, so that a resumed run continues like an uninterrupted one.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ _N_AXES = 4  # of batches of images, which are held in 16 bits: their noise is c
 def iterate_cached_batches(
     source: ExampleSource, settings: TrainingSettings, group: ProcessGroup, first: int
 ) -> Generator[dict[str, Tensor], None, None]:
-    """Batches on the device from step `first` on, sampled from the first `settings.n_cached_examples` examples.
+    """Batches on the device from step `first` on, sampled from the first
+    `settings.n_cached_examples` examples.
 
     Each of several processes holds its own share of them.
     """
@@ -38,14 +39,20 @@ def iterate_cached_batches(
         rng = torch.Generator().manual_seed(int(seeds.generate_state(1)[0]))
         indices = torch.randint(n, (settings.batch,), generator=rng).to(group.device)
         batch = {name: tensor[indices] for name, tensor in pool.items()}
-        yield {name: to_channels_last(t.float() if t.dtype == torch.float16 else t) for name, t in batch.items()}
+        yield {
+            name: to_channels_last(t.float() if t.dtype == torch.float16 else t)
+            for name, t in batch.items()
+        }
 
 
-def _make_pool(source: ExampleSource, settings: TrainingSettings, group: ProcessGroup) -> dict[str, Tensor]:
+def _make_pool(
+    source: ExampleSource, settings: TrainingSettings, group: ProcessGroup
+) -> dict[str, Tensor]:
     import torch
 
     n_batches = -(-settings.n_cached_examples // (settings.batch * group.world_size))
-    n, filled = n_batches * settings.batch, 0
+    n = n_batches * settings.batch
+    filled = 0
     pool: dict[str, Tensor] = {}
     batches = source.iterate_batches(group.rank * settings.batch, settings.batch * group.world_size)
     try:
@@ -55,7 +62,9 @@ def _make_pool(source: ExampleSource, settings: TrainingSettings, group: Process
                 if tensor.ndim >= _N_AXES and tensor.is_floating_point():
                     tensor = tensor.half()
                 if name not in pool:
-                    pool[name] = torch.empty((n, *tensor.shape[1:]), dtype=tensor.dtype, device=group.device)
+                    pool[name] = torch.empty(
+                        (n, *tensor.shape[1:]), dtype=tensor.dtype, device=group.device
+                    )
                 pool[name][filled : filled + settings.batch] = tensor.to(group.device)
             filled += settings.batch
     finally:

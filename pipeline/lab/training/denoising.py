@@ -1,10 +1,11 @@
 """Base of the tasks that train a denoiser, with its losses and metrics.
 
-At the largest noise level the network sees the condition alone (zero terminal signal, Lin et al. 2024), and one step
-gives the posterior mean. Errors count there as squares where they are small and linearly where they are large (Huber),
-so that a body which is rarely present moves the mean less. At smaller noise levels they count as squares: samples then
-follow the mean of what is possible, while those trained toward its median hardly differ. A gel's image shows slopes:
-squared errors of slopes make one step the mean of all images, without edges at unknown positions.
+At the largest noise level the network sees the condition alone (zero terminal signal, Lin et al.
+2024), and one step gives the posterior mean. Errors count there as squares where they are small and
+linearly where they are large (Huber), so that a body which is rarely present moves the mean less.
+At smaller noise levels they count as squares: samples then follow the mean of what is possible,
+while those trained toward its median hardly differ. A gel's image shows slopes: squared errors of
+slopes make one step the mean of all images, without edges at unknown positions.
 """
 
 from __future__ import annotations
@@ -33,7 +34,9 @@ _TERMINAL_SHARE = 0.5  # examples at the largest noise level
 _LOG_SIGMA = 0.0, 1.5  # mean and standard deviation of the logarithm of all other noise levels
 _CONDITION_DROPOUT = 0.1
 _HUBER = 0.25  # in units of the residual
-_CONTACT_TERM, _UNCERTAINTY_TERM = 0.5, 0.05  # weights in the loss
+# weights in the loss
+_CONTACT_TERM = 0.5
+_UNCERTAINTY_TERM = 0.05
 _N_SAMPLE_STEPS = 6  # of the samples in the metrics
 TargetSensor = Literal["soft_bubble", "gelslim"]
 
@@ -43,9 +46,13 @@ class DenoisingTask(SimulatedPresses):
     """Settings of every task whose network denoises a residual of the target's touch."""
 
     contact_weight: float = setting(1.0, "Contact weight", low=0.0, high=100.0)
-    slope_weight: float = setting(0.0, "Slope weight", low=0.0, high=1000.0, help="of the slopes a gel's image shows")
+    slope_weight: float = setting(
+        0.0, "Slope weight", low=0.0, high=1000.0, help="of the slopes a gel's image shows"
+    )
     uncertainty_only: bool = setting(
-        False, "Uncertainty only", help="trains the predicted error alone, on touches that nothing else was trained on"
+        False,
+        "Uncertainty only",
+        help="trains the predicted error alone, on touches that nothing else was trained on",
     )
 
     @property
@@ -53,7 +60,9 @@ class DenoisingTask(SimulatedPresses):
     def kind(self) -> str:
         """Kind of the target."""
 
-    def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
+    def compute_loss(
+        self, network: nn.Module, batch: Mapping[str, Tensor]
+    ) -> tuple[Tensor, dict[str, Any]]:
         """See `compute_denoising_loss` and `compute_uncertainty_loss`."""
         if self.uncertainty_only:
             return compute_uncertainty_loss(network, batch)
@@ -65,12 +74,15 @@ class DenoisingTask(SimulatedPresses):
 
 
 def compute_denoising_loss(
-    network: nn.Module, batch: Mapping[str, Tensor], contact_weight: float, slope_weight: float = 0.0
+    network: nn.Module,
+    batch: Mapping[str, Tensor],
+    contact_weight: float,
+    slope_weight: float = 0.0,
 ) -> tuple[Tensor, dict[str, Any]]:
     """Error of the clean residual, and likelihood of the predicted uncertainty.
 
-    `contact_weight`: additional weight of the residual in contact. `slope_weight`: weight of squared differences
-    between neighbouring pixels' errors.
+    `contact_weight`: additional weight of the residual in contact. `slope_weight`: weight of
+    squared differences between neighbouring pixels' errors.
     """
     import torch
     from torch.nn import functional
@@ -78,20 +90,29 @@ def compute_denoising_loss(
     from pipeline.stages.networks.smooth_noise import correlate_noise
 
     net = unwrap_network(network)
-    clean, condition = batch["residual"], batch["condition"]
+    clean = batch["residual"]
+    condition = batch["condition"]
     n = len(clean)
-    level = torch.exp(torch.empty(n).normal_(*_LOG_SIGMA)).clamp(net.sigma_min, 0.999 * net.sigma_max)
+    level = torch.exp(torch.empty(n).normal_(*_LOG_SIGMA)).clamp(
+        net.sigma_min, 0.999 * net.sigma_max
+    )
     terminal = torch.rand(n) < _TERMINAL_SHARE
     sigma = torch.where(terminal, torch.full((n,), float(net.sigma_max)), level).to(clean.device)
     kept = (torch.rand(n) >= _CONDITION_DROPOUT).to(clean.device).float().reshape(-1, 1, 1, 1)
     noise = correlate_noise(torch.randn_like(clean), net.noise_correlation)
     prediction = network(clean + sigma.reshape(-1, 1, 1, 1) * noise, sigma, condition * kept)
-    error, contact_error = prediction[:, 0] - clean[:, 0], prediction[:, 1] - clean[:, 1]
+    error = prediction[:, 0] - clean[:, 0]
+    contact_error = prediction[:, 1] - clean[:, 1]
     weight = 1.0 + contact_weight * batch["contact"][:, 0]
     level_weight = ((1.0 + sigma**2) / sigma**2).clamp(max=5.0).reshape(-1, 1, 1)
-    robust = functional.huber_loss(error, torch.zeros_like(error), delta=_HUBER, reduction="none") / _HUBER
+    robust = (
+        functional.huber_loss(error, torch.zeros_like(error), delta=_HUBER, reduction="none")
+        / _HUBER
+    )
     squared = 0.5 * error**2 * level_weight
-    residual = (torch.where(terminal.to(error.device).reshape(-1, 1, 1), robust, squared) * weight).mean()
+    residual = (
+        torch.where(terminal.to(error.device).reshape(-1, 1, 1), robust, squared) * weight
+    ).mean()
     contact = (contact_error**2 * level_weight).mean()
     spread = _compute_laplace_loss(prediction, error)
     terms = {"residual": residual, "contact": contact, "spread": spread}
@@ -102,11 +123,13 @@ def compute_denoising_loss(
     return total, {name: term.detach() for name, term in terms.items()}
 
 
-def compute_uncertainty_loss(network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
+def compute_uncertainty_loss(
+    network: nn.Module, batch: Mapping[str, Tensor]
+) -> tuple[Tensor, dict[str, Any]]:
     """Negative log-likelihood of one step's errors under the predicted uncertainty.
 
-    For recipes whose `rate_factors` freeze all other parameters. A network is right about touches it was trained on;
-    only other touches show how large its errors are.
+    For recipes whose `rate_factors` freeze all other parameters. A network is right about touches
+    it was trained on; only other touches show how large its errors are.
     """
     import torch
 
@@ -120,16 +143,22 @@ def compute_uncertainty_loss(network: nn.Module, batch: Mapping[str, Tensor]) ->
 
 
 def _compute_laplace_loss(prediction: Tensor, error: Tensor) -> Tensor:
-    """Negative log-likelihood of errors (n, rows, cols), Laplace; channel 2 predicts the log of their mean."""
+    """Negative log-likelihood of errors (n, rows, cols), Laplace.
+
+    Channel 2 predicts the log of their mean.
+    """
     log = prediction[:, 2].clamp(*LOG_ERROR_RANGE)
     return (error.detach().abs() * (-log).exp() + log).mean()
 
 
-def evaluate_denoiser(network: nn.Module, held_out: Sequence[Example], unit_mm: float) -> dict[str, float]:
+def evaluate_denoiser(
+    network: nn.Module, held_out: Sequence[Example], unit_mm: float
+) -> dict[str, float]:
     """Errors in mm, in the target's contact and over all, and contact IoU of four predictions.
 
-    They are one step, a sample, one step with confidence weighting, and no prediction. Two samples differ by as much as
-    a sample and the truth if both follow the distribution that the condition allows.
+    They are one step, a sample, one step with confidence weighting, and no prediction. Two samples
+    differ by as much as a sample and the truth if both follow the distribution that the condition
+    allows.
     """
     import torch
 
@@ -141,7 +170,9 @@ def evaluate_denoiser(network: nn.Module, held_out: Sequence[Example], unit_mm: 
         condition = torch.from_numpy(np.array(example["condition"]))[None]
         rng = torch.Generator().manual_seed(k)
         noises = [
-            correlate_noise(torch.randn((1, *example["residual"].shape), generator=rng), net.noise_correlation)
+            correlate_noise(
+                torch.randn((1, *example["residual"].shape), generator=rng), net.noise_correlation
+            )
             for _ in range(2)
         ]
 
@@ -149,22 +180,45 @@ def evaluate_denoiser(network: nn.Module, held_out: Sequence[Example], unit_mm: 
             return network(noisy, torch.full((1,), sigma), condition)[:, :2]
 
         with torch.inference_mode():
-            first = network(noises[0] * net.sigma_max, torch.full((1,), float(net.sigma_max)), condition)[0].numpy()
-            levels = make_sigma_schedule(_N_SAMPLE_STEPS, sigma_max=net.sigma_max, sigma_min=net.sigma_min)
+            first = network(
+                noises[0] * net.sigma_max, torch.full((1,), float(net.sigma_max)), condition
+            )[0].numpy()
+            levels = make_sigma_schedule(
+                _N_SAMPLE_STEPS, sigma_max=net.sigma_max, sigma_min=net.sigma_min
+            )
             one, other = (sample(denoise, noise, levels).clean[0].numpy() for noise in noises)
-        weighted = first[0] * compute_wiener_gain(first[0], np.exp(np.clip(first[2], *LOG_ERROR_RANGE)))
-        truth, has_contact = unit_mm * example["residual"][0], example["contact"][0] > 0
+        weighted = first[0] * compute_wiener_gain(
+            first[0], np.exp(np.clip(first[2], *LOG_ERROR_RANGE))
+        )
+        truth = unit_mm * example["residual"][0]
+        has_contact = example["contact"][0] > 0
         baseline = example["contact"][1]
-        predictions = ((first[0], first[1]), (one[0], one[1]), (weighted, first[1]), (0.0 * first[0], 0.0 * first[1]))
+        predictions = (
+            (first[0], first[1]),
+            (one[0], one[1]),
+            (weighted, first[1]),
+            (0.0 * first[0], 0.0 * first[1]),
+        )
         rows.append([])
         for field, change in predictions:
-            error, contact = np.abs(unit_mm * field - truth), baseline + change > 0.5
+            error = np.abs(unit_mm * field - truth)
+            contact = baseline + change > 0.5
             union = np.count_nonzero(contact | has_contact)
             iou = np.count_nonzero(contact & has_contact) / max(union, 1)
-            rows[-1] += [float(error[has_contact].mean()) if has_contact.any() else 0.0, float(error.mean()), iou]
+            rows[-1] += [
+                float(error[has_contact].mean()) if has_contact.any() else 0.0,
+                float(error.mean()),
+                iou,
+            ]
         apart = unit_mm * np.abs(one[0] - other[0])
-        rows[-1] += [float(apart[has_contact].mean()) if has_contact.any() else 0.0, float(apart.mean())]
-    names = [f"{which}{what}" for which in ("", "sample ", "confidence-weighted ", "no-prediction ")
-             for what in ("error in contact, mm", "error over all, mm", "contact IoU")]  # fmt: skip
+        rows[-1] += [
+            float(apart[has_contact].mean()) if has_contact.any() else 0.0,
+            float(apart.mean()),
+        ]
+    names = [
+        f"{which}{what}"
+        for which in ("", "sample ", "confidence-weighted ", "no-prediction ")
+        for what in ("error in contact, mm", "error over all, mm", "contact IoU")
+    ]
     names += ["difference of two samples in contact, mm", "difference of two samples over all, mm"]
     return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))

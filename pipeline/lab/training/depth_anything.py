@@ -1,9 +1,11 @@
-"""Task: Depth Anything V2 for one sensor, trained as in the paper: SiLog of the depth, cross entropy of the contact.
+"""Task: Depth Anything V2 for one sensor, trained as in the paper: SiLog of the depth, cross
+entropy of the contact.
 
-With `answer` "metric", SiLog is of the indentation, image by image and in contact: small differences count. "distance"
-is that of the lab's fork (MMintLab/depth_anything_v2): of the distance from the camera over all pixels, with one mean
-for the whole batch. It still differs from the fork in a small constant under the root, which keeps the gradient
-finite, and in truth from simulated membranes.
+With `answer` "metric", SiLog is of the indentation, image by image and in contact: small
+differences count. "distance" is that of the lab's fork (MMintLab/depth_anything_v2): of the
+distance from the camera over all pixels, with one mean for the whole batch. It still differs from
+the fork in a small constant under the root, which keeps the gradient finite, and in truth from
+simulated membranes.
 """
 
 from __future__ import annotations
@@ -45,15 +47,25 @@ class DepthAnythingTask:
     side: int = setting(140, "Shorter side", unit="px", low=28, high=1400, step=14)
     image_content: ImageContent = setting("image", "Image content", choices=ImageContent)
     largest_mm: float = setting(
-        2.0, "Largest depth", unit="mm", low=0.01, high=1000.0, help="that the network's output 1 stands for"
+        2.0,
+        "Largest depth",
+        unit="mm",
+        low=0.01,
+        high=1000.0,
+        help="that the network's output 1 stands for",
     )
     answer: Answer = setting(
-        "metric", "Answer", choices=Answer, help="must equal `answer` of the network; distance in the lab's fork"
+        "metric",
+        "Answer",
+        choices=Answer,
+        help="must equal `answer` of the network; distance in the lab's fork",
     )
     vary: float = setting(1.0, "Sensor variation", low=0.0, high=variation.MAX_STRENGTH)
     silog_weight: float = setting(1.0, "SiLog weight", low=0.0, high=100.0)
     contact_weight: float = setting(1.0, "Contact weight", low=0.0, high=100.0)
-    metric_weight: float = setting(0.0, "Metric weight", low=0.0, high=100.0, help="of the error in mm; 0 in the paper")
+    metric_weight: float = setting(
+        0.0, "Metric weight", low=0.0, high=100.0, help="of the error in mm; 0 in the paper"
+    )
 
     def sample(self, rng: np.random.Generator) -> Example:
         """A training object in one of the paper's poses, on another sensor instance."""
@@ -66,30 +78,45 @@ class DepthAnythingTask:
 
     def prepare_pair(self, pair: RecordedPair) -> Example | None:
         """The example of a recorded touch; None where its depth is not recorded."""
-        frame, truth = pair.source_frame, pair.target_truth
+        frame = pair.source_frame
+        truth = pair.target_truth
         if truth is None or truth.indentation_mm is None:
             return None
         reference = render_reference(pair.source) if frame.reference is None else frame.reference
         contact = derive_contact(truth, pair.source)
-        return self._make_example(pair.source, frame.image, reference, np.nan_to_num(truth.indentation_mm), contact)
+        return self._make_example(
+            pair.source, frame.image, reference, np.nan_to_num(truth.indentation_mm), contact
+        )
 
-    def make_pair_example(self, prepared: Example, rng: np.random.Generator, *, is_validation: bool) -> Example:  # noqa: ARG002 - deterministic
+    def make_pair_example(
+        self,
+        prepared: Example,
+        rng: np.random.Generator,  # noqa: ARG002
+        *,
+        is_validation: bool,  # noqa: ARG002
+    ) -> Example:
         """The example of a recorded touch."""
         return prepared
 
     def make_validation_example(self, split: Split, index: int) -> Example:
         """A training object in a new pose, or an unseen tool."""
         group = "training" if split == "unseen_grasps" else "unseen"
-        return self._simulate_example(np.random.default_rng([17, len(split), index]), shapes.list_shapes(group))
+        return self._simulate_example(
+            np.random.default_rng([17, len(split), index]), shapes.list_shapes(group)
+        )
 
     def _simulate_example(self, rng: np.random.Generator, names: Sequence[str]) -> Example:
         mesh = shapes.make_shape(names[int(rng.integers(len(names)))]).mesh
         seeds = [int(seed) for seed in rng.integers(2**31, size=4)]
         sensor = variation.vary_sensor(load_sensor(self.sensor), seeds[0], self.vary)
-        press = simulate_press(mesh, poses.make_paper_grid(mesh, n=1, seed=seeds[1])[0], sensor, seed=seeds[2])
+        press = simulate_press(
+            mesh, poses.make_paper_grid(mesh, n=1, seed=seeds[1])[0], sensor, seed=seeds[2]
+        )
         flat = np.zeros(sensor.camera.shape, np.float32)
         reference = render_sensor_image(sensor, flat, sensor.rest_depth_mm, seeds[3])
-        return self._make_example(sensor, press.image, reference, press.indentation_mm, press.contact)
+        return self._make_example(
+            sensor, press.image, reference, press.indentation_mm, press.contact
+        )
 
     def _make_example(
         self,
@@ -102,14 +129,19 @@ class DepthAnythingTask:
         shown = prepare_image(image, reference, self.image_content)
         rest_mm = sensor.rest_depth_mm.astype(np.float32)
         parts: list[Floats] = [
-            resize_to_patches(p, self.side) for p in (shown, indentation_mm, contact.astype(np.float32), rest_mm)
+            resize_to_patches(p, self.side)
+            for p in (shown, indentation_mm, contact.astype(np.float32), rest_mm)
         ]
         return {
             "image": np.ascontiguousarray(parts[0].transpose(2, 0, 1)),
-            "indentation_mm": parts[1], "contact": (parts[2] > 0.5).astype(np.float32), "rest_mm": parts[3],
-        }  # fmt: skip
+            "indentation_mm": parts[1],
+            "contact": (parts[2] > 0.5).astype(np.float32),
+            "rest_mm": parts[3],
+        }
 
-    def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
+    def compute_loss(
+        self, network: nn.Module, batch: Mapping[str, Tensor]
+    ) -> tuple[Tensor, dict[str, Any]]:
         """SiLog, cross entropy of the contact, and the absolute error in mm."""
         import torch
         from torch.nn import functional
@@ -117,17 +149,25 @@ class DepthAnythingTask:
         if unwrap_network(network).answer != self.answer:
             raise SettingProblem("answer must be the same in [network] and in [settings]")
         depth, logit = network(batch["image"])
-        predicted, truth, contact = self.largest_mm * depth, batch["indentation_mm"], batch["contact"]
+        predicted = self.largest_mm * depth
+        truth = batch["indentation_mm"]
+        contact = batch["contact"]
         fields = predicted + _OFFSET_MM, truth + _OFFSET_MM, contact
         if self.answer == "distance":
             truth = batch["rest_mm"] - truth
-            fields = tuple(field.flatten(0, 1)[None] for field in (predicted, truth, torch.ones_like(truth)))
+            fields = tuple(
+                field.flatten(0, 1)[None] for field in (predicted, truth, torch.ones_like(truth))
+            )
         terms: dict[str, Any] = {
             "silog": compute_silog_loss(*fields, share=_SILOG_SHARE, least=_OFFSET_MM / 2),
             "contact": functional.binary_cross_entropy_with_logits(logit, contact),
             "metric": (predicted - truth).abs().mean(),
         }
-        weights = {"silog": self.silog_weight, "contact": self.contact_weight, "metric": self.metric_weight}
+        weights = {
+            "silog": self.silog_weight,
+            "contact": self.contact_weight,
+            "metric": self.metric_weight,
+        }
         total: Any = sum(weights[name] * term for name, term in terms.items())
         return total, {name: term.detach() for name, term in terms.items()}
 
@@ -135,30 +175,45 @@ class DepthAnythingTask:
         """Contact IoU, and mean error of the indentation in contact."""
         import torch
 
-        device, errors, both, either, n_contact = next(network.parameters()).device, 0.0, 0.0, 0.0, 0.0
+        device = next(network.parameters()).device
+        errors = 0.0
+        both = 0.0
+        either = 0.0
+        n_contact = 0.0
         for example in held_out:
             depth, logit = network(torch.from_numpy(example["image"])[None].to(device))
-            predicted, contact = (logit[0] > 0).cpu().numpy(), example["contact"] > 0.5
+            predicted = (logit[0] > 0).cpu().numpy()
+            contact = example["contact"] > 0.5
             predicted_mm = self.largest_mm * depth[0].cpu().numpy()
-            indentation_mm = example["rest_mm"] - predicted_mm if self.answer == "distance" else predicted_mm
+            indentation_mm = (
+                example["rest_mm"] - predicted_mm if self.answer == "distance" else predicted_mm
+            )
             error = np.abs(indentation_mm - example["indentation_mm"])
-            errors, n_contact = errors + float((error * contact).sum()), n_contact + float(contact.sum())
-            both, either = both + float((predicted & contact).sum()), either + float((predicted | contact).sum())
+            errors = errors + float((error * contact).sum())
+            n_contact = n_contact + float(contact.sum())
+            both = both + float((predicted & contact).sum())
+            either = either + float((predicted | contact).sum())
         return {
-            "contact IoU": both / max(either, 1.0), "error in contact, um": 1e3 * errors / max(n_contact, 1.0),
-        }  # fmt: skip
+            "contact IoU": both / max(either, 1.0),
+            "error in contact, um": 1e3 * errors / max(n_contact, 1.0),
+        }
 
 
-def compute_silog_loss(predicted: Tensor, truth: Tensor, counted: Tensor, *, share: float, least: float) -> Tensor:
-    """The paper's scale-invariant logarithmic loss (Eigen et al. 2014), in a form with a gradient everywhere.
+def compute_silog_loss(
+    predicted: Tensor, truth: Tensor, counted: Tensor, *, share: float, least: float
+) -> Tensor:
+    """The paper's scale-invariant logarithmic loss (Eigen et al. 2014), in a form with a gradient
+    everywhere.
 
-    Mean over the images (n, rows, cols) of sqrt(mean d^2 - share mean(d)^2), d = log predicted - log truth, over the
-    `counted` pixels (n, rows, cols, 0 or 1) of images that have any. Depths below `least` count as `least`. Computed as
-    variance + (1 - share) mean^2, which rounding cannot make negative.
+    Mean over the images (n, rows, cols) of sqrt(mean d^2 - share mean(d)^2), d = log predicted -
+    log truth, over the `counted` pixels (n, rows, cols, 0 or 1) of images that have any. Depths
+    below `least` count as `least`. Computed as variance + (1 - share) mean^2, which rounding cannot
+    make negative.
     """
     import torch
 
-    predicted, truth = predicted.float().clamp(min=least), truth.float().clamp(min=least)
+    predicted = predicted.float().clamp(min=least)
+    truth = truth.float().clamp(min=least)
     difference = (torch.log(predicted) - torch.log(truth)) * counted
     n = counted.sum((1, 2))
     mean = difference.sum((1, 2)) / n.clamp(min=1.0)

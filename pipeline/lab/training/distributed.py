@@ -1,4 +1,6 @@
-"""Training in one process or several: `torchrun` starts one for each device, and their batches are summed."""
+"""Training in one process or several: `torchrun` starts one for each device, and their batches
+are summed.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ class ProcessGroup:
             return network
         from torch.nn.parallel import DistributedDataParallel
 
-        return DistributedDataParallel(network, device_ids=[self.device] if self.device.type == "cuda" else None)
+        return DistributedDataParallel(
+            network, device_ids=[self.device] if self.device.type == "cuda" else None
+        )
 
     def average_over_processes(self, *numbers: float) -> list[float]:
         """The mean of each number over all processes."""
@@ -43,13 +47,21 @@ class ProcessGroup:
 
 @contextmanager
 def join_process_group() -> Generator[ProcessGroup, None, None]:
-    """Join the processes that `torchrun` started, if any; the device is a GPU of its own or the processor."""
+    """Join the processes that `torchrun` started, if any.
+
+    The device is a GPU of its own or the processor.
+    """
     import torch
     from torch import distributed
 
-    n, rank = int(os.environ.get("WORLD_SIZE", "1")), int(os.environ.get("RANK", "0"))
+    n = int(os.environ.get("WORLD_SIZE", "1"))
+    rank = int(os.environ.get("RANK", "0"))
     cuda = torch.cuda.is_available()
-    device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0"))) if cuda else torch.device("cpu")
+    device = (
+        torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
+        if cuda
+        else torch.device("cpu")
+    )
     if n == 1:
         yield ProcessGroup(rank=0, world_size=1, device=device)
         return
@@ -82,7 +94,9 @@ def wrap_precision(network: nn.Module, precision: str, device: torch.device) -> 
 
 def unwrap_network(network: Any) -> Any:
     """The network without the wrappers for precision and several processes."""
-    while (inner := getattr(network, "module", None) or getattr(network, "network", None)) is not None:
+    while (
+        inner := getattr(network, "module", None) or getattr(network, "network", None)
+    ) is not None:
         network = inner
     return network
 
@@ -94,4 +108,8 @@ def _to_float32(output: Any) -> Any:
     if isinstance(output, (tuple, list)):
         values = [_to_float32(value) for value in output]
         return type(output)(*values) if hasattr(output, "_fields") else type(output)(values)
-    return output.float() if hasattr(output, "is_floating_point") and output.is_floating_point() else output
+    return (
+        output.float()
+        if hasattr(output, "is_floating_point") and output.is_floating_point()
+        else output
+    )

@@ -27,10 +27,19 @@ _CHECK_S = 0.5  # between two looks for a request to stop
 
 
 class ExampleSource:
-    """Training batches and validation examples of a task; `check` is called while they are made and may raise."""
+    """Training batches and validation examples of a task.
 
-    def __init__(self, task: Task, seed: int, batch: int, pool: Executor | None, ahead: int) -> None:
-        self._task, self._seed, self._batch, self._pool, self._ahead = task, seed, batch, pool, ahead
+    `check` is called while they are made and may raise.
+    """
+
+    def __init__(
+        self, task: Task, seed: int, batch: int, pool: Executor | None, ahead: int
+    ) -> None:
+        self._task = task
+        self._seed = seed
+        self._batch = batch
+        self._pool = pool
+        self._ahead = ahead
         self.check: Callable[[], None] = lambda: None
 
     def iterate_batches(self, first: int, stride: int) -> Generator[Example, None, None]:
@@ -43,7 +52,11 @@ class ExampleSource:
                 else:
                     while len(waiting) < self._ahead:
                         start = first + len(waiting) * stride
-                        waiting.append(self._pool.submit(make_batch, self._task, self._seed, start, self._batch))
+                        waiting.append(
+                            self._pool.submit(
+                                make_batch, self._task, self._seed, start, self._batch
+                            )
+                        )
                     yield self._get_result(waiting.popleft())
                 first += stride
         finally:
@@ -51,10 +64,17 @@ class ExampleSource:
                 future.cancel()
 
     def make_validation_set(self, n: int) -> dict[Split, list[Example]]:
-        """The first `n` validation examples of every split, or as many as there are; without splits that have none."""
+        """The first `n` validation examples of every split, or as many as there are.
+
+        Without splits that have none.
+        """
         made: dict[Split, list[Example]] = {}
         for split in SPLITS:
-            count = min(n, self._task.count_validation_examples(split)) if isinstance(self._task, HasFewExamples) else n
+            count = (
+                min(n, self._task.count_validation_examples(split))
+                if isinstance(self._task, HasFewExamples)
+                else n
+            )
             if not count:
                 continue
             parts = [range(start, min(start + _CHUNK, count)) for start in range(0, count, _CHUNK)]
@@ -64,8 +84,13 @@ class ExampleSource:
                     self.check()
                     made[split] += make_validation_examples(self._task, split, part)
             else:
-                futures = [self._pool.submit(make_validation_examples, self._task, split, part) for part in parts]
-                made[split] = [example for future in futures for example in self._get_result(future)]
+                futures = [
+                    self._pool.submit(make_validation_examples, self._task, split, part)
+                    for part in parts
+                ]
+                made[split] = [
+                    example for future in futures for example in self._get_result(future)
+                ]
         return made
 
     def _get_result(self, future: Future[Any]) -> Any:
@@ -75,12 +100,15 @@ class ExampleSource:
             return future.result()
         except BrokenProcessPool as error:
             raise NotConverged(
-                "a worker process died, perhaps out of memory; run again with --resume and fewer --workers"
+                "a worker process died, perhaps out of memory; run again with --resume and fewer "
+                "--workers"
             ) from error
 
 
 @contextmanager
-def open_example_source(task: Task, seed: int, batch: int, workers: int) -> Generator[ExampleSource, None, None]:
+def open_example_source(
+    task: Task, seed: int, batch: int, workers: int
+) -> Generator[ExampleSource, None, None]:
     """Examples made by `workers` processes, in this process for 0; raises SettingProblem."""
     check_range("--workers", workers, 0, MAX_WORKERS)
     if not workers:
@@ -91,8 +119,13 @@ def open_example_source(task: Task, seed: int, batch: int, workers: int) -> Gene
         pool.shutdown(wait=False, cancel_futures=True)  # batches ahead that nobody asks for
 
 
-def make_batch(task: Task, seed: int, start: int, n: int, check: Callable[[], None] | None = None) -> Example:
-    """Examples `start` to `start + n` as one batch: name -> (n, ...); `check` is called before each, and may raise."""
+def make_batch(
+    task: Task, seed: int, start: int, n: int, check: Callable[[], None] | None = None
+) -> Example:
+    """Examples `start` to `start + n` as one batch: name -> (n, ...).
+
+    `check` is called before each, and may raise.
+    """
     made: list[Example] = []
     for index in range(start, start + n):
         if check is not None:

@@ -1,4 +1,6 @@
-"""The objects of simulated touches: which ones a data split holds, how one is sampled, and the samples made of them."""
+"""The objects of simulated touches: which ones a data split holds, how one is sampled, and the
+samples made of them.
+"""
 
 import io
 from collections.abc import Callable
@@ -18,8 +20,9 @@ from pipeline.physics.simulation.random_bodies import make_random_body
 
 DataSplit = Literal["training", "unseen_grasps", "unseen_tools", "all_objects"]
 DATA_SPLITS: tuple[DataSplit, ...] = ("training", "unseen_grasps", "unseen_tools", "all_objects")
-"""`training` adds random bodies to the training objects. `all_objects` are training objects and unseen tools, for
-networks that see one sensor alone. The position of a split is part of its random seeds.
+"""`training` adds random bodies to the training objects. `all_objects` are training objects and
+unseen tools, for networks that see one sensor alone. The position of a split is part of its random
+seeds.
 """
 _SMALL_MM = 6.0, 17.0  # extent of small bodies
 _MAX_EMPTY = 100  # touches in a row without contact
@@ -27,27 +30,40 @@ T = TypeVar("T")
 
 
 def sample_object(
-    split: DataSplit, rng: np.random.Generator, index: int, *, catalogue_share: float, small_share: float = 0.0,
+    split: DataSplit,
+    rng: np.random.Generator,
+    index: int,
+    *,
+    catalogue_share: float,
+    small_share: float = 0.0,
     outline_share: float = 0.0,
-) -> tuple[str, Mesh]:  # fmt: skip
+) -> tuple[str, Mesh]:
     """Name and mesh of object `index` of a split; the name "" is a random body.
 
-    In training, `catalogue_share` are training objects and the rest random bodies, `small_share` of them small and with
-    nothing behind their pattern, `outline_share` of the patterns rims. Other splits go through their objects in order.
+    In training, `catalogue_share` are training objects and the rest random bodies, `small_share` of
+    them small and with nothing behind their pattern, `outline_share` of the patterns rims. Other
+    splits go through their objects in order.
     """
     if split == "training" and rng.random() >= catalogue_share:
         make = _make_small_body if small_share and rng.random() < small_share else make_random_body
         return "", make(rng, outline_share=outline_share)
     names = {
-        "training": shapes.list_shapes("training"), "unseen_grasps": shapes.list_shapes("training"),
-        "unseen_tools": shapes.list_shapes("unseen"), "all_objects": shapes.list_labelled_shapes(),
-    }[split]  # fmt: skip
+        "training": shapes.list_shapes("training"),
+        "unseen_grasps": shapes.list_shapes("training"),
+        "unseen_tools": shapes.list_shapes("unseen"),
+        "all_objects": shapes.list_labelled_shapes(),
+    }[split]
     name = names[int(rng.integers(len(names))) if split == "training" else index % len(names)]
     return name, shapes.make_shape(name).mesh
 
 
-def find_next_contact(simulate: Callable[[int], T | None], index: int, none: str = "no contact in") -> T:
-    """Touch `index`, or the next one that `simulate` returns; raises SettingProblem after a hundred without contact."""
+def find_next_contact(
+    simulate: Callable[[int], T | None], index: int, none: str = "no contact in"
+) -> T:
+    """Touch `index`, or the next one that `simulate` returns.
+
+    Raises SettingProblem after a hundred without contact.
+    """
     for k in range(index, index + _MAX_EMPTY):
         touch = simulate(k)
         if touch is not None:
@@ -64,29 +80,39 @@ def _make_small_body(rng: np.random.Generator, *, outline_share: float) -> Mesh:
 
 
 class SampleCache(Generic[T]):
-    """Simulated samples of one dataclass by name: in memory up to `max_bytes`, and in a folder where one is given.
+    """Simulated samples of one dataclass by name: in memory up to `max_bytes`, and in a folder
+    where one is given.
 
-    A simulation takes a tenth of a second and training draws each sample many times. A sample is a frozen dataclass of
-    arrays and texts. float32 fields are rounded to float16 when a sample is made, so that it equals the stored one.
+    A simulation takes a tenth of a second and training draws each sample many times. A sample is a
+    frozen dataclass of arrays and texts. float32 fields are rounded to float16 when a sample is
+    made, so that it equals the stored one.
     """
 
-    def __init__(self, kind: type[T], *, exact: tuple[str, ...] = (), max_bytes: int = 1 << 30) -> None:
+    def __init__(
+        self, kind: type[T], *, exact: tuple[str, ...] = (), max_bytes: int = 1 << 30
+    ) -> None:
         """Fields named in `exact` keep float32."""
-        self._kind, self._exact = kind, exact
+        self._kind = kind
+        self._exact = exact
         self._memory: Memo[str, T] = Memo(most_bytes=max_bytes)
 
     def get(self, name: str, folder: str, make: Callable[[], T], **unstored: Any) -> T:
-        """Sample `name`: from memory, from `folder`/`name`.npz, or made. An empty `folder` stores nothing.
+        """Sample `name`: from memory, from `folder`/`name`.npz, or made. An empty `folder` stores
+        nothing.
 
         `unstored` fields are cheap to compute and not written.
         """
-        return self._memory.get_or_make(name, lambda: self._load_or_make(name, folder, make, unstored))
+        return self._memory.get_or_make(
+            name, lambda: self._load_or_make(name, folder, make, unstored)
+        )
 
     def clear(self) -> None:
         """Free the memory; files stay."""
         self._memory.clear()
 
-    def _load_or_make(self, name: str, folder: str, make: Callable[[], T], unstored: dict[str, Any]) -> T:
+    def _load_or_make(
+        self, name: str, folder: str, make: Callable[[], T], unstored: dict[str, Any]
+    ) -> T:
         path = Path(folder) / f"{name}.npz"
         stored = self._load(path, unstored) if folder else None
         if stored is not None:
@@ -117,10 +143,14 @@ class SampleCache(Generic[T]):
     def _load(self, path: Path, unstored: dict[str, Any]) -> T | None:
         """The stored sample; None where the file is missing, cut short or of other fields."""
         arrays = read_cached_arrays(path)
-        if arrays is None or set(arrays) | set(unstored) != {f.name for f in fields(cast("Any", self._kind))}:
+        if arrays is None or set(arrays) | set(unstored) != {
+            f.name for f in fields(cast("Any", self._kind))
+        }:
             return None
         values: dict[str, Any] = {
-            key: str(a) if a.dtype.kind == "U" else freeze(a.astype(np.float32) if a.dtype == np.float16 else a)
+            key: str(a)
+            if a.dtype.kind == "U"
+            else freeze(a.astype(np.float32) if a.dtype == np.float16 else a)
             for key, a in arrays.items()
         }
         return self._kind(**values, **unstored)

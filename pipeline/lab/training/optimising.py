@@ -15,20 +15,27 @@ if TYPE_CHECKING:
 _POWER = 0.9  # of the schedule "poly", as depth networks on DINOv2 are trained
 
 
-def make_optimiser(network: nn.Module, recipe: Optimiser, factors: Mapping[str, float]) -> optim.Optimizer:
+def make_optimiser(
+    network: nn.Module, recipe: Optimiser, factors: Mapping[str, float]
+) -> optim.Optimizer:
     """An optimiser with one parameter group for each factor of the learning rate.
 
-    `factors` maps prefixes of parameter names to factors; the longest matching prefix applies, 1 without one.
+    `factors` maps prefixes of parameter names to factors; the longest matching prefix applies, 1
+    without one.
     """
     from torch import optim
 
     shares: dict[float, list[Any]] = {}
     for name, parameter in network.named_parameters():
         prefixes = [prefix for prefix in factors if name.startswith(prefix)]
-        shares.setdefault(factors[max(prefixes, key=len)] if prefixes else 1.0, []).append(parameter)
+        shares.setdefault(factors[max(prefixes, key=len)] if prefixes else 1.0, []).append(
+            parameter
+        )
     groups = [{"params": parameters, "share": share} for share, parameters in shares.items()]
     kind = optim.AdamW if recipe.kind == "adamw" else optim.Adam
-    return kind(groups, lr=recipe.learning_rate, betas=(0.9, recipe.beta2), weight_decay=recipe.weight_decay)
+    return kind(
+        groups, lr=recipe.learning_rate, betas=(0.9, recipe.beta2), weight_decay=recipe.weight_decay
+    )
 
 
 def set_learning_rate(made: optim.Optimizer, rate: float) -> None:
@@ -40,7 +47,11 @@ def set_learning_rate(made: optim.Optimizer, rate: float) -> None:
 def compute_learning_rate(recipe: Optimiser, step: int, fraction: float) -> float:
     """The learning rate of a step, where `fraction` (0..1) of the run is done."""
     left = 1.0 - min(max(fraction, 0.0), 1.0)
-    falling = {"cosine": 0.5 * (1.0 - math.cos(math.pi * left)), "poly": left**_POWER, "constant": 1.0}
+    falling = {
+        "cosine": 0.5 * (1.0 - math.cos(math.pi * left)),
+        "poly": left**_POWER,
+        "constant": 1.0,
+    }
     share = recipe.final_share + (1.0 - recipe.final_share) * falling[recipe.schedule]
     return recipe.learning_rate * share * min(1.0, (step + 1) / max(recipe.warm_up_steps, 1))
 
@@ -51,12 +62,16 @@ def copy_for_averaging(network: nn.Module) -> nn.Module:
 
 
 def update_average(mean: nn.Module, network: nn.Module, decay: float, step: int) -> None:
-    """Move the average towards the network, faster in the first steps, whose weights are far off."""
+    """Move the average towards the network, faster in the first steps, whose weights are far
+    off.
+    """
     import torch
 
     share = 1.0 - min(decay, (1.0 + step) / (10.0 + step))
     with torch.no_grad():
-        for average, new in zip(mean.state_dict().values(), network.state_dict().values(), strict=True):
+        for average, new in zip(
+            mean.state_dict().values(), network.state_dict().values(), strict=True
+        ):
             if average.is_floating_point():
                 average.lerp_(new, share)
             else:

@@ -1,4 +1,6 @@
-"""Recipes: everything that decides the result of a training, as a TOML file that is kept with the weights."""
+"""Recipes: everything that decides the result of a training, as a TOML file that is kept with
+the weights.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -23,7 +25,8 @@ Precision = Literal["float32", "bf16"]
 OptimiserKind = Literal["adamw", "adam"]
 Schedule = Literal["cosine", "poly", "constant"]
 RECIPES_FOLDER = Path(__file__).parent / "recipes"
-_MARKED_KINDS = ("residual_denoiser", "latent")  # networks that can say that recorded pairs trained them
+# networks that can say that recorded pairs trained them
+_MARKED_KINDS = ("residual_denoiser", "latent")
 _Factor = Annotated[float, Meta(ge=0.0, le=1e9)]
 P = TypeVar("P")
 
@@ -36,9 +39,12 @@ class TrainingSettings:
     batch: int = setting(16, "Batch size", low=1, high=4096, help="of each process")
     steps: int = setting(10_000, "Steps", low=1, high=10**9, help="--minutes replaces them")
     n_cached_examples: int = setting(
-        0, "Cached examples", low=0, high=10**7,
+        0,
+        "Cached examples",
+        low=0,
+        high=10**7,
         help="held on a GPU that trains faster than examples are made; 0 = every example is new",
-    )  # fmt: skip
+    )
     initial_weights: str = setting("", "Initial weights", help="a file; empty = random weights")
     precision: Precision = setting(
         "float32", "Precision", choices=Precision, help="of the network; the loss is float32"
@@ -53,7 +59,9 @@ class Optimiser:
     learning_rate: float = setting(1e-3, "Learning rate", low=0.0, high=10.0)
     schedule: Schedule = setting("cosine", "Schedule", choices=Schedule, help="poly is (1 - t)^0.9")
     warm_up_steps: int = setting(100, "Warm-up", unit="steps", low=0, high=10**6)
-    final_share: float = setting(0.01, "Final share", low=0.0, high=1.0, help="of the learning rate")
+    final_share: float = setting(
+        0.01, "Final share", low=0.0, high=1.0, help="of the learning rate"
+    )
     weight_decay: float = setting(0.01, "Weight decay", low=0.0, high=10.0)
     beta2: float = setting(0.99, "Beta 2", low=0.0, high=0.99999)
     max_gradient_norm: float = setting(1.0, "Max gradient norm", low=1e-6, high=1e9)
@@ -72,9 +80,13 @@ class Validation:
 class _Data:
     """[data]."""
 
-    pairs: str = setting("", "Pairs", help="file or folder of recorded pairs, which replace simulated ones")
+    pairs: str = setting(
+        "", "Pairs", help="file or folder of recorded pairs, which replace simulated ones"
+    )
     hold_out: str = setting("", "Held out", help=HOLD_OUT_HELP)
-    share: float = setting(1.0, "Share", low=0.001, high=1.0, help="of the grasps to train on that is used")
+    share: float = setting(
+        1.0, "Share", low=0.001, high=1.0, help="of the grasps to train on that is used"
+    )
 
 
 class _RecipeTables(msgspec.Struct, kw_only=True, frozen=True):
@@ -109,7 +121,11 @@ class Recipe:
         """The recipe in plain values, for files and cards; equal values give equal runs."""
         parts = {"training": self.training, "optimiser": self.optimiser, "settings": self.settings}
         plain: dict[str, Any] = {name: _list_values(part) for name, part in parts.items()}
-        plain |= {"task": self.task, "network": dict(self.network), "rate_factors": dict(self.rate_factors)}
+        plain |= {
+            "task": self.task,
+            "network": dict(self.network),
+            "rate_factors": dict(self.rate_factors),
+        }
         if self.pairs.path:
             part = {} if self.pairs.share == 1.0 else {"share": self.pairs.share}
             plain["data"] = {"pairs": self.pairs.path, "hold_out": self.pairs.hold_out, **part}
@@ -124,19 +140,25 @@ def list_shipped_recipes(what: str = "") -> tuple[str, ...]:
     """Names of the shipped recipes, or of those of one subcommand of `train`."""
     names = sorted(path.stem for path in RECIPES_FOLDER.glob("*.toml"))
     return tuple(
-        n for n in names if not what or TASKS[read_toml(_get_path(n), "the recipe")["task"]].subcommand == what
+        n
+        for n in names
+        if not what or TASKS[read_toml(_get_path(n), "the recipe")["task"]].subcommand == what
     )
 
 
 def load_recipe(name: str, what: str = "", initial_weights: str = "") -> Recipe:
-    """A shipped recipe by name, or the recipe in a file; with `initial_weights` it starts from those.
+    """A shipped recipe by name, or the recipe in a file.
 
-    Raises SettingProblem for an unknown name, FileProblem for an invalid recipe or one of another subcommand.
+    With `initial_weights` it starts from those.
+
+    Raises SettingProblem for an unknown name, FileProblem for an invalid recipe or one of another
+    subcommand.
     """
     path = Path(name) if name.endswith(".toml") else _get_path(name)
     if not name.endswith(".toml") and not path.is_file():
         raise SettingProblem(
-            f"no recipe {name!r}; there are {', '.join(list_shipped_recipes(what))}, or give a .toml file"
+            f"no recipe {name!r}; there are {', '.join(list_shipped_recipes(what))}, or give a "
+            ".toml file"
         )
     data = read_toml(path, "the recipe")
     if initial_weights:
@@ -156,24 +178,38 @@ def _get_path(name: str) -> Path:
 
 def _make_recipe(name: str, data: Mapping[str, Any], folder: Path) -> Recipe:
     tables = check(data, _RecipeTables)
-    top = {key: value for key, value in data.items() if key not in (*_RecipeTables.__struct_fields__, "name")}
+    top = {
+        key: value
+        for key, value in data.items()
+        if key not in (*_RecipeTables.__struct_fields__, "name")
+    }
     settings = import_task_class(tables.task)()
     network = _check_plain(tables.network)
     if not network:
         network = _read_network(str(data.get("initial_weights", "")))
         settings = _fill(
-            settings, {key: network[key] for key in list_settings(settings) if key in network}, "[network] "
+            settings,
+            {key: network[key] for key in list_settings(settings) if key in network},
+            "[network] ",
         )
     if not isinstance(network.get("kind"), str):
-        raise SettingProblem("[network] must name its kind, or be left out for that of initial_weights")
-    factors = check(tables.optimiser.pop("rate_factors", {}), dict[str, _Factor], "optimiser.rate_factors")
+        raise SettingProblem(
+            "[network] must name its kind, or be left out for that of initial_weights"
+        )
+    factors = check(
+        tables.optimiser.pop("rate_factors", {}), dict[str, _Factor], "optimiser.rate_factors"
+    )
     values = _fill(_Data(), tables.data, "[data] ")
     recipe = Recipe(
-        name=name, task=tables.task, settings=_fill(settings, tables.settings, "[settings] "),
-        network=network, training=_fill(TrainingSettings(), top, ""),
-        optimiser=_fill(Optimiser(), tables.optimiser, "[optimiser] "), rate_factors=factors,
+        name=name,
+        task=tables.task,
+        settings=_fill(settings, tables.settings, "[settings] "),
+        network=network,
+        training=_fill(TrainingSettings(), top, ""),
+        optimiser=_fill(Optimiser(), tables.optimiser, "[optimiser] "),
+        rate_factors=factors,
         validation=_fill(Validation(), tables.validation, "[validation] "),
-    )  # fmt: skip
+    )
     if not values.pairs:
         return recipe
     return override_pairs(recipe, str(folder / values.pairs), values.hold_out, values.share)
@@ -188,11 +224,16 @@ def _read_network(initial_weights: str) -> Mapping[str, Value]:
 
 
 def load_initial_weights(name: str, kind: str = "") -> Weights:
-    """Weights of a file, or shipped ones by name (without a suffix); raises FileProblem and SettingProblem."""
+    """Weights of a file, or shipped ones by name (without a suffix).
+
+    Raises FileProblem and SettingProblem.
+    """
     if Path(name).suffix:
         if not Path(name).exists():
             raise FileProblem(
-                "the recipe starts from weights that are not there; train them first, or give --from", Path(name)
+                "the recipe starts from weights that are not there; train them first, or give "
+                "--from",
+                Path(name),
             )
         return READERS.get(kind, load_weights)(Path(name))
     weights = weights_registry.load_shipped(name)
@@ -220,11 +261,17 @@ def _fill(part: P, table: Mapping[str, Any], where: str) -> P:
 
 
 def override_pairs(recipe: Recipe, path: str, hold_out: str, share: float = 1.0) -> Recipe:
-    """The recipe trained on recorded pairs, or on a share of those to train on; raises SettingProblem."""
+    """The recipe trained on recorded pairs, or on a share of those to train on.
+
+    Raises SettingProblem.
+    """
     share = replace_value(_Data(), "share", share).share
-    is_marked = bool(path) and recipe.network["kind"] in _MARKED_KINDS  # as trained on recorded pairs
+    # as trained on recorded pairs
+    is_marked = bool(path) and recipe.network["kind"] in _MARKED_KINDS
     network = {**recipe.network, "trained_on_recordings": 1.0} if is_marked else recipe.network
-    return replace(recipe, pairs=PairFolder(path=path, hold_out=hold_out, share=share), network=network)
+    return replace(
+        recipe, pairs=PairFolder(path=path, hold_out=hold_out, share=share), network=network
+    )
 
 
 def override_training(recipe: Recipe, **values: int | str) -> Recipe:

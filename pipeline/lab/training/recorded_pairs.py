@@ -1,6 +1,8 @@
-"""Recorded pairs of two sensors as training examples: folders of a data set, with validation pairs held out.
+"""Recorded pairs of two sensors as training examples: folders of a data set, with validation pairs
+held out.
 
-Both fingers of a grasp are pairs of their own and have one role. Pairs are read when they are drawn.
+Both fingers of a grasp are pairs of their own and have one role. Pairs are read when they are
+drawn.
 """
 
 from __future__ import annotations
@@ -36,7 +38,8 @@ if TYPE_CHECKING:
 _MAX_UNTOUCHED = 1000  # pairs in a row that a task cannot use
 _MAX_NAMES = 5  # in a note
 _SUFFIXES = (".h5", ".hdf5", ".pt")
-_SPLIT_NAME = re.compile(r"^(?P<tool>.+)_(?P<split>train|val|validation|test)$")  # of files of gelslim_depth
+# of files of gelslim_depth
+_SPLIT_NAME = re.compile(r"^(?P<tool>.+)_(?P<split>train|val|validation|test)$")
 _SEED = 29  # of validation examples
 
 
@@ -74,10 +77,15 @@ class LearnsFromPairs(Protocol):
         ...
 
     def prepare_pair(self, pair: RecordedPair) -> Any:
-        """What examples of a pair are made of; None where the task cannot use it. The result is cached."""
+        """What examples of a pair are made of.
+
+        None where the task cannot use it. The result is cached.
+        """
         ...
 
-    def make_pair_example(self, prepared: Any, rng: np.random.Generator, *, is_validation: bool) -> Example:
+    def make_pair_example(
+        self, prepared: Any, rng: np.random.Generator, *, is_validation: bool
+    ) -> Example:
         """An example with the arrays of a simulated one; augmented unless it validates."""
         ...
 
@@ -105,13 +113,18 @@ class PairSet:
 
     def load(self, place: PairPlace) -> RecordedPair:
         """Read the frames of a pair; raises FileProblem."""
-        recording, one, other = place.recording, place.source_stream, place.target_stream
+        recording = place.recording
+        one = place.source_stream
+        other = place.target_stream
         transform = recording.target_from_source(one.name, other.name)
         return RecordedPair(
-            source=self.source, target=self.target, source_frame=one.frame(place.index),
-            target_frame=other.frame(place.target_index), target_truth=other.truth(place.target_index),
+            source=self.source,
+            target=self.target,
+            source_frame=one.frame(place.index),
+            target_frame=other.frame(place.target_index),
+            target_truth=other.truth(place.target_index),
             alignment=alignments.resolve_alignment(self.source, self.target, transform),
-        )  # fmt: skip
+        )
 
 
 @lru_cache(maxsize=4)
@@ -122,7 +135,9 @@ def open_pairs(folder: PairFolder, source_name: str, target_name: str) -> PairSe
 
     Raises NoPairs where a sensor has no stream, FileProblem where nothing is paired.
     """
-    source, target, path = load_sensor(source_name), load_sensor(target_name), Path(folder.path)
+    source = load_sensor(source_name)
+    target = load_sensor(target_name)
+    path = Path(folder.path)
     files = _list_recordings(path)
     notes: dict[str, None] = {}
     found: list[tuple[PairPlace, ...]] = []  # of each moment, one per finger
@@ -132,7 +147,11 @@ def open_pairs(folder: PairFolder, source_name: str, target_name: str) -> PairSe
         if not streams:
             raise NoPairs(f"{str(file)!r} holds no pairs of {source.title} and {target.title}")
         moments = _list_moments(recording, streams, file)
-        wrong = [moment[0].grasp.name for moment in moments if recording.find_pair_problem(moment[0].index)]
+        wrong = [
+            moment[0].grasp.name
+            for moment in moments
+            if recording.find_pair_problem(moment[0].index)
+        ]
         found += [moment for moment in moments if not recording.find_pair_problem(moment[0].index)]
         notes |= dict.fromkeys(_describe_recording(recording, streams, wrong))
     if not found:
@@ -142,9 +161,11 @@ def open_pairs(folder: PairFolder, source_name: str, target_name: str) -> PairSe
     for moment, role in zip(found, hold_out.roles, strict=True):
         places.setdefault(role, []).extend(moment)
     return PairSet(
-        source=source, target=target, notes=(*hold_out.notes, *notes),
+        source=source,
+        target=target,
+        notes=(*hold_out.notes, *notes),
         places={role: _shuffle(of_role) for role, of_role in places.items()},
-    )  # fmt: skip
+    )
 
 
 def _shuffle(places: Sequence[PairPlace]) -> tuple[PairPlace, ...]:
@@ -160,7 +181,9 @@ def _list_recordings(path: Path) -> list[Path]:
 
 
 def _name_grasps(file: Path, n: int) -> tuple[Grasp, ...]:
-    """Grasps of a recording of one tool, which its name tells, perhaps with the split: `<tool>_train.pt`."""
+    """Grasps of a recording of one tool, which its name tells, perhaps with the split:
+    `<tool>_train.pt`.
+    """
     match = _SPLIT_NAME.match(file.stem)
     tool, split = (match["tool"], match["split"]) if match else (file.stem, "")
     return tuple(Grasp(tool=tool, split=split, number=k) for k in range(n))
@@ -183,9 +206,15 @@ def _list_moments(
         for index, partner in enumerate(pair_frames(one, other).partners.tolist()):
             if partner != NO_PARTNER:
                 moments[index].append(
-                    PairPlace(recording=recording, source_stream=one, target_stream=other, index=index,
-                              target_index=partner, grasp=grasps[index])
-                )  # fmt: skip
+                    PairPlace(
+                        recording=recording,
+                        source_stream=one,
+                        target_stream=other,
+                        index=index,
+                        target_index=partner,
+                        grasp=grasps[index],
+                    )
+                )
     return [tuple(moment) for moment in moments if moment]
 
 
@@ -196,7 +225,10 @@ def _describe_recording(
     notes = list(recording.notes)
     if wrong:
         more = ", ..." if len(wrong) > _MAX_NAMES else ""
-        notes.append(f"{len(wrong)} wrong pairs are left out: {', '.join(wrong[:_MAX_NAMES])}{more}; see inspect")
+        notes.append(
+            f"{len(wrong)} wrong pairs are left out: {', '.join(wrong[:_MAX_NAMES])}{more}; see "
+            "inspect"
+        )
     notes += [note for pair in streams if (note := pair_frames(*pair).note)]
     if one.sensor != other.sensor and recording.target_from_source(one.name, other.name) is None:
         notes.append("the recording has no target_from_source: the sensors' descriptions are used")
@@ -236,7 +268,9 @@ class PairTask:
         """What was held out, assumed or left out."""
         return self._pairs.notes
 
-    def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
+    def compute_loss(
+        self, network: nn.Module, batch: Mapping[str, Tensor]
+    ) -> tuple[Tensor, dict[str, Any]]:
         """The task's."""
         return self.task.compute_loss(network, batch)
 
@@ -248,14 +282,25 @@ class PairTask:
     def _pairs(self) -> PairSet:
         return open_pairs(self.folder, *self.task.pair_sensors)
 
-    def _make_example(self, order: Any, rng: np.random.Generator, *, is_validation: bool) -> Example:
+    def _make_example(
+        self, order: Any, rng: np.random.Generator, *, is_validation: bool
+    ) -> Example:
         for place in order:
-            key = self.task, self.folder, str(place.recording.path), place.source_stream.name, place.index
-            (prepared,) = _prepared.get_or_make(key, lambda p=place: (self.task.prepare_pair(self._pairs.load(p)),))
+            key = (
+                self.task,
+                self.folder,
+                str(place.recording.path),
+                place.source_stream.name,
+                place.index,
+            )
+            (prepared,) = _prepared.get_or_make(
+                key, lambda p=place: (self.task.prepare_pair(self._pairs.load(p)),)
+            )
             if prepared is not None:
                 return self.task.make_pair_example(prepared, rng, is_validation=is_validation)
         raise FileProblem(
-            "no pair that was tried is touched on both sides and has what is trained on", self.folder.path
+            "no pair that was tried is touched on both sides and has what is trained on",
+            self.folder.path,
         )
 
 
@@ -274,11 +319,14 @@ _prepared: Memo[tuple[Any, ...], tuple[Any]] = Memo(most_bytes=1 << 30)
 
 
 def use_pairs(task: Task, folder: PairFolder) -> Task:
-    """`task` on recorded pairs; `task` itself without a folder. Raises SettingProblem for a task that cannot."""
+    """`task` on recorded pairs; `task` itself without a folder. Raises SettingProblem for a task
+    that cannot.
+    """
     if not folder.path:
         return task
     if not hasattr(task, "make_pair_example"):
         raise SettingProblem(
-            f"the task {type(task).__name__} does not train on pairs; train t2t, latent, vqvae or depth_anything"
+            f"the task {type(task).__name__} does not train on pairs; train t2t, latent, vqvae or "
+            "depth_anything"
         )
     return PairTask(task=task, folder=folder)

@@ -1,4 +1,6 @@
-"""The state of a training run as one file, replaced in one step so that a kill leaves a complete one."""
+"""The state of a training run as one file, replaced in one step so that a kill leaves a complete
+one.
+"""
 
 import io
 import json
@@ -17,7 +19,9 @@ _MAX_BYTES = 32 << 30
 
 @dataclass(slots=True, kw_only=True)
 class TrainingState:
-    """A run after `step` steps. Holds tensors, numbers and texts only: loading it executes no code."""
+    """A run after `step` steps. Holds tensors, numbers and texts only: loading it executes no
+    code.
+    """
 
     recipe: str  # as JSON
     command: str = ""
@@ -30,7 +34,8 @@ class TrainingState:
     network_tensors: dict[str, Any] = field(default_factory=dict)
     averaged_tensors: dict[str, Any] = field(default_factory=dict)
     optimiser_state: dict[str, Any] = field(default_factory=dict)
-    sums: dict[str, float] = field(default_factory=dict)  # over the steps since the last row of the curve
+    # over the steps since the last row of the curve
+    sums: dict[str, float] = field(default_factory=dict)
     n_summed: int = 0
     curve: list[dict[str, float]] = field(default_factory=list)
     metrics: list[dict[str, Any]] = field(default_factory=list)  # step, split, name, value
@@ -65,18 +70,27 @@ def load_state(folder: Path) -> TrainingState:
         raise FileProblem("this folder holds no training run", folder)
     content = read_bytes(path, _WHAT, _MAX_BYTES)
     try:
-        return TrainingState(**torch.load(io.BytesIO(content), map_location="cpu", weights_only=True))
+        return TrainingState(
+            **torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+        )
     except Exception as error:  # torch raises several unrelated errors for damaged files
-        raise FileProblem(f"{_WHAT} is damaged or of another version; train again in another --out", path) from error
+        raise FileProblem(
+            f"{_WHAT} is damaged or of another version; train again in another --out", path
+        ) from error
 
 
 def load_for_resume(folder: Path, recipe: Recipe) -> TrainingState:
-    """The state in a folder; raises FileProblem, and SettingProblem where its recipe is another one."""
+    """The state in a folder; raises FileProblem, and SettingProblem where its recipe is another
+    one.
+    """
     state = load_state(folder)
     if state.recipe != serialise_recipe(recipe):
-        before, now = json.loads(state.recipe), recipe.plain_values
+        before = json.loads(state.recipe)
+        now = recipe.plain_values
         changes = [
-            f"{key}: {before.get(key)} before, {now.get(key)} now" for key in now if before.get(key) != now.get(key)
+            f"{key}: {before.get(key)} before, {now.get(key)} now"
+            for key in now
+            if before.get(key) != now.get(key)
         ]
         raise SettingProblem(
             f"the run in {str(folder)!r} has another recipe ({'; '.join(changes)}); "

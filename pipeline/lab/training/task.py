@@ -1,4 +1,5 @@
-"""Tasks that can be trained: each gives examples, a loss and metrics, is one module and one line of `TASKS`.
+"""Tasks that can be trained: each gives examples, a loss and metrics, is one module and one line of
+`TASKS`.
 
 Loads neither torch nor numpy: the command line reads the table to list what can be trained.
 """
@@ -26,7 +27,8 @@ VALIDATION_SEED = 7  # of presses for validation; recipes train with press_seed 
 
 
 class Task(Protocol):
-    """A frozen dataclass whose fields are `pipeline.core.params.setting`s: the [settings] of a recipe.
+    """A frozen dataclass whose fields are `pipeline.core.params.setting`s: the [settings] of a
+    recipe.
 
     Worker processes receive it to make examples, so its module loads no torch on import.
     """
@@ -42,16 +44,21 @@ class Task(Protocol):
         """Validation example `index`; the same on every call, and never trained on."""
         ...
 
-    def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
+    def compute_loss(
+        self, network: nn.Module, batch: Mapping[str, Tensor]
+    ) -> tuple[Tensor, dict[str, Any]]:
         """The loss, a mean over the examples, and its named terms (numbers or scalar tensors).
 
-        `network` is only called: it may be wrapped for several processes. `distributed.unwrap_network` gives its
-        configuration. Its output is float32 in any precision.
+        `network` is only called: it may be wrapped for several processes.
+        `distributed.unwrap_network` gives its configuration. Its output is float32 in any
+        precision.
         """
         ...
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
-        """Metrics on validation examples: name with unit -> value, such as "error in contact, um"."""
+        """Metrics on validation examples: name with unit -> value, such as "error in contact,
+        um".
+        """
         ...
 
 
@@ -60,7 +67,10 @@ class HasNotes(Protocol):
     """Further method of a task that trains on recordings."""
 
     def collect_notes(self) -> tuple[str, ...]:
-        """Open the recordings and return what was assumed or left out; called before training starts."""
+        """Open the recordings and return what was assumed or left out.
+
+        Called before training starts.
+        """
         ...
 
 
@@ -87,13 +97,21 @@ TASKS: dict[str, TaskEntry] = {
     ),
     "vqvae": TaskEntry(subcommand="vqvae", import_path="pipeline.lab.training.vqvae:VqVaeTask"),
     "latent": TaskEntry(subcommand="latent", import_path="pipeline.lab.training.latent:LatentTask"),
-    "touch_pose": TaskEntry(subcommand="pose", import_path="pipeline.lab.training.touch_pose:TouchPoseTask"),
-    "bubble_depth": TaskEntry(subcommand="depth", import_path="pipeline.lab.training.bubble_depth:BubbleDepthTask"),
+    "touch_pose": TaskEntry(
+        subcommand="pose", import_path="pipeline.lab.training.touch_pose:TouchPoseTask"
+    ),
+    "bubble_depth": TaskEntry(
+        subcommand="depth", import_path="pipeline.lab.training.bubble_depth:BubbleDepthTask"
+    ),
     "touch_residual": TaskEntry(
         subcommand="t2d2", import_path="pipeline.lab.training.touch_residual:TouchResidualTask"
     ),
-    "cloned_policy": TaskEntry(subcommand="policy", import_path="pipeline.lab.tasks.cloning:ClonedPolicyTask"),
-    "touch_to_touch": TaskEntry(subcommand="t2t", import_path="pipeline.lab.training.touch_to_touch:TouchToTouchTask"),
+    "cloned_policy": TaskEntry(
+        subcommand="policy", import_path="pipeline.lab.tasks.cloning:ClonedPolicyTask"
+    ),
+    "touch_to_touch": TaskEntry(
+        subcommand="t2t", import_path="pipeline.lab.training.touch_to_touch:TouchToTouchTask"
+    ),
 }
 
 
@@ -110,7 +128,9 @@ class StoredPresses:
     """Settings of the simulated presses that a task's examples are made of."""
 
     press_seed: int = setting(1, "Seed of presses", low=0, high=2**31 - 1)
-    folder: str = setting("", "Folder", help="stores simulated presses for other runs; empty = simulated in every run")
+    folder: str = setting(
+        "", "Folder", help="stores simulated presses for other runs; empty = simulated in every run"
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,7 +138,11 @@ class SimulatedPresses(StoredPresses):
     """Settings of a task whose examples are drawn from a number of presses."""
 
     n_presses: int = setting(
-        2000, "Presses", low=1, high=10_000_000, help="simulated presses that all examples are drawn from"
+        2000,
+        "Presses",
+        low=1,
+        high=10_000_000,
+        help="simulated presses that all examples are drawn from",
     )
 
 

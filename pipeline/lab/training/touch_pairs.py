@@ -1,8 +1,8 @@
 """Touches that a gel and a bubble record of the same press, for touch to touch.
 
-The bubble's camera is widened to be symmetric about its axis, so that a pair can be mirrored: the mirrored pair is what
-the mirrored object gives. The gel's image is rendered anew then, by another sensor instance, since its LEDs are not
-symmetric.
+The bubble's camera is widened to be symmetric about its axis, so that a pair can be mirrored: the
+mirrored pair is what the mirrored object gives. The gel's image is rendered anew then, by another
+sensor instance, since its LEDs are not symmetric.
 """
 
 from dataclasses import dataclass, replace
@@ -15,7 +15,12 @@ from pipeline.core.arrays import Floats, Mask, freeze
 from pipeline.core.derived import derive_once
 from pipeline.core.geometry.camera import Camera
 from pipeline.lab.training.object_sampling import DATA_SPLITS, DataSplit, SampleCache, sample_object
-from pipeline.lab.training.target_touches import CATALOGUE_SHARE, DEEPER_MM, SMALL_SHARE, TRAINING_DEPTH_MM
+from pipeline.lab.training.target_touches import (
+    CATALOGUE_SHARE,
+    DEEPER_MM,
+    SMALL_SHARE,
+    TRAINING_DEPTH_MM,
+)
 from pipeline.physics import optics
 from pipeline.physics.simulation import poses, variation
 from pipeline.physics.simulation.datasets import BUBBLE_DEEPER_MM
@@ -24,9 +29,12 @@ from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.stages.touch.depth_condition import make_working_sensor
 
 VERSION = 4  # part of the seeds: incremented when the same number gives another pair
-GEL, BUBBLE = "gelslim", "soft_bubble"
+GEL = "gelslim"
+BUBBLE = "soft_bubble"
 _AS_RECORDED_SHARE = 0.5  # bubbles that come as close as in the data sets
-_ABOVE_SHARE, _ABOVE_MM = 0.06, (-4.0, 0.0)  # training presses that only a bubble feels: share, depth over the gel
+# training presses that only a bubble feels: share, depth over the gel
+_ABOVE_SHARE = 0.06
+_ABOVE_MM = (-4.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +63,9 @@ _pairs = SampleCache(TouchPair)
 
 
 def place_nominal_sensors(deeper_mm: float) -> tuple[SensorSpec, SensorSpec]:
-    """Gel and bubble as described, on their working grids, the bubble `deeper_mm` closer to the object."""
+    """Gel and bubble as described, on their working grids, the bubble `deeper_mm` closer to the
+    object.
+    """
     gel, bubble = _load_working_sensors()
     return gel, move_bubble_closer(bubble, deeper_mm)
 
@@ -69,7 +79,11 @@ def simulate_touch_pair(
     """
 
     def make() -> TouchPair:
-        return _simulate_pair(split, np.random.default_rng([VERSION, 13, DATA_SPLITS.index(split), seed, index]), index)
+        return _simulate_pair(
+            split,
+            np.random.default_rng([VERSION, 13, DATA_SPLITS.index(split), seed, index]),
+            index,
+        )
 
     pair = _pairs.get(f"pair_{split}_{seed}_{index}", folder, make)
     has_contact = pair.gel_contact.any() or (bubble_alone and pair.bubble_contact.any())
@@ -80,10 +94,13 @@ def _simulate_pair(split: DataSplit, rng: np.random.Generator, index: int) -> To
     as_recorded = split != "training" or rng.random() < _AS_RECORDED_SHARE
     deeper = BUBBLE_DEEPER_MM if as_recorded else rng.uniform(*DEEPER_MM)
     gel, bubble = (
-        variation.vary_sensor(spec, int(rng.integers(1 << 31)), 1.0) for spec in place_nominal_sensors(deeper)
+        variation.vary_sensor(spec, int(rng.integers(1 << 31)), 1.0)
+        for spec in place_nominal_sensors(deeper)
     )
     bubble = bubble.with_camera(make_symmetric_camera(bubble.camera))
-    _, mesh = sample_object(split, rng, index, catalogue_share=CATALOGUE_SHARE, small_share=SMALL_SHARE)
+    _, mesh = sample_object(
+        split, rng, index, catalogue_share=CATALOGUE_SHARE, small_share=SMALL_SHARE
+    )
     depth_mm = poses.DEPTH_RANGE_MM if split != "training" else TRAINING_DEPTH_MM
     if split == "training" and rng.random() < _ABOVE_SHARE:
         depth_mm = _ABOVE_MM
@@ -92,14 +109,20 @@ def _simulate_pair(split: DataSplit, rng: np.random.Generator, index: int) -> To
     on_bubble = simulate_press(mesh, pose, bubble, seed=None)
     change = on_gel.image.astype(np.float32) - optics.render_reference(gel).astype(np.float32)
     return TouchPair(
-        change_grey=change, gel_mm=on_gel.indentation_mm, gel_contact=on_gel.contact,
-        symmetric_bubble_mm=on_bubble.indentation_mm, symmetric_bubble_contact=on_bubble.contact,
+        change_grey=change,
+        gel_mm=on_gel.indentation_mm,
+        gel_contact=on_gel.contact,
+        symmetric_bubble_mm=on_bubble.indentation_mm,
+        symmetric_bubble_contact=on_bubble.contact,
         deeper_mm=np.array([deeper], np.float32),
-    )  # fmt: skip
+    )
 
 
 def mirror_pair(pair: TouchPair, rng: np.random.Generator) -> TouchPair:
-    """The pair mirrored across x, y, both or neither; the gel's image is rendered by another sensor instance."""
+    """The pair mirrored across x, y, both or neither.
+
+    The gel's image is rendered by another sensor instance.
+    """
     which = int(rng.integers(4))
     axes = tuple(axis for axis, flips in ((-1, which & 1), (-2, which & 2)) if flips)
 
@@ -111,16 +134,26 @@ def mirror_pair(pair: TouchPair, rng: np.random.Generator) -> TouchPair:
     image = optics.render(gel, gel_mm, seed=int(rng.integers(1 << 31)))
     change = image.astype(np.float32) - optics.render_reference(gel).astype(np.float32)
     return replace(
-        pair, change_grey=freeze(change), gel_mm=gel_mm, gel_contact=flip_field(pair.gel_contact),
+        pair,
+        change_grey=freeze(change),
+        gel_mm=gel_mm,
+        gel_contact=flip_field(pair.gel_contact),
         symmetric_bubble_mm=flip_field(pair.symmetric_bubble_mm),
         symmetric_bubble_contact=flip_field(pair.symmetric_bubble_contact),
-    )  # fmt: skip
+    )
 
 
 def make_symmetric_camera(camera: Camera) -> Camera:
-    """The smallest camera that holds all pixels of this one and has its axis in the middle, to half a pixel."""
-    (before_x, cols), (before_y, rows) = _pad_axis(camera.cx_px, camera.cols), _pad_axis(camera.cy_px, camera.rows)
-    return replace(camera, rows=rows, cols=cols, cx_px=camera.cx_px + before_x, cy_px=camera.cy_px + before_y)
+    """The smallest camera that holds all pixels of this one and has its axis in the middle, to
+    half a pixel.
+    """
+    (before_x, cols), (before_y, rows) = (
+        _pad_axis(camera.cx_px, camera.cols),
+        _pad_axis(camera.cy_px, camera.rows),
+    )
+    return replace(
+        camera, rows=rows, cols=cols, cx_px=camera.cx_px + before_x, cy_px=camera.cy_px + before_y
+    )
 
 
 def _pad_axis(centre_px: float, n: int) -> tuple[int, int]:
@@ -133,7 +166,8 @@ def _pad_axis(centre_px: float, n: int) -> tuple[int, int]:
 def _crop_to_camera() -> tuple[slice, slice]:
     """The pixels of the bubble's own camera in the symmetric one."""
     camera = _load_working_sensors()[1].camera
-    x, y = _pad_axis(camera.cx_px, camera.cols)[0], _pad_axis(camera.cy_px, camera.rows)[0]
+    x = _pad_axis(camera.cx_px, camera.cols)[0]
+    y = _pad_axis(camera.cy_px, camera.rows)[0]
     return slice(y, y + camera.rows), slice(x, x + camera.cols)
 
 

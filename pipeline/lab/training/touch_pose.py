@@ -1,8 +1,10 @@
-"""Task: an object's pose from a sensor's own touches, for the paper's tactile metric and the encoder of touch sets.
+"""Task: an object's pose from a sensor's own touches, for the paper's tactile metric and the
+encoder of touch sets.
 
-All objects of the catalogue are trained on, the unseen tools of the translators included: this network judges a touch,
-it is not judged. A bubble's touches are shown whole, in part (`PartialTouch`) and mixed, rotated and mirrored as its
-camera and the object allow, and never as a translator generates them.
+All objects of the catalogue are trained on, the unseen tools of the translators included: this
+network judges a touch, it is not judged. A bubble's touches are shown whole, in part
+(`PartialTouch`) and mixed, rotated and mirrored as its camera and the object allow, and never as a
+translator generates them.
 """
 
 from __future__ import annotations
@@ -40,8 +42,11 @@ if TYPE_CHECKING:
 
 TouchSensor = Literal["gelslim", "soft_bubble"]
 _LEVER_MM = 10.0  # one radian of rotation weighs as this translation
-_HUBER_MM, _HUBER_RAD = 0.3, 0.05  # errors below these count as squares
-_CHIRAL = ("letters", "cross", "wave")  # y -> -y maps all other objects of the catalogue onto themselves
+# errors below these count as squares
+_HUBER_MM = 0.3
+_HUBER_RAD = 0.05
+# y -> -y maps all other objects of the catalogue onto themselves
+_CHIRAL = ("letters", "cross", "wave")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,14 +55,26 @@ class TouchPoseTask(SimulatedPresses):
 
     sensor: TouchSensor = setting("soft_bubble", "Sensor", choices=TouchSensor)
     n_paired_presses: int = setting(
-        0, "Paired presses", low=0, high=10_000_000, help="further presses, of the training objects of pairs"
+        0,
+        "Paired presses",
+        low=0,
+        high=10_000_000,
+        help="further presses, of the training objects of pairs",
     )
-    name_weight: float = setting(0.3, "Class weight", low=0.0, high=100.0, help="of the object's class")
+    name_weight: float = setting(
+        0.3, "Class weight", low=0.0, high=100.0, help="of the object's class"
+    )
     partial_share: float = setting(
-        0.7, "Partial share", low=0.0, high=1.0, help="partial touches; half of them are mixed with the whole touch"
+        0.7,
+        "Partial share",
+        low=0.0,
+        high=1.0,
+        help="partial touches; half of them are mixed with the whole touch",
     )
     augmentation_share: float = augmentation_setting(help="rotated or mirrored touches of a bubble")
-    unnamed_share: float = setting(0.25, "Unnamed share", low=0.0, high=1.0, help="examples without the object's class")
+    unnamed_share: float = setting(
+        0.25, "Unnamed share", low=0.0, high=1.0, help="examples without the object's class"
+    )
 
     def sample(self, rng: np.random.Generator) -> Example:
         """A touch and its object's pose."""
@@ -67,7 +84,9 @@ class TouchPoseTask(SimulatedPresses):
         number = self._find_named(index - self.n_presses) if paired else index
         partial = not paired and rng.random() < self.partial_share
         whole_share = float(max(0.0, rng.uniform(-1.0, 1.0))) if partial else 1.0
-        example = self._make_example(split, number, self.press_seed, float(rng.random()), whole_share)
+        example = self._make_example(
+            split, number, self.press_seed, float(rng.random()), whole_share
+        )
         if self.sensor == "soft_bubble" and rng.random() < self.augmentation_share:
             example = flip_touch(example, int(rng.integers(1, 4)))
         if rng.random() < self.unnamed_share:
@@ -76,7 +95,9 @@ class TouchPoseTask(SimulatedPresses):
 
     def _find_named(self, index: int) -> int:
         """The first paired press from `index` on whose object is of the catalogue."""
-        while not simulate_touch_squares("training", self.press_seed, index, self.folder).object_name:
+        while not simulate_touch_squares(
+            "training", self.press_seed, index, self.folder
+        ).object_name:
             index += 1
         return index
 
@@ -86,24 +107,41 @@ class TouchPoseTask(SimulatedPresses):
             return self._make_example(split, index, VALIDATION_SEED, 1.0, 1.0)
         return self._make_example(split, index // 2, VALIDATION_SEED, 1.0, float(index % 2 == 0))
 
-    def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
-        """Translation error, rotation error up to the object's symmetry, and cross entropy of the object's class."""
+    def compute_loss(
+        self, network: nn.Module, batch: Mapping[str, Tensor]
+    ) -> tuple[Tensor, dict[str, Any]]:
+        """Translation error, rotation error up to the object's symmetry, and cross entropy of
+        the object's class.
+        """
         from torch.nn import functional
 
-        prediction, truth = network(batch["square"], batch["object_one_hot"]), batch["truth"]
+        prediction = network(batch["square"], batch["object_one_hot"])
+        truth = batch["truth"]
         if int(truth[:, 3].max()) > prediction.headings.shape[1]:
-            raise SettingProblem("n_folds of the network must be 6 to predict the rotation of a hexagon")
-        translation = functional.huber_loss(prediction.translation_mm, truth[:, :2], delta=_HUBER_MM) / _HUBER_MM
+            raise SettingProblem(
+                "n_folds of the network must be 6 to predict the rotation of a hexagon"
+            )
+        translation = (
+            functional.huber_loss(prediction.translation_mm, truth[:, :2], delta=_HUBER_MM)
+            / _HUBER_MM
+        )
         rotation = compute_rotation_loss(prediction.headings, truth[:, 2], truth[:, 3]).mean()
         name = functional.cross_entropy(prediction.object_logits, truth[:, 4].long())
         loss = translation + rotation + self.name_weight * name
-        return loss, {"translation": translation.detach(), "rotation": rotation.detach(), "class": name.detach()}
+        return loss, {
+            "translation": translation.detach(),
+            "rotation": rotation.detach(),
+            "class": name.detach(),
+        }
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
         """Mean errors and accuracy of the object's class; partial touches by themselves."""
         import torch
 
-        inputs = (torch.from_numpy(np.stack([e[key] for e in held_out])) for key in ("square", "object_one_hot"))
+        inputs = (
+            torch.from_numpy(np.stack([e[key] for e in held_out]))
+            for key in ("square", "object_one_hot")
+        )
         with torch.inference_mode():
             prediction = network(*inputs)
         truth = np.stack([example["truth"] for example in held_out])
@@ -121,11 +159,17 @@ class TouchPoseTask(SimulatedPresses):
                 metrics[f"{prefix}object accuracy"] = float(correct[those].mean())
         return metrics
 
-    def _make_example(self, split: DataSplit, index: int, seed: int, noise_share: float, whole_share: float) -> Example:
-        """Touch `index` with a share of its noise; `whole_share` 0 shows its part alone, 1 the whole touch."""
+    def _make_example(
+        self, split: DataSplit, index: int, seed: int, noise_share: float, whole_share: float
+    ) -> Example:
+        """Touch `index` with a share of its noise.
+
+        `whole_share` 0 shows its part alone, 1 the whole touch.
+        """
         touch = simulate_touch_squares(split, seed, index, self.folder)
         if self.sensor == "gelslim":
-            whole_share, square = 1.0, normalise(touch.nominal_gel_change, "gel")
+            whole_share = 1.0
+            square = normalise(touch.nominal_gel_change, "gel")
         else:  # a generated touch has less noise than a recorded one
             noise = touch.bubble_imprint_mm - touch.exact_imprint_mm
             imprint = touch.exact_imprint_mm + np.float32(noise_share) * noise
@@ -134,8 +178,10 @@ class TouchPoseTask(SimulatedPresses):
                 part = part if part.any() else imprint
                 imprint = np.float32(whole_share) * imprint + np.float32(1.0 - whole_share) * part
             square = normalise(imprint.astype(np.float32), "bubble")
-        pose, names = touch.alignment_from_object, shapes.list_labelled_shapes()
-        label, angle = names.index(touch.object_name), math.atan2(pose[1, 0], pose[0, 0])
+        pose = touch.alignment_from_object
+        names = shapes.list_labelled_shapes()
+        label = names.index(touch.object_name)
+        angle = math.atan2(pose[1, 0], pose[0, 0])
         one_hot = np.zeros(len(names), np.float32)
         one_hot[label] = 1.0
         fold = shapes.make_shape(touch.object_name).symmetry.fold
@@ -146,8 +192,9 @@ class TouchPoseTask(SimulatedPresses):
 def flip_touch(example: Example, which: int) -> Example:
     """A bubble's touch mirrored across x (1), across y (2) or rotated by 180 degrees (3).
 
-    The centre is the camera's axis, not the middle of the image. The example itself comes back for an object that is
-    not mirrored onto itself, and where the object would be held at an angle that does not occur.
+    The centre is the camera's axis, not the middle of the image. The example itself comes back for
+    an object that is not mirrored onto itself, and where the object would be held at an angle that
+    does not occur.
     """
     import cv2
 
@@ -158,22 +205,37 @@ def flip_touch(example: Example, which: int) -> Example:
     angle = math.remainder(angle, 2.0 * math.pi / fold) if fold else 0.0
     if abs(angle) > math.radians(poses.MAX_ANGLE_DEG):
         return example
-    camera, square = load_nominal_sensors()[1].camera, example["square"]
+    camera = load_nominal_sensors()[1].camera
+    square = example["square"]
     side = square.shape[-1]
     middle_x = (camera.cx_px + 0.5) * side / camera.cols - 0.5
     middle_y = (camera.cy_px + 0.5) * side / camera.rows - 0.5
-    flip_x, flip_y = which in (1, 3), which in (2, 3)
-    matrix = np.array([[-1.0, 0.0, 2.0 * middle_x] if flip_x else [1.0, 0.0, 0.0],
-                       [0.0, -1.0, 2.0 * middle_y] if flip_y else [0.0, 1.0, 0.0]])  # fmt: skip
-    warped = cv2.warpAffine(square[0], matrix, (side, side), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    flip_x = which in (1, 3)
+    flip_y = which in (2, 3)
+    matrix = np.array(
+        [
+            [-1.0, 0.0, 2.0 * middle_x] if flip_x else [1.0, 0.0, 0.0],
+            [0.0, -1.0, 2.0 * middle_y] if flip_y else [0.0, 1.0, 0.0],
+        ]
+    )
+    warped = cv2.warpAffine(
+        square[0], matrix, (side, side), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
     truth = (-x if flip_x else x, -y if flip_y else y, angle, fold, label, whole)
-    return {**example, "square": np.asarray(warped, np.float32)[None], "truth": np.array(truth, np.float32)}
+    return {
+        **example,
+        "square": np.asarray(warped, np.float32)[None],
+        "truth": np.array(truth, np.float32),
+    }
 
 
 def compute_rotation_loss(headings: Tensor, angle_rad: Tensor, fold: Tensor) -> Tensor:
-    """Rotation errors (n,) in mm at the lever, the least over an object's `fold`-fold symmetry; 0 for fold 0.
+    """Rotation errors (n,) in mm at the lever, the least over an object's `fold`-fold symmetry.
 
-    Compares unit vectors of the multiple of the angle, so that an uncertain prediction is a shorter vector.
+    0 for fold 0.
+
+    Compares unit vectors of the multiple of the angle, so that an uncertain prediction is a shorter
+    vector.
     """
     import torch
 
@@ -199,9 +261,9 @@ _TOLERANCE_UM = 20.0  # of the physical render: a square's pixels are coarser
 class PartialTouch:
     """The imprint of the observed part of a bubble's touch: a gel's window, a slice of its surface.
 
-    A pose network trained on whole touches alone reads a translated touch, which ends where the source's view ends, as
-    a smaller object elsewhere. No source is simulated and no generated touch is used: the observation is sampled
-    (`source_observation`) and the bubble's physics renders it.
+    A pose network trained on whole touches alone reads a translated touch, which ends where the
+    source's view ends, as a smaller object elsewhere. No source is simulated and no generated touch
+    is used: the observation is sampled (`source_observation`) and the bubble's physics renders it.
     """
 
     imprint_mm: Floats  # (1, side, side); 0 where nothing of the object is observed
@@ -210,18 +272,30 @@ class PartialTouch:
 _parts = SampleCache(PartialTouch, max_bytes=1 << 29)
 
 
-def simulate_partial_touch(split: DataSplit, seed: int, index: int, folder: str = "") -> PartialTouch:
-    """A part of that touch of `touch_squares`, whose object must be of the catalogue; the same on every call."""
-    return _parts.get(f"part_{split}_{seed}_{index}", folder, lambda: _simulate_part(split, seed, index, folder))
+def simulate_partial_touch(
+    split: DataSplit, seed: int, index: int, folder: str = ""
+) -> PartialTouch:
+    """A part of that touch of `touch_squares`, whose object must be of the catalogue.
+
+    The same on every call.
+    """
+    return _parts.get(
+        f"part_{split}_{seed}_{index}", folder, lambda: _simulate_part(split, seed, index, folder)
+    )
 
 
 def _simulate_part(split: DataSplit, seed: int, index: int, folder: str) -> PartialTouch:
     rng = np.random.default_rng([VERSION, 19, DATA_SPLITS.index(split), seed, index])
     touch = simulate_touch_squares(split, seed, index, folder)
-    bubble, mesh = _load_working_bubble(), shapes.make_shape(touch.object_name).mesh
-    vertices = rigid.apply(rigid.invert(bubble.alignment_from_sensor) @ touch.alignment_from_object, mesh.vertices_mm)
+    bubble = _load_working_bubble()
+    mesh = shapes.make_shape(touch.object_name).mesh
+    vertices = rigid.apply(
+        rigid.invert(bubble.alignment_from_sensor) @ touch.alignment_from_object, mesh.vertices_mm
+    )
     surface = render_mesh(vertices, mesh.triangles, bubble.camera)[0]
-    view = make_target_depth(bubble, simulate_source_observation(rng, surface, bubble, gel_share=1.0))
+    view = make_target_depth(
+        bubble, simulate_source_observation(rng, surface, bubble, gel_share=1.0)
+    )
     membrane = render_touch(view, bubble, PhysicalRenderParams(tolerance_um=_TOLERANCE_UM)).membrane
     assert membrane is not None
     return PartialTouch(imprint_mm=resize_to_square(membrane.indentation_mm[..., None]))

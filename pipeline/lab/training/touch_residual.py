@@ -1,4 +1,6 @@
-"""Task of touch to depth to touch: what the physical render misses, trained on touches of the target alone."""
+"""Task of touch to depth to touch: what the physical render misses, trained on touches of the
+target alone.
+"""
 
 from __future__ import annotations
 
@@ -52,29 +54,43 @@ class TouchResidualTask(DenoisingTask):
 
     def _make_example(self, touch: TargetTouchSample) -> Example:
         condition = build_depth_condition(
-            self.kind, touch.observed_mm, touch.observed, touch.in_view, touch.physical_mm, touch.physical_contact
-        )  # fmt: skip
+            self.kind,
+            touch.observed_mm,
+            touch.observed,
+            touch.in_view,
+            touch.physical_mm,
+            touch.physical_contact,
+        )
         return make_residual_example(
-            condition, touch.target_mm - touch.physical_mm, touch.target_contact, touch.physical_contact, self.kind
+            condition,
+            touch.target_mm - touch.physical_mm,
+            touch.target_contact,
+            touch.physical_contact,
+            self.kind,
         )
 
 
 def flip_example(example: Example, rng: np.random.Generator, share: float) -> Example:
     """The example, with probability `share` rotated by 180 degrees or mirrored."""
-    flips, which = rng.random() < share, int(rng.integers(3))
+    flips = rng.random() < share
+    which = int(rng.integers(3))
     if not flips:
         return example
     axes = ((-1,), (-2,), (-2, -1))[which]
     return {name: np.ascontiguousarray(np.flip(a, axes)) for name, a in example.items()}
 
 
-def make_residual_example(condition: Floats, residual_mm: Floats, contact: Any, baseline: Any, kind: str) -> Example:
+def make_residual_example(
+    condition: Floats, residual_mm: Floats, contact: Any, baseline: Any, kind: str
+) -> Example:
     """Condition, residual and contact of a denoiser.
 
-    contact: where the target has contact; baseline: where the physical render has. The residual (2, rows, cols) is that
-    of indentation, in units of `TouchFormat.residual_unit_mm`, and that of contact.
+    contact: where the target has contact; baseline: where the physical render has. The residual (2,
+    rows, cols) is that of indentation, in units of `TouchFormat.residual_unit_mm`, and that of
+    contact.
     """
-    true, physical = contact.astype(np.float32), baseline.astype(np.float32)
+    true = contact.astype(np.float32)
+    physical = baseline.astype(np.float32)
     return {
         "condition": np.ascontiguousarray(condition),
         "residual": np.stack(

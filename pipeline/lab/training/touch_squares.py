@@ -1,7 +1,8 @@
-"""Touches that a GelSlim and a bubble record of the same press, resized to squares, with the object's pose.
+"""Touches that a GelSlim and a bubble record of the same press, resized to squares, with the
+object's pose.
 
-Sensor instances differ from press to press as those of a lab do, and frames have their cameras' noise. The gel's
-surface is also rendered by the nominal sensor, for which touches are generated.
+Sensor instances differ from press to press as those of a lab do, and frames have their cameras'
+noise. The gel's surface is also rendered by the nominal sensor, for which touches are generated.
 """
 
 from dataclasses import dataclass
@@ -11,7 +12,13 @@ import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats, freeze
 from pipeline.core.derived import derive_once
-from pipeline.lab.training.object_sampling import DATA_SPLITS, DataSplit, SampleCache, find_next_contact, sample_object
+from pipeline.lab.training.object_sampling import (
+    DATA_SPLITS,
+    DataSplit,
+    SampleCache,
+    find_next_contact,
+    sample_object,
+)
 from pipeline.lab.training.recorded_pairs import RecordedPair
 from pipeline.lab.training.touch_pairs import BUBBLE, GEL
 from pipeline.physics.sensor_images import render_reference, render_sensor_image
@@ -58,14 +65,18 @@ class TouchSquares:
 _touches = SampleCache(TouchSquares)
 
 
-def simulate_touch_squares(split: DataSplit, seed: int, index: int, folder: str = "") -> TouchSquares:
+def simulate_touch_squares(
+    split: DataSplit, seed: int, index: int, folder: str = ""
+) -> TouchSquares:
     """Touch `index` of a seed, or the next with contact on both sensors; the same on every call.
 
     Raises SettingProblem where none of the next hundred has one.
     """
 
     def simulate(k: int) -> TouchSquares | None:
-        touch = _touches.get(f"squares_{split}_{seed}_{k}", folder, lambda: _simulate_squares(split, seed, k))
+        touch = _touches.get(
+            f"squares_{split}_{seed}_{k}", folder, lambda: _simulate_squares(split, seed, k)
+        )
         return touch if touch.exact_imprint_mm.any() and touch.gel_change.any() else None
 
     return find_next_contact(simulate, index)
@@ -76,7 +87,11 @@ def read_square_pair(pair: RecordedPair, side: int = SIDE) -> SquarePair:
     changes: list[Floats] = []
     for frame, sensor in ((pair.source_frame, pair.source), (pair.target_frame, pair.target)):
         reference = render_reference(sensor) if frame.reference is None else frame.reference
-        changes.append(resize_to_square(sensor.sensor_kind.compute_relative_change(frame.image, reference), side))
+        changes.append(
+            resize_to_square(
+                sensor.sensor_kind.compute_relative_change(frame.image, reference), side
+            )
+        )
     return SquarePair(changes[0], pair.source.kind, changes[1], pair.target.kind)
 
 
@@ -91,26 +106,41 @@ def _simulate_squares(split: DataSplit, seed: int, index: int) -> TouchSquares:
     pose = poses.sample_press_pose(mesh, rng)
     nominal = load_nominal_sensors()
     instances = [variation.vary_sensor(spec, int(rng.integers(1 << 31)), 1.0) for spec in nominal]
-    has_contact, squares = True, list[Floats]()
+    has_contact = True
+    squares = list[Floats]()
     for instance in instances:
         seeds = [int(s) for s in rng.integers(1 << 31, size=2)]
         is_gel = instance.gel is not None
-        solved = instance.with_camera(instance.camera.scale(1.0 / _GEL_DOWNSAMPLING)) if is_gel else instance
+        solved = (
+            instance.with_camera(instance.camera.scale(1.0 / _GEL_DOWNSAMPLING))
+            if is_gel
+            else instance
+        )
         press = simulate_press(mesh, pose, solved, seed=None)
         has_contact &= press.converged and bool(press.contact.any())
         indentation = _resize(press.indentation_mm, instance.camera.shape)
         for sensor in (instance, nominal[0]) if is_gel else (instance,):
-            image = render_sensor_image(sensor, indentation, sensor.rest_depth_mm - indentation, seeds[0])
-            reference = render_sensor_image(sensor, np.zeros_like(indentation), sensor.rest_depth_mm, seeds[1])
-            squares.append(resize_to_square(sensor.sensor_kind.compute_relative_change(image, reference)))
+            image = render_sensor_image(
+                sensor, indentation, sensor.rest_depth_mm - indentation, seeds[0]
+            )
+            reference = render_sensor_image(
+                sensor, np.zeros_like(indentation), sensor.rest_depth_mm, seeds[1]
+            )
+            squares.append(
+                resize_to_square(sensor.sensor_kind.compute_relative_change(image, reference))
+            )
         if not is_gel:
             squares.append(resize_to_square(indentation[..., None]))
     if not has_contact:
         squares = [np.zeros_like(square) for square in squares]
     return TouchSquares(
-        gel_change=squares[0], nominal_gel_change=squares[1], bubble_imprint_mm=squares[2],
-        exact_imprint_mm=squares[3], alignment_from_object=freeze(pose), object_name=name,
-    )  # fmt: skip
+        gel_change=squares[0],
+        nominal_gel_change=squares[1],
+        bubble_imprint_mm=squares[2],
+        exact_imprint_mm=squares[3],
+        alignment_from_object=freeze(pose),
+        object_name=name,
+    )
 
 
 def _resize(field: Floats, shape: tuple[int, int]) -> Floats:

@@ -1,4 +1,6 @@
-"""Task of touch to touch: the target's touch from the source's frame, trained on simulated pairs."""
+"""Task of touch to touch: the target's touch from the source's frame, trained on simulated
+pairs.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,10 @@ from pipeline.stages.touch.residual_render import resample_to_grid
 if TYPE_CHECKING:
     from pipeline.lab.training.task import Example, Split
 
-_MAX_ROTATION_DEG, _MAX_SCALING, _MAX_TRANSLATION = 5.0, 0.05, 0.03  # the last in shares of the image's rows
+# the last in shares of the image's rows
+_MAX_ROTATION_DEG = 5.0
+_MAX_SCALING = 0.05
+_MAX_TRANSLATION = 0.03
 _MAX_BRIGHTENING = 0.25
 
 
@@ -47,23 +52,32 @@ class ConditionedTouch:
 
 def condition_recorded_pair(pair: RecordedPair) -> ConditionedTouch | None:
     """The pair on the working grid; None where one of the sensors is untouched."""
-    if depth.skip_without_contact(pair.source_frame, pair.source, None, depth.DepthParams()) is not None:
+    if (
+        depth.skip_without_contact(pair.source_frame, pair.source, None, depth.DepthParams())
+        is not None
+    ):
         return None
     truth = pair.target_truth
     if truth is not None and truth.indentation_mm is not None:
-        touch, contact = truth.indentation_mm, derive_contact(truth, pair.target)
+        touch = truth.indentation_mm
+        contact = derive_contact(truth, pair.target)
     else:
-        if depth.skip_without_contact(pair.target_frame, pair.target, None, depth.DepthParams()) is not None:
+        if (
+            depth.skip_without_contact(pair.target_frame, pair.target, None, depth.DepthParams())
+            is not None
+        ):
             return None
         estimate = depth.estimate_depth(pair.target_frame, pair.target, None, depth.DepthParams())
-        touch, contact = np.nan_to_num(estimate.indentation_mm), estimate.contact
+        touch = np.nan_to_num(estimate.indentation_mm)
+        contact = estimate.contact
     if not contact.any():
         return None
     shape = make_working_sensor(pair.target).camera.shape
     return ConditionedTouch(
         condition=t2t.build_condition(pair.source_frame, pair.source, pair.alignment, pair.target),
-        indentation_mm=resample_to_grid(touch, shape), contact=resample_to_grid(contact, shape) > 0.5,
-    )  # fmt: skip
+        indentation_mm=resample_to_grid(touch, shape),
+        contact=resample_to_grid(contact, shape) > 0.5,
+    )
 
 
 def jitter_touch(touch: ConditionedTouch, rng: np.random.Generator) -> ConditionedTouch:
@@ -74,16 +88,29 @@ def jitter_touch(touch: ConditionedTouch, rng: np.random.Generator) -> Condition
     angle = math.radians(rng.uniform(-_MAX_ROTATION_DEG, _MAX_ROTATION_DEG))
     scale = 1.0 + rng.uniform(-_MAX_SCALING, _MAX_SCALING)
     across, down = rng.uniform(-_MAX_TRANSLATION, _MAX_TRANSLATION, 2) * rows
-    cos, sin = scale * math.cos(angle), scale * math.sin(angle)
-    x, y = (cols - 1) / 2, (rows - 1) / 2
-    matrix = np.array([[cos, -sin, x - cos * x + sin * y + across], [sin, cos, y - sin * x - cos * y + down]])
+    cos = scale * math.cos(angle)
+    sin = scale * math.sin(angle)
+    x = (cols - 1) / 2
+    y = (rows - 1) / 2
+    matrix = np.array(
+        [[cos, -sin, x - cos * x + sin * y + across], [sin, cos, y - sin * x - cos * y + down]]
+    )
 
     def warp(field: Any) -> Floats:
-        return np.asarray(cv2.warpAffine(np.asarray(field, np.float32), matrix, (cols, rows), flags=cv2.INTER_LINEAR,
-                                         borderMode=cv2.BORDER_REPLICATE), np.float32)  # fmt: skip
+        return np.asarray(
+            cv2.warpAffine(
+                np.asarray(field, np.float32),
+                matrix,
+                (cols, rows),
+                flags=cv2.INTER_LINEAR,
+                borderMode=cv2.BORDER_REPLICATE,
+            ),
+            np.float32,
+        )
 
     condition = np.stack([warp(channel) for channel in touch.condition])
-    condition[:-1] *= np.float32(1.0 + rng.uniform(-_MAX_BRIGHTENING, _MAX_BRIGHTENING))  # the last channel is a mask
+    # the last channel is a mask
+    condition[:-1] *= np.float32(1.0 + rng.uniform(-_MAX_BRIGHTENING, _MAX_BRIGHTENING))
     return ConditionedTouch(
         condition=freeze(condition),
         indentation_mm=freeze(warp(touch.indentation_mm)),
@@ -95,7 +122,9 @@ def jitter_touch(touch: ConditionedTouch, rng: np.random.Generator) -> Condition
 class TouchToTouchTask(DenoisingTask):
     """Settings of the examples and weights of the loss; from a gel to a bubble."""
 
-    augmentation_share: float = augmentation_setting(help="mirrored examples, three in four of them with a new image")
+    augmentation_share: float = augmentation_setting(
+        help="mirrored examples, three in four of them with a new image"
+    )
 
     @property
     def kind(self) -> str:
@@ -103,13 +132,20 @@ class TouchToTouchTask(DenoisingTask):
         return "bubble"
 
     def sample(self, rng: np.random.Generator) -> Example:
-        """A pair, augmented in a share of the examples; a gel's image is rendered anew, as its LEDs are asymmetric."""
+        """A pair, augmented in a share of the examples.
+
+        A gel's image is rendered anew, as its LEDs are asymmetric.
+        """
         pair = self._get_pair("training", self.press_seed, int(rng.integers(self.n_presses)))
-        return self._make_example(mirror_pair(pair, rng) if rng.random() < self.augmentation_share else pair, rng)
+        return self._make_example(
+            mirror_pair(pair, rng) if rng.random() < self.augmentation_share else pair, rng
+        )
 
     def make_validation_example(self, split: Split, index: int) -> Example:
         """A training object in a new pose, or an unseen tool."""
-        return self._make_example(self._get_pair(split, VALIDATION_SEED, index), np.random.default_rng([17, index]))
+        return self._make_example(
+            self._get_pair(split, VALIDATION_SEED, index), np.random.default_rng([17, index])
+        )
 
     @property
     def pair_sensors(self) -> tuple[str, str]:
@@ -126,12 +162,16 @@ class TouchToTouchTask(DenoisingTask):
         """A recorded pair, moved, rotated and brightened a little unless it validates."""
         touch = prepared if is_validation else jitter_touch(prepared, rng)
         no_contact = np.zeros(touch.contact.shape, np.bool_)
-        return make_residual_example(touch.condition, touch.indentation_mm, touch.contact, no_contact, self.kind)
+        return make_residual_example(
+            touch.condition, touch.indentation_mm, touch.contact, no_contact, self.kind
+        )
 
     def _get_pair(self, split: DataSplit, seed: int, index: int) -> TouchPair:
         """Pair `index`, or the next one with contact on the gel."""
         return find_next_contact(
-            lambda k: simulate_touch_pair(split, seed, k, self.folder), index, "the gel has no contact in"
+            lambda k: simulate_touch_pair(split, seed, k, self.folder),
+            index,
+            "the gel has no contact in",
         )
 
     def _make_example(self, pair: TouchPair, rng: np.random.Generator) -> Example:
@@ -140,4 +180,6 @@ class TouchToTouchTask(DenoisingTask):
         between = alignment.resolve_alignment(gel, bubble)
         condition = build_image_condition(change, gel.camera, gel, bubble, between)
         no_contact = np.zeros(pair.bubble_contact.shape, np.bool_)
-        return make_residual_example(condition, pair.bubble_mm, pair.bubble_contact, no_contact, self.kind)
+        return make_residual_example(
+            condition, pair.bubble_mm, pair.bubble_contact, no_contact, self.kind
+        )

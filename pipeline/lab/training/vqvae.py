@@ -42,17 +42,25 @@ class VqVaeTask(SimulatedPresses):
 
     direction: Direction = setting("gel_to_bubble", "Direction", choices=Direction)
     mirror_share: float = setting(
-        0.0, "Mirrored share", low=0.0, high=1.0, help="as in the paper; a mirrored gel has mirrored LEDs"
+        0.0,
+        "Mirrored share",
+        low=0.0,
+        high=1.0,
+        help="as in the paper; a mirrored gel has mirrored LEDs",
     )
     reprojects_input: bool = setting(
-        False, "Reprojected sources", help="must equal `reprojects_input` of the network; off in the paper"
+        False,
+        "Reprojected sources",
+        help="must equal `reprojects_input` of the network; off in the paper",
     )
     codebook_weight: float = setting(1.0, "Codebook weight", low=0.0, high=100.0)
     commitment_weight: float = setting(0.25, "Commitment weight", low=0.0, high=100.0)
 
     def sample(self, rng: np.random.Generator) -> Example:
         """A pair of normalised squares, mirrored together."""
-        touch = simulate_touch_squares("training", self.press_seed, int(rng.integers(self.n_presses)), self.folder)
+        touch = simulate_touch_squares(
+            "training", self.press_seed, int(rng.integers(self.n_presses)), self.folder
+        )
         return self._mirror(self._make_example(touch.get_pair(self.direction)), rng)
 
     def make_validation_example(self, split: Split, index: int) -> Example:
@@ -69,7 +77,9 @@ class VqVaeTask(SimulatedPresses):
         """Both changes as squares."""
         return read_square_pair(pair)
 
-    def make_pair_example(self, prepared: SquarePair, rng: np.random.Generator, *, is_validation: bool) -> Example:
+    def make_pair_example(
+        self, prepared: SquarePair, rng: np.random.Generator, *, is_validation: bool
+    ) -> Example:
         """Normalised squares of a recorded pair, mirrored together."""
         example = self._make_example(prepared)
         return example if is_validation else self._mirror(example, rng)
@@ -77,11 +87,17 @@ class VqVaeTask(SimulatedPresses):
     def _mirror(self, example: Example, rng: np.random.Generator) -> Example:
         for axis in (-1, -2):
             if rng.random() < self.mirror_share / 2:
-                example = {name: np.ascontiguousarray(np.flip(a, axis)) for name, a in example.items()}
+                example = {
+                    name: np.ascontiguousarray(np.flip(a, axis)) for name, a in example.items()
+                }
         return example
 
-    def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
-        """Mean squared errors of the output, of the codes from the encoder and of the encoder from its codes."""
+    def compute_loss(
+        self, network: nn.Module, batch: Mapping[str, Tensor]
+    ) -> tuple[Tensor, dict[str, Any]]:
+        """Mean squared errors of the output, of the codes from the encoder and of the encoder
+        from its codes.
+        """
         from torch.nn import functional
 
         if unwrap_network(network).reprojects_input != self.reprojects_input:
@@ -90,7 +106,9 @@ class VqVaeTask(SimulatedPresses):
         reconstruction = functional.mse_loss(output.generated, batch["target"])
         codebook = functional.mse_loss(output.quantised, output.encoded.detach())
         commitment = functional.mse_loss(output.encoded, output.quantised.detach())
-        loss = reconstruction + self.codebook_weight * codebook + self.commitment_weight * commitment
+        loss = (
+            reconstruction + self.codebook_weight * codebook + self.commitment_weight * commitment
+        )
         return loss, {"reconstruction": reconstruction.detach(), "codebook": codebook.detach()}
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
@@ -101,9 +119,14 @@ class VqVaeTask(SimulatedPresses):
         rows: list[tuple[float, float]] = []
         for example in held_out:
             with torch.inference_mode():
-                generated = network(torch.from_numpy(np.array(example["source"]))[None]).generated[0].numpy()
+                generated = (
+                    network(torch.from_numpy(np.array(example["source"]))[None])
+                    .generated[0]
+                    .numpy()
+                )
             truth = denormalise(example["target"], kind.key)
-            error, size = np.abs(denormalise(generated, kind.key) - truth), np.abs(truth)
+            error = np.abs(denormalise(generated, kind.key) - truth)
+            size = np.abs(truth)
             touched = size > _TOUCHED_SHARE * size.max()
             rows.append((float(error.mean()), float(error[touched].mean())))
         names = (f"error, {kind.change_unit}", f"error where touched, {kind.change_unit}")
@@ -118,7 +141,9 @@ class VqVaeTask(SimulatedPresses):
 
 
 def _reproject(change: Floats, direction: Direction) -> Floats:
-    """The source's square drawn where the target looks, as the nominal sensors stand to each other."""
+    """The source's square drawn where the target looks, as the nominal sensors stand to each
+    other.
+    """
     gel, bubble = load_nominal_sensors()
     source, target = (gel, bubble) if direction == "gel_to_bubble" else (bubble, gel)
     return reproject_square(change, source, target, alignment.resolve_alignment(source, target))

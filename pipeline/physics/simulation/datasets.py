@@ -1,7 +1,8 @@
 """Simulated data sets: which presses, in which order, with which noise.
 
-A plan is one recording: one object, pressed by several sensors at once. Every frame depends on the plan's seed, the
-object, the sensor and the moment alone, whatever else is simulated and in whatever order.
+A plan is one recording: one object, pressed by several sensors at once. Every frame depends on the
+plan's seed, the object, the sensor and the moment alone, whatever else is simulated and in whatever
+order.
 """
 
 import zlib
@@ -39,13 +40,17 @@ FRAMES_PER_INSTANCE = 10  # with varied sensors, moments until the next instance
 BUBBLE_DEEPER_MM = 9.0
 """How much closer to the object a bubble comes than described: 13 mm beyond the gels in all.
 
-The gripper closes by 10 mm on a bubble and by 1 mm on a GelSlim (paper, appendix). With 13 mm the training
-objects make imprints of 0.81 and 0.96 of the published mean and standard deviation, the lab's own tool meshes 1.17
-and 1.04; with 12 mm it is 0.72 and 0.87, and 1.04 and 0.95 (benchmarks/paired_statistics.py).
+The gripper closes by 10 mm on a bubble and by 1 mm on a GelSlim (paper, appendix). With 13 mm the
+training objects make imprints of 0.81 and 0.96 of the published mean and standard deviation, the
+lab's own tool meshes 1.17 and 1.04; with 12 mm it is 0.72 and 0.87, and 1.04 and 0.95
+(benchmarks/paired_statistics.py).
 """
 
-GRASP_INTERVAL_S, FRAME_INTERVAL_S = 1.0, 0.1  # between single grasps, and between the frames of a sequence
-SIMULATION_VERSION = 3  # incremented when a plan gives other frames: older recordings are not continued then
+# between single grasps, and between the frames of a sequence
+GRASP_INTERVAL_S = 1.0
+FRAME_INTERVAL_S = 0.1
+# incremented when a plan gives other frames: older recordings are not continued then
+SIMULATION_VERSION = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,14 +65,19 @@ class SimulationPlan:
     vary: float = 0.0  # of sensor instances: 0 = nominal, 1 = as much as real ones
     noise: bool = True
     bubble_deeper_mm: float = BUBBLE_DEEPER_MM
-    drag_mm: float = 0.0  # motion of the object along the gels in contact; each grasp has its own direction
+    # motion of the object along the gels in contact; each grasp has its own direction
+    drag_mm: float = 0.0
     mesh_unit: MeshUnit = "auto"
     mesh_face: Face = "-z"  # the tactile side of a mesh file
 
     @property
     def object_name(self) -> str:
         """The object's name, usable in file names."""
-        return Path(self.object_source).stem if is_mesh_file(self.object_source) else self.object_source
+        return (
+            Path(self.object_source).stem
+            if is_mesh_file(self.object_source)
+            else self.object_source
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,8 +97,12 @@ def make_plans(tools: tuple[str, ...], like: SimulationPlan) -> tuple[Simulation
     check_range("--poses", like.n_poses, fewest, MAX_POSES)
     check_range("--seed", like.seed, 0, (1 << 63) - 1)
     check_range("--vary", like.vary, 0.0, variation.MAX_STRENGTH)
-    if not like.sensors or len({load_sensor(name).name for name in like.sensors}) < len(like.sensors):
-        raise SettingProblem(f"--sensors must name each sensor once, got {', '.join(like.sensors) or 'none'!r}")
+    if not like.sensors or len({load_sensor(name).name for name in like.sensors}) < len(
+        like.sensors
+    ):
+        raise SettingProblem(
+            f"--sensors must name each sensor once, got {', '.join(like.sensors) or 'none'!r}"
+        )
     check_range("--bubble-deeper-mm", like.bubble_deeper_mm, 0.0, MAX_BUBBLE_DEEPER_MM, "mm")
     check_range("--drag-mm", like.drag_mm, 0.0, MAX_DRAG_MM, "mm")
     names = tuple(dict.fromkeys(name for tool in tools for name in _expand_group(tool)))
@@ -99,7 +113,9 @@ def make_plans(tools: tuple[str, ...], like: SimulationPlan) -> tuple[Simulation
         load_object_mesh(plan)
     stems = [plan.object_name for plan in plans]
     if len(set(stems)) < len(stems):
-        raise SettingProblem("two of the --tools have the same name and would share a recording; rename a mesh file")
+        raise SettingProblem(
+            "two of the --tools have the same name and would share a recording; rename a mesh file"
+        )
     return plans
 
 
@@ -135,7 +151,11 @@ def compute_pairings(plan: SimulationPlan) -> tuple[Pairing, ...]:
     """target_from_source of every pair of sensors of the plan."""
     sensors = [_place_sensor(plan, name) for name in plan.sensors]
     return tuple(
-        Pairing(source=a.name, target=b.name, target_from_source=alignment.resolve_alignment(a, b).target_from_source)
+        Pairing(
+            source=a.name,
+            target=b.name,
+            target_from_source=alignment.resolve_alignment(a, b).target_from_source,
+        )
         for a, b in permutations(sensors, 2)
     )
 
@@ -151,12 +171,16 @@ def compute_object_poses(plan: SimulationPlan) -> tuple[Doubles, ...]:
 
 def simulate_moment(plan: SimulationPlan, index: int) -> SimulatedMoment:
     """The frames of all sensors at moment `index`, with their truth."""
-    pose, frames, unsolved = compute_object_poses(plan)[index], [], 0
+    pose = compute_object_poses(plan)[index]
+    frames = []
+    unsolved = 0
     time_s = index * (GRASP_INTERVAL_S if plan.sequence == "grid" else FRAME_INTERVAL_S)
     for name in plan.sensors:
         spec = _make_instance(plan, name, index // FRAMES_PER_INSTANCE)
         seed = _seed(plan, spec.name, "reading", index) if plan.noise else None
-        press = simulate_press(load_object_mesh(plan), pose, spec, seed=seed, load=_make_load(plan, spec, index))
+        press = simulate_press(
+            load_object_mesh(plan), pose, spec, seed=seed, load=_make_load(plan, spec, index)
+        )
         frame = TactileFrame(
             sensor=spec.name,
             image=press.image,
@@ -170,11 +194,16 @@ def simulate_moment(plan: SimulationPlan, index: int) -> SimulatedMoment:
 
 
 def make_recording(plan: SimulationPlan) -> Recording:
-    """Return the recording of a plan in memory; a moment is simulated when one of its frames is first read."""
+    """Return the recording of a plan in memory.
+
+    A moment is simulated when one of its frames is first read.
+    """
 
     @cache
     def simulate(index: int) -> dict[str, tuple[TactileFrame, Truth | None]]:
-        return {frame.sensor: (frame, truth) for frame, truth in simulate_moment(plan, index).frames}
+        return {
+            frame.sensor: (frame, truth) for frame, truth in simulate_moment(plan, index).frames
+        }
 
     def make_stream(sensor: str) -> Stream:
         return Stream(
@@ -198,13 +227,18 @@ def make_recording(plan: SimulationPlan) -> Recording:
 
 
 def _make_load(plan: SimulationPlan, spec: SensorSpec, index: int) -> TangentialLoad | None:
-    """Tangential load of a moment in the sensor's axes; one direction for all sensors and all frames of a motion."""
+    """Tangential load of a moment in the sensor's axes.
+
+    One direction for all sensors and all frames of a motion.
+    """
     if not plan.drag_mm:
         return None
     seed = _seed(plan, "", "drag", index if plan.sequence == "grid" else 0)
     heading = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi)
     direction = spec.alignment_from_sensor[:3, :3].T @ (np.cos(heading), np.sin(heading), 0.0)
-    return TangentialLoad(displacement_mm=(plan.drag_mm * float(direction[0]), plan.drag_mm * float(direction[1])))
+    return TangentialLoad(
+        displacement_mm=(plan.drag_mm * float(direction[0]), plan.drag_mm * float(direction[1]))
+    )
 
 
 def simulate_reference(plan: SimulationPlan, sensor: str, index: int) -> Image | Floats:
@@ -217,7 +251,10 @@ def _simulate_reference(plan: SimulationPlan, sensor: str, block: int) -> Image 
     spec = _make_instance(plan, sensor, block)
     flat = np.zeros(spec.camera.shape, np.float32)
     return render_sensor_image(
-        spec, flat, spec.rest_depth_mm, _seed(plan, spec.name, "reference", block) if plan.noise else None
+        spec,
+        flat,
+        spec.rest_depth_mm,
+        _seed(plan, spec.name, "reference", block) if plan.noise else None,
     )
 
 
@@ -243,7 +280,10 @@ def _seed(plan: SimulationPlan, sensor: str, what: str, index: int) -> int:
 
 
 def describe_plan(plan: SimulationPlan) -> str:
-    """The plan as a text with a digest of everything its frames depend on; equal texts, equal frames."""
+    """The plan as a text with a digest of everything its frames depend on.
+
+    Equal texts, equal frames.
+    """
     specs = tuple(_place_sensor(plan, name) for name in plan.sensors)
     content = compute_digest(
         (
@@ -255,8 +295,10 @@ def describe_plan(plan: SimulationPlan) -> str:
         )
     )
     return (
-        f"simulated: sensors {' '.join(s.name for s in specs)}, object {plan.object_name}, {plan.n_poses} poses, "
-        f"sequence {plan.sequence}, seed {plan.seed}, vary {plan.vary:g}, noise {'on' if plan.noise else 'off'}, "
+        f"simulated: sensors {' '.join(s.name for s in specs)}, object {plan.object_name}, "
+        f"{plan.n_poses} poses, "
+        f"sequence {plan.sequence}, seed {plan.seed}, vary {plan.vary:g}, noise "
+        f"{'on' if plan.noise else 'off'}, "
         f"{f'dragged by {plan.drag_mm:g} mm, ' if plan.drag_mm else ''}"
         f"inputs {content[:12]}"
     )

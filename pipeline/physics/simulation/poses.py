@@ -1,8 +1,9 @@
 """Poses of objects over the sensors: the paper's grid of static presses, and motions.
 
-All poses are `alignment_from_object`. Gels rest in the plane z = 0 of the alignment frame, z pointing away from the
-sensors, so a face at -0.5 mm is pressed in by 0.5 mm. Depth is that of the object's deepest point over the square that
-every gel sees: a long tool's far end, tilted below it, presses on nothing.
+All poses are `alignment_from_object`. Gels rest in the plane z = 0 of the alignment frame, z
+pointing away from the sensors, so a face at -0.5 mm is pressed in by 0.5 mm. Depth is that of the
+object's deepest point over the square that every gel sees: a long tool's far end, tilted below it,
+presses on nothing.
 """
 
 import math
@@ -29,7 +30,8 @@ TWIST_RANGE_DEG = (10.0, 25.0)
 MotionKind = Literal["press", "slide", "twist", "release", "full"]
 MotionPhase = Literal["press", "slide", "twist", "release"]
 MOTION_KINDS: tuple[MotionKind, ...] = ("press", "slide", "twist", "release", "full")
-_PLASTIC = 1.32471795724474602596  # root of x^3 = x + 1: its powers spread points over a square most evenly (Roberts)
+# root of x^3 = x + 1: its powers spread points over a square most evenly (Roberts)
+_PLASTIC = 1.32471795724474602596
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,10 +46,11 @@ class _Placement:
 
 
 def make_paper_grid(mesh: Mesh, *, n: int = 60, seed: int) -> tuple[Doubles, ...]:
-    """Poses of `n` presses, evenly over 10 mm x 10 mm, angles within 45 degrees, small tilts, depths of 0.3 to 1 mm.
+    """Poses of `n` presses, evenly over 10 mm x 10 mm, angles within 45 degrees, small tilts,
+    depths of 0.3 to 1 mm.
 
-    Angles, tilts and depths are each drawn from n equal shares of their range, in an order of their own. The same seed
-    gives the same bytes. Raises SettingProblem when `n` is below 1.
+    Angles, tilts and depths are each drawn from n equal shares of their range, in an order of their
+    own. The same seed gives the same bytes. Raises SettingProblem when `n` is below 1.
     """
     if n < 1:
         raise SettingProblem(f"a grid needs at least one pose, got {n}")
@@ -57,14 +60,19 @@ def make_paper_grid(mesh: Mesh, *, n: int = 60, seed: int) -> tuple[Doubles, ...
     lean = math.radians(MAX_TILT_DEG) * np.sqrt(tilt)  # uniform over the disc of tilts
     turn = 2.0 * math.pi * heading
     return tuple(
-        _make_pose(mesh, _Placement(
-            x_mm=SPREAD_MM * float(spread[k, 0]), y_mm=SPREAD_MM * float(spread[k, 1]),
-            angle_rad=math.radians(MAX_ANGLE_DEG) * (2.0 * float(angle[k]) - 1.0),
-            tilt_rad=(float(lean[k] * np.cos(turn[k])), float(lean[k] * np.sin(turn[k]))),
-            depth_mm=DEPTH_RANGE_MM[0] + (DEPTH_RANGE_MM[1] - DEPTH_RANGE_MM[0]) * float(depth[k]),
-        ))
+        _make_pose(
+            mesh,
+            _Placement(
+                x_mm=SPREAD_MM * float(spread[k, 0]),
+                y_mm=SPREAD_MM * float(spread[k, 1]),
+                angle_rad=math.radians(MAX_ANGLE_DEG) * (2.0 * float(angle[k]) - 1.0),
+                tilt_rad=(float(lean[k] * np.cos(turn[k])), float(lean[k] * np.sin(turn[k]))),
+                depth_mm=DEPTH_RANGE_MM[0]
+                + (DEPTH_RANGE_MM[1] - DEPTH_RANGE_MM[0]) * float(depth[k]),
+            ),
+        )
         for k in range(n)
-    )  # fmt: skip
+    )
 
 
 def sample_press_pose(
@@ -76,20 +84,32 @@ def sample_press_pose(
     tilt_deg: float = MAX_TILT_DEG,
     depth_mm: tuple[float, float] = DEPTH_RANGE_MM,
 ) -> Doubles:
-    """The pose of one press, each value uniform over its range; the defaults are those of the grid."""
+    """The pose of one press, each value uniform over its range.
+
+    The defaults are those of the grid.
+    """
     x_mm, y_mm = rng.uniform(-0.5 * spread_mm, 0.5 * spread_mm, 2)
-    lean, heading = math.radians(tilt_deg) * math.sqrt(rng.random()), rng.uniform(0.0, 2.0 * math.pi)
-    return _make_pose(mesh, _Placement(
-        x_mm=float(x_mm), y_mm=float(y_mm), angle_rad=math.radians(angle_deg) * rng.uniform(-1.0, 1.0),
-        tilt_rad=(lean * math.cos(heading), lean * math.sin(heading)), depth_mm=rng.uniform(*depth_mm),
-    ))  # fmt: skip
+    lean = math.radians(tilt_deg) * math.sqrt(rng.random())
+    heading = rng.uniform(0.0, 2.0 * math.pi)
+    return _make_pose(
+        mesh,
+        _Placement(
+            x_mm=float(x_mm),
+            y_mm=float(y_mm),
+            angle_rad=math.radians(angle_deg) * rng.uniform(-1.0, 1.0),
+            tilt_rad=(lean * math.cos(heading), lean * math.sin(heading)),
+            depth_mm=rng.uniform(*depth_mm),
+        ),
+    )
 
 
 def make_motion(mesh: Mesh, kind: MotionKind, *, n: int, seed: int) -> tuple[Doubles, ...]:
-    """Poses of a smooth motion of `n` frames: one phase from rest to rest, or with "full" all four in a row.
+    """Poses of a smooth motion of `n` frames: one phase from rest to rest, or with "full" all four
+    in a row.
 
-    A press starts clear of every sensor, slides and twists keep their depth, a release returns. The seed determines
-    place, depth, direction and distance. Raises SettingProblem for an unknown kind or fewer than two frames.
+    A press starts clear of every sensor, slides and twists keep their depth, a release returns. The
+    seed determines place, depth, direction and distance. Raises SettingProblem for an unknown kind
+    or fewer than two frames.
     """
     if kind not in MOTION_KINDS:
         raise SettingProblem(f"unknown motion {kind!r}; there are {', '.join(MOTION_KINDS)}")
@@ -105,9 +125,12 @@ def _make_path(kind: MotionKind, rng: np.random.Generator) -> Callable[[float], 
     start = math.radians(MAX_ANGLE_DEG) * rng.uniform(-1.0, 1.0)
     heading, tilt_heading = rng.uniform(0.0, 2.0 * math.pi, 2)
     lean = math.radians(MAX_TILT_DEG) * math.sqrt(rng.random())
-    depth, slide = rng.uniform(*DEPTH_RANGE_MM), rng.uniform(*SLIDE_RANGE_MM)
+    depth = rng.uniform(*DEPTH_RANGE_MM)
+    slide = rng.uniform(*SLIDE_RANGE_MM)
     twist = math.radians(rng.uniform(*TWIST_RANGE_DEG)) * rng.choice((-1.0, 1.0))
-    order: tuple[MotionPhase, ...] = ("press", "slide", "twist", "release") if kind == "full" else (kind,)
+    order: tuple[MotionPhase, ...] = (
+        ("press", "slide", "twist", "release") if kind == "full" else (kind,)
+    )
 
     def interpolate_pose(share: float) -> _Placement:
         index = min(int(share * len(order)), len(order) - 1)
@@ -118,16 +141,15 @@ def _make_path(kind: MotionKind, rng: np.random.Generator) -> Callable[[float], 
                 return 1.0 if phase == "press" else 0.0  # a slide alone starts in contact
             return now if order[index] == phase else float(order.index(phase) < index)
 
-        distance, lift = (
-            slide * compute_phase_progress("slide"),
-            1.0 - compute_phase_progress("press") + compute_phase_progress("release"),
-        )
+        distance = slide * compute_phase_progress("slide")
+        lift = 1.0 - compute_phase_progress("press") + compute_phase_progress("release")
         return _Placement(
-            x_mm=float(start_x + distance * math.cos(heading)), y_mm=float(start_y + distance * math.sin(heading)),
+            x_mm=float(start_x + distance * math.cos(heading)),
+            y_mm=float(start_y + distance * math.sin(heading)),
             angle_rad=float(start + twist * compute_phase_progress("twist")),
             tilt_rad=(lean * math.cos(tilt_heading), lean * math.sin(tilt_heading)),
             depth_mm=float(depth - (depth + CLEARANCE_MM) * lift),
-        )  # fmt: skip
+        )
 
     return interpolate_pose
 
@@ -138,7 +160,11 @@ def _ease(share: float) -> float:
 
 
 def _make_pose(mesh: Mesh, placement: _Placement) -> Doubles:
-    rotation = rigid.rotation((*placement.tilt_rad, 0.0)) @ rigid.rotation((0.0, 0.0, placement.angle_rad))
+    rotation = rigid.rotation((*placement.tilt_rad, 0.0)) @ rigid.rotation(
+        (0.0, 0.0, placement.angle_rad)
+    )
     level = rigid.translation(placement.x_mm, placement.y_mm, 0.0) @ rotation
-    level[2, 3] = -placement.depth_mm - compute_lowest_mm(rigid.apply(level, mesh.vertices_mm), mesh.triangles)
+    level[2, 3] = -placement.depth_mm - compute_lowest_mm(
+        rigid.apply(level, mesh.vertices_mm), mesh.triangles
+    )
     return freeze(level)

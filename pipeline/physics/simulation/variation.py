@@ -1,7 +1,7 @@
 """Seeded variation of sensors: other instances of a sensor, or the same one on another day.
 
-Instances differ: LEDs are displaced and age, gels vary in stiffness and thickness, markers in their print, dust lies on
-the lens. Strength 1 spans the differences between the instances of a lab.
+Instances differ: LEDs are displaced and age, gels vary in stiffness and thickness, markers in their
+print, dust lies on the lens. Strength 1 spans the differences between the instances of a lab.
 """
 
 import math
@@ -40,17 +40,23 @@ _PRESSURE = 0.10
 
 
 def vary_sensor(sensor: SensorSpec, seed: int, strength: float = 1.0) -> SensorSpec:
-    """Another instance of `sensor`, the same for the same seed; camera and frames stay. Strength 0 changes nothing.
+    """Another instance of `sensor`, the same for the same seed.
+
+    Camera and frames stay. Strength 0 changes nothing.
 
     Values are cut at 2.5 standard deviations and at the limits of a sensor description.
     Raises SettingProblem for a strength outside 0 to `MAX_STRENGTH`.
     """
     if not 0.0 <= strength <= MAX_STRENGTH:  # refuses NaN, too
-        raise SettingProblem(f"the strength of variation must lie between 0 and {MAX_STRENGTH:g}, got {strength!r}")
+        raise SettingProblem(
+            f"the strength of variation must lie between 0 and {MAX_STRENGTH:g}, got {strength!r}"
+        )
     if strength == 0.0:
         return sensor
     # One stream for each part, so that its values do not depend on the other parts.
-    optics, gel, markers, bubble = (_Draw(s, strength) for s in np.random.SeedSequence(seed % 2**64).spawn(4))
+    optics, gel, markers, bubble = (
+        _Draw(s, strength) for s in np.random.SeedSequence(seed % 2**64).spawn(4)
+    )
     return replace(
         sensor,
         optics=None if sensor.optics is None else _optics(sensor.optics, optics),
@@ -64,7 +70,8 @@ class _Draw:
     """Bounded normal values for one part of a sensor."""
 
     def __init__(self, seed: np.random.SeedSequence, strength: float) -> None:
-        self._rng, self._strength = np.random.default_rng(seed), strength
+        self._rng = np.random.default_rng(seed)
+        self._strength = strength
 
     def sample_offset(self, deviation: float) -> float:
         """An offset about 0."""
@@ -78,7 +85,9 @@ class _Draw:
         """A uniform value, whatever the strength."""
         return float(self._rng.uniform(low, high))
 
-    def tint_colour(self, rgb: tuple[float, float, float], power: float, colour: float) -> tuple[float, float, float]:
+    def tint_colour(
+        self, rgb: tuple[float, float, float], power: float, colour: float
+    ) -> tuple[float, float, float]:
         """A colour with its brightness varied, and each channel a little more."""
         whole = self.sample_factor(power)
         red, green, blue = (v * whole * self.sample_factor(colour) for v in rgb)
@@ -89,7 +98,9 @@ def _optics(o: Optics, draw: _Draw) -> Optics:
     leds = tuple(
         Led(
             azimuth_deg=(led.azimuth_deg + draw.sample_offset(_LED_AZIMUTH_DEG)) % 360.0,
-            elevation_deg=min(max(led.elevation_deg + draw.sample_offset(_LED_ELEVATION_DEG), 5.0), 80.0),
+            elevation_deg=min(
+                max(led.elevation_deg + draw.sample_offset(_LED_ELEVATION_DEG), 5.0), 80.0
+            ),
             rgb=draw.tint_colour(led.rgb, _LED_POWER, _LED_COLOUR),
         )
         for led in o.leds
@@ -122,17 +133,17 @@ def _dust(draw: _Draw) -> tuple[Glow, ...]:
     count = max(0, min(_MAX_DUST, round(abs(draw.sample_offset(0.5 * _MAX_DUST)))))
     specks: list[Glow] = []
     for _ in range(count):
-        size, grey = _DUST_HALVES * draw.sample_factor(0.3), draw.sample_offset(_DUST_GREY)
-        x, y = draw.sample_uniform(-1.0, 1.0), draw.sample_uniform(-1.0, 1.0)
+        size = _DUST_HALVES * draw.sample_factor(0.3)
+        grey = draw.sample_offset(_DUST_GREY)
+        x = draw.sample_uniform(-1.0, 1.0)
+        y = draw.sample_uniform(-1.0, 1.0)
         specks.append(Glow(x=x, y=y, width=size, height=size, rgb=(grey, grey, grey)))
     return tuple(specks)
 
 
 def _gel(g: Gel, draw: _Draw) -> Gel:
-    thickness_mm, youngs_kpa = (
-        g.thickness_mm * draw.sample_factor(_THICKNESS),
-        g.youngs_kpa * draw.sample_factor(_STIFFNESS),
-    )
+    thickness_mm = g.thickness_mm * draw.sample_factor(_THICKNESS)
+    youngs_kpa = g.youngs_kpa * draw.sample_factor(_STIFFNESS)
     return replace(g, thickness_mm=thickness_mm, youngs_kpa=youngs_kpa)
 
 

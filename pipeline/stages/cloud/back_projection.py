@@ -1,4 +1,6 @@
-"""Back-projection of contact pixels to points in the target frame (paper, depth adaptation stage, eq. P_T)."""
+"""Back-projection of contact pixels to points in the target frame (paper, depth adaptation
+stage, eq. P_T).
+"""
 
 from dataclasses import dataclass
 
@@ -38,9 +40,10 @@ def back_project_depth(
 ) -> Cloud:
     """Contact points (n, 3) in the target frame, mm, in the order of their pixels.
 
-    P_T = { T_S->T (D_S'(u,v) K_S^-1 (u, v, 1)^T) : M_S'(u,v) = 1 }, computed in float64 and rounded to float32 once.
-    Where the depth map has an object surface, it replaces the membrane, and pixels outside the contact are included.
-    Raises ShapeError when the arrays do not fit the camera, CalibrationError when the alignment is not rigid.
+    P_T = { T_S->T (D_S'(u,v) K_S^-1 (u, v, 1)^T) : M_S'(u,v) = 1 }, computed in float64 and rounded
+    to float32 once. Where the depth map has an object surface, it replaces the membrane, and pixels
+    outside the contact are included. Raises ShapeError when the arrays do not fit the camera,
+    CalibrationError when the alignment is not rigid.
     """
     progress.step(0.0, "transforming contact pixels to the target frame")
     if depth.depth_mm.shape != depth.camera.shape or depth.contact.shape != depth.camera.shape:
@@ -57,12 +60,16 @@ def back_project_depth(
         field_of_view_mm=_compute_window(depth, target_from_source),
         grid_shape=depth.camera.shape,
         stride=params.stride,
-        notes=_make_notes(depth.notes, n_contact=n_contact, n_points=pixel.size, stride=params.stride),
+        notes=_make_notes(
+            depth.notes, n_contact=n_contact, n_points=pixel.size, stride=params.stride
+        ),
         error=depth.error,
     )
 
 
-def skip_without_contact(depth: DepthMap, alignment: Alignment, params: BackProjectionParams) -> Cloud | None:
+def skip_without_contact(
+    depth: DepthMap, alignment: Alignment, params: BackProjectionParams
+) -> Cloud | None:
     """The empty cloud if no pixel is in contact, else None; same inputs as `back_project_depth`."""
     if depth.contact.any():
         return None
@@ -76,8 +83,11 @@ def skip_without_contact(depth: DepthMap, alignment: Alignment, params: BackProj
     )
 
 
-def _compute_points(depth: DepthMap, target_from_source: Doubles, stride: int) -> tuple[Floats, Indices, int]:
-    """Points z (R (x/z, y/z, 1)) + t (n, 3), their flat pixels (n,), and the number of contact pixels visited.
+def _compute_points(
+    depth: DepthMap, target_from_source: Doubles, stride: int
+) -> tuple[Floats, Indices, int]:
+    """Points z (R (x/z, y/z, 1)) + t (n, 3), their flat pixels (n,), and the number of contact
+    pixels visited.
 
     K^-1 is applied as the ray of a row and a column.
     """
@@ -91,12 +101,23 @@ def _compute_points(depth: DepthMap, target_from_source: Doubles, stride: int) -
         ).view()
     )
     capacity = int(np.count_nonzero(contact[::stride, ::stride]))
-    points = np.empty((capacity + 1, 3), dtype=np.float32)  # one spare: a point is written before it is tested
-    pixel, columns = np.empty(capacity + 1, dtype=np.int32), np.empty(contact.shape[1] + 1, dtype=np.int32)
+    # one spare: a point is written before it is tested
+    points = np.empty((capacity + 1, 3), dtype=np.float32)
+    pixel = np.empty(capacity + 1, dtype=np.int32)
+    columns = np.empty(contact.shape[1] + 1, dtype=np.int32)
     ray_x, ray_y = depth.camera.rays()
     depth_mm = np.ascontiguousarray(ensure_float(surface_mm))
     n, n_contact = kernels.back_project(
-        depth_mm, contact, stride, ray_x, ray_y, target_from_source[:3], MIN_DEPTH_MM, columns, points, pixel
+        depth_mm,
+        contact,
+        stride,
+        ray_x,
+        ray_y,
+        target_from_source[:3],
+        MIN_DEPTH_MM,
+        columns,
+        points,
+        pixel,
     )
     return points[:n], pixel[:n], int(n_contact)
 
@@ -107,7 +128,11 @@ def _compute_window(depth: DepthMap, target_from_source: Doubles) -> Floats:
     z = _compute_median_depth(depth.depth_mm[::16, ::16]) or _compute_median_depth(depth.depth_mm)
     x = (np.array([-0.5, camera.cols - 0.5, camera.cols - 0.5, -0.5]) - camera.cx_px) / camera.fx_px
     y = (np.array([-0.5, -0.5, camera.rows - 0.5, camera.rows - 0.5]) - camera.cy_px) / camera.fy_px
-    return freeze(rigid.apply(target_from_source, np.stack([z * x, z * y, z * np.ones(4)], axis=-1)).astype(np.float32))
+    return freeze(
+        rigid.apply(target_from_source, np.stack([z * x, z * y, z * np.ones(4)], axis=-1)).astype(
+            np.float32
+        )
+    )
 
 
 def _compute_median_depth(depth_mm: Floats) -> float:
@@ -116,7 +141,9 @@ def _compute_median_depth(depth_mm: Floats) -> float:
     return float(np.median(valid)) if valid.size else 0.0
 
 
-def _make_notes(depth_notes: tuple[str, ...], *, n_contact: int, n_points: int, stride: int) -> tuple[str, ...]:
+def _make_notes(
+    depth_notes: tuple[str, ...], *, n_contact: int, n_points: int, stride: int
+) -> tuple[str, ...]:
     notes: list[str] = []
     if n_contact == 0:
         notes.append(
@@ -125,7 +152,10 @@ def _make_notes(depth_notes: tuple[str, ...], *, n_contact: int, n_points: int, 
             else f"no contact pixel in every {stride}th row and column; lower the stride"
         )
     elif n_points < n_contact:
-        notes.append(f"{n_contact - n_points:,} of {n_contact:,} contact pixels have no depth and were left out")
+        notes.append(
+            f"{n_contact - n_points:,} of {n_contact:,} contact pixels have no depth and were "
+            "left out"
+        )
     if stride > 1 and n_points:
         notes.append(f"preview: every {stride}th row and column")
     return tuple(notes)

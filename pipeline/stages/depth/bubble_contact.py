@@ -1,7 +1,7 @@
 """Displacement and contact of a bubble's membrane, from its noisy depth.
 
-Constants without a source have no better neighbour in a sweep (docs/experiments.md, `depth_numbers`): a third less or
-half as much again changes the error by 1.3 % at most.
+Constants without a source have no better neighbour in a sweep (docs/experiments.md,
+`depth_numbers`): a third less or half as much again changes the error by 1.3 % at most.
 """
 
 import math
@@ -34,11 +34,13 @@ _ISLAND_MM2 = 2.0
 def estimate_indentation(
     moved: Floats, seen: Mask, source: SensorSpec, *, smoothing_px: float, least_mm: float
 ) -> tuple[Floats, Mask]:
-    """(indentation, contact) from a noisy displacement (rows, cols) in mm, finite everywhere, measured where `seen`.
+    """(indentation, contact) from a noisy displacement (rows, cols) in mm, finite everywhere,
+    measured where `seen`.
 
-    Curvature gives candidate regions; there the load on the membrane is estimated. Contact is where the load exceeds a
-    multiple of the inner pressure and the membrane has moved by more than `least_mm`. `smoothing_px` multiplies the
-    noise that is assumed: 1 as measured; 0 leaves the indentation unsmoothed.
+    Curvature gives candidate regions; there the load on the membrane is estimated. Contact is where
+    the load exceeds a multiple of the inner pressure and the membrane has moved by more than
+    `least_mm`. `smoothing_px` multiplies the noise that is assumed: 1 as measured; 0 leaves the
+    indentation unsmoothed.
     """
     noise_factor = smoothing_px if smoothing_px > 0 else 1.0
     smooth = denoise_displacement(moved, noise_factor * _SMOOTHING_MM / source.pixel_mm)
@@ -53,8 +55,8 @@ def estimate_indentation(
 def denoise_displacement(raw: Floats, length_px: float) -> Floats:
     """The displacement without outliers (median), smoothed by min |u - raw|^2 + length^4 |lap u|^2.
 
-    A membrane under tension has no kinks except at the edge of a contact, so bending is penalised; the minimum damps
-    each cosine wave.
+    A membrane under tension has no kinks except at the edge of a contact, so bending is penalised;
+    the minimum damps each cosine wave.
     """
     import cv2
     from scipy import fft
@@ -64,7 +66,8 @@ def denoise_displacement(raw: Floats, length_px: float) -> Floats:
     filtered = np.asarray(cv2.medianBlur(raw, _MEDIAN_PX), np.float32)
     wave = np.asarray(fft.dctn(filtered, type=2, norm="ortho", workers=2))
     return np.asarray(
-        fft.idctn(wave * _compute_damping(raw.shape, length_px), type=2, norm="ortho", workers=2), np.float32
+        fft.idctn(wave * _compute_damping(raw.shape, length_px), type=2, norm="ortho", workers=2),
+        np.float32,
     )
 
 
@@ -78,15 +81,19 @@ def _compute_damping(shape: tuple[int, int], length_px: float) -> Floats:
 def _detect_candidates(indentation: Floats, least_mm: float, pixel_mm: float) -> Mask:
     """Where the membrane may follow an object, with a margin; empty where no contact is certain.
 
-    Between the object and the rim, a membrane under tension carries no load and is curved by the air alone; over a
-    contact it is curved the other way. Curvature is computed at the scale of a few millimetres, above the noise.
+    Between the object and the rim, a membrane under tension carries no load and is curved by the
+    air alone; over a contact it is curved the other way. Curvature is computed at the scale of a
+    few millimetres, above the noise.
     """
     import cv2
 
-    smooth, speck = max(1.0, _CURVATURE_MM / pixel_mm), max(4, round(_SPECK_MM2 / pixel_mm**2))
+    smooth = max(1.0, _CURVATURE_MM / pixel_mm)
+    speck = max(4, round(_SPECK_MM2 / pixel_mm**2))
     weak, strong = (
         contact.remove_specks(
-            contact.detect_membrane_contact(indentation, least_mm=least_mm, pressure_share=share, smoothing_px=smooth),
+            contact.detect_membrane_contact(
+                indentation, least_mm=least_mm, pressure_share=share, smoothing_px=smooth
+            ),
             speck,
         )
         for share in (_CANDIDATE_SHARE, _CERTAIN_SHARE)
@@ -96,11 +103,18 @@ def _detect_candidates(indentation: Floats, least_mm: float, pixel_mm: float) ->
     _, regions = cv2.connectedComponents(weak.astype(np.uint8), connectivity=8)
     regions = np.asarray(regions, np.int32)
     weak &= np.isin(regions, np.unique(regions[strong]))
-    return np.asarray(cv2.dilate(weak.astype(np.uint8), _make_disc(_CANDIDATE_MARGIN_MM / pixel_mm)), np.bool_)
+    return np.asarray(
+        cv2.dilate(weak.astype(np.uint8), _make_disc(_CANDIDATE_MARGIN_MM / pixel_mm)), np.bool_
+    )
 
 
 def _solve_load(
-    moved: Floats, seen: Mask, candidates: Mask, smooth: Floats, source: SensorSpec, noise_factor: float
+    moved: Floats,
+    seen: Mask,
+    candidates: Mask,
+    smooth: Floats,
+    source: SensorSpec,
+    noise_factor: float,
 ) -> tuple[Floats, Mask]:
     """(indentation, contact) by `membrane_load`, on at most about `_WORKING_PIXELS_MAX` pixels."""
     rows, cols = moved.shape
@@ -108,8 +122,10 @@ def _solve_load(
     work_mm = source.pixel_mm * factor
     solution = membrane_load.estimate_load(
         *_downsample(moved, _reject_outliers(moved, seen), candidates, smooth, factor),
-        pixel_mm=work_mm, curvature_per_mm=_compute_curvature_per_mm(source), noise_factor=noise_factor,
-    )  # fmt: skip
+        pixel_mm=work_mm,
+        curvature_per_mm=_compute_curvature_per_mm(source),
+        noise_factor=noise_factor,
+    )
     touched = _threshold_load(solution.load, work_mm)
     return _upsample(solution.displacement_mm, (rows, cols), cubic=True), _upsample(
         touched.astype(np.float32), (rows, cols)
@@ -121,12 +137,18 @@ def _reject_outliers(moved: Floats, seen: Mask) -> Mask:
     import cv2
 
     deviation = np.abs(moved - np.asarray(cv2.medianBlur(moved, _MEDIAN_PX), np.float32))
-    noise = 1.4826 * float(np.median(deviation[::3, ::3][seen[::3, ::3]])) if seen[::3, ::3].any() else 0.0
+    noise = (
+        1.4826 * float(np.median(deviation[::3, ::3][seen[::3, ::3]]))
+        if seen[::3, ::3].any()
+        else 0.0
+    )
     return seen & (deviation <= max(_OUTLIER_FACTOR * noise, _OUTLIER_MIN_MM))
 
 
 def _compute_curvature_per_mm(source: SensorSpec) -> float:
-    """Curvature of the untouched membrane: pressure over tension. No result depends on its exact value."""
+    """Curvature of the untouched membrane: pressure over tension. No result depends on its exact
+    value.
+    """
     shape = source.bubble
     if shape is None or shape.height_mm <= 0:
         return _USUAL_CURVATURE_PER_MM
@@ -138,8 +160,12 @@ def _threshold_load(load: Floats, pixel_mm: float) -> Mask:
     import cv2
 
     pressed = np.asarray(cv2.GaussianBlur(load, (0, 0), max(_BLUR_MM / pixel_mm, 0.5))) > _LOAD_MIN
-    closed = cv2.morphologyEx(pressed.astype(np.uint8), cv2.MORPH_CLOSE, _make_disc(_GAP_MM / pixel_mm))
-    return contact.remove_specks(np.asarray(closed, np.bool_), max(4, round(_ISLAND_MM2 / pixel_mm**2)))
+    closed = cv2.morphologyEx(
+        pressed.astype(np.uint8), cv2.MORPH_CLOSE, _make_disc(_GAP_MM / pixel_mm)
+    )
+    return contact.remove_specks(
+        np.asarray(closed, np.bool_), max(4, round(_ISLAND_MM2 / pixel_mm**2))
+    )
 
 
 def _make_disc(radius_px: float) -> NDArray[np.uint8]:
@@ -159,7 +185,10 @@ def _downsample(
         return moved, seen, candidates, smooth
     size = (max(1, round(moved.shape[1] / by)), max(1, round(moved.shape[0] / by)))
     images = (moved, smooth, seen.astype(np.float32), candidates.astype(np.float32))
-    small = [np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32) for image in images]
+    small = [
+        np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
+        for image in images
+    ]
     return small[0], small[2] > 0.5, small[3] > 0.0, small[1]
 
 

@@ -1,4 +1,7 @@
-"""Decoding of the bubble network's outputs: lengths in mm, probabilities, masks; for training and for prediction."""
+"""Decoding of the bubble network's outputs: lengths in mm, probabilities, masks.
+
+For training and for prediction.
+"""
 
 from __future__ import annotations
 
@@ -19,14 +22,19 @@ class BubbleOutputTensors(NamedTuple):
     """Decoded outputs in training, each (n, rows, cols)."""
 
     displacement_mm: Tensor  # of the membrane, toward the camera
-    object_displacement_mm: Tensor  # of the object's surface: equal to it in contact, less elsewhere
-    log_error: Tensor  # log of the mean error in mm: of the object's surface in view, of the membrane elsewhere
+    # of the object's surface: equal to it in contact, less elsewhere
+    object_displacement_mm: Tensor
+    # log of the mean error in mm: of the object's surface in view, of the membrane elsewhere
+    log_error: Tensor
     contact: Tensor  # logit
-    object_in_view: Tensor  # logit: the object is there, near enough for its surface to be predicted
+    # logit: the object is there, near enough for its surface to be predicted
+    object_in_view: Tensor
 
 
 def decode_tensors(output: Tensor, smooth_mm: Tensor) -> BubbleOutputTensors:
-    """Decoded outputs (n, N_OUTPUTS, rows, cols), which correct smooth displacements (n, 1, rows, cols)."""
+    """Decoded outputs (n, N_OUTPUTS, rows, cols), which correct smooth displacements (n, 1,
+    rows, cols).
+    """
     from torch.nn import functional
 
     moved = smooth_mm[:, 0] + output[:, 0]
@@ -40,7 +48,10 @@ def decode_tensors(output: Tensor, smooth_mm: Tensor) -> BubbleOutputTensors:
 
 
 class BubblePrediction(NamedTuple):
-    """Decoded outputs of one frame, each (rows, cols); as `BubbleOutputTensors`, but with probabilities."""
+    """Decoded outputs of one frame, each (rows, cols).
+
+    As `BubbleOutputTensors`, but with probabilities.
+    """
 
     displacement_mm: Floats
     object_displacement_mm: Floats
@@ -50,7 +61,9 @@ class BubblePrediction(NamedTuple):
 
 
 def decode_prediction(output: Floats, smooth_mm: Floats) -> BubblePrediction:
-    """As `decode_tensors`, of one output (N_OUTPUTS, rows, cols) and its smooth displacement (rows, cols)."""
+    """As `decode_tensors`, of one output (N_OUTPUTS, rows, cols) and its smooth displacement
+    (rows, cols).
+    """
     moved = smooth_mm + output[0]
     return BubblePrediction(
         displacement_mm=moved,

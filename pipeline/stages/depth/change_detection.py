@@ -1,4 +1,6 @@
-"""Where a gel's image differs from its reference, and the window in which the surface is estimated."""
+"""Where a gel's image differs from its reference, and the window in which the surface is
+estimated.
+"""
 
 from dataclasses import dataclass
 
@@ -11,9 +13,11 @@ from pipeline.stages.depth.gel.coarse_light import compute_block_means
 _BLOCK_PX = 8  # width of the blocks that changes are averaged over
 _LOW_SHARE = 0.35  # of the no-touch limit: a touched region extends down to this change
 _DRIFT_FACTOR = 2.5  # times the image's typical change: less is drift of the light
-_TYPICAL_QUANTILE = 0.25  # quantile of the block changes that is typical of the image, of which a touch may fill most
+# quantile of the block changes that is typical of the image, of which a touch may fill most
+_TYPICAL_QUANTILE = 0.25
 _SMOOTHING_BLOCKS = 1.2  # standard deviation in blocks: a touch is smooth over it, noise is not
-_NOISE_FACTOR = 16.0  # times the noise: untouched frames of a dithered film reach 15, its touches 16 to 100
+# times the noise: untouched frames of a dithered film reach 15, its touches 16 to 100
+_NOISE_FACTOR = 16.0
 _BLOCKS_MIN = 40  # along the longer side, for the estimate of noise
 _MARGIN_MM = 2.0  # around the visible change: the gel relaxes to rest within about this distance
 _DENT_SHARE = 0.25  # of the deepest point: the part of a coarse dent that is surely indented
@@ -27,22 +31,32 @@ class ImageWindow:
     rows: slice
     cols: slice
     changed: Mask  # (rows, cols) of the window: where the surface is estimated
-    blend_weight: Floats  # (rows, cols) weight of the surface: 1, falling to 0 at the end of `changed`
+    # (rows, cols) weight of the surface: 1, falling to 0 at the end of `changed`
+    blend_weight: Floats
 
 
 def compute_block_change(image: Image, reference: Image) -> Image:
-    """Mean absolute change of every whole block (rows // 8, cols // 8, 3), rounded; the last few pixels are dropped."""
+    """Mean absolute change of every whole block (rows // 8, cols // 8, 3), rounded.
+
+    The last few pixels are dropped.
+    """
     import cv2
 
     rows, cols = (n // _BLOCK_PX for n in image.shape[:2])
     change = cv2.absdiff(image, reference)
     if rows and cols:  # else smaller than a block
         change = change[: rows * _BLOCK_PX, : cols * _BLOCK_PX]
-    return np.asarray(cv2.resize(change, (max(1, cols), max(1, rows)), interpolation=cv2.INTER_AREA), np.uint8)
+    return np.asarray(
+        cv2.resize(change, (max(1, cols), max(1, rows)), interpolation=cv2.INTER_AREA), np.uint8
+    )
 
 
-def detect_change(image: Image, reference: Image, no_touch_grey: float, pixel_mm: float) -> ImageWindow | None:
-    """The window around all changes, with a margin for the gel's relaxation; None without a change above noise.
+def detect_change(
+    image: Image, reference: Image, no_touch_grey: float, pixel_mm: float
+) -> ImageWindow | None:
+    """The window around all changes, with a margin for the gel's relaxation.
+
+    None without a change above noise.
 
     Some block and its neighbours must have changed together by more than noise does.
     """
@@ -50,7 +64,9 @@ def detect_change(image: Image, reference: Image, no_touch_grey: float, pixel_mm
 
     blocks = compute_block_change(image, reference).max(axis=2).astype(np.float32)
     # A touched region does not extend into changes that the whole image has (drift of the light).
-    low = max(_LOW_SHARE * no_touch_grey, _DRIFT_FACTOR * float(np.quantile(blocks, _TYPICAL_QUANTILE)))
+    low = max(
+        _LOW_SHARE * no_touch_grey, _DRIFT_FACTOR * float(np.quantile(blocks, _TYPICAL_QUANTILE))
+    )
     if float(blocks.max()) < low:  # all of it has changed equally: a touch larger than the image
         low = no_touch_grey
     relative = _compare_with_noise(image, reference, blocks.shape)
@@ -65,8 +81,12 @@ def detect_change(image: Image, reference: Image, no_touch_grey: float, pixel_mm
     return grow_to_window(touched, image.shape[:2], pixel_mm)
 
 
-def detect_press(image: Image, reference: Image, no_touch_grey: float, pixel_mm: float, dent_mm: Floats) -> ImageWindow:
-    """The window of a press: around its changes, or, where none stands out, around its coarse dent (rows, cols)."""
+def detect_press(
+    image: Image, reference: Image, no_touch_grey: float, pixel_mm: float, dent_mm: Floats
+) -> ImageWindow:
+    """The window of a press: around its changes, or, where none stands out, around its coarse
+    dent (rows, cols).
+    """
     import cv2
 
     window = detect_change(image, reference, no_touch_grey, pixel_mm)
@@ -78,11 +98,14 @@ def detect_press(image: Image, reference: Image, no_touch_grey: float, pixel_mm:
 
 
 def _compare_with_noise(image: Image, reference: Image, shape: tuple[int, ...]) -> Floats:
-    """Smoothed change of every block over the noise limit, (rows // 8, cols // 8) = `shape`; 1 or more is no noise.
+    """Smoothed change of every block over the noise limit, (rows // 8, cols // 8) = `shape`.
 
-    Dither and strong compression make grains of many pixels that a block does not average out. Noise is estimated from
-    second differences of neighbouring blocks, to which smooth changes (a touch, drift) do not contribute. A small image
-    is divided into smaller blocks, between which a touch is still smooth.
+    1 or more is no noise.
+
+    Dither and strong compression make grains of many pixels that a block does not average out.
+    Noise is estimated from second differences of neighbouring blocks, to which smooth changes (a
+    touch, drift) do not contribute. A small image is divided into smaller blocks, between which a
+    touch is still smooth.
     """
     import cv2
 
@@ -96,7 +119,11 @@ def _compare_with_noise(image: Image, reference: Image, shape: tuple[int, ...]) 
         np.median(second_differences)
     )  # standard deviation of a Gaussian from its median absolute value
     above = np.abs(smooth).max(axis=2) / np.float32(max(_NOISE_FACTOR * noise, 1e-6))
-    return above if above.shape == shape else np.asarray(cv2.resize(above, shape[::-1], interpolation=cv2.INTER_LINEAR))
+    return (
+        above
+        if above.shape == shape
+        else np.asarray(cv2.resize(above, shape[::-1], interpolation=cv2.INTER_LINEAR))
+    )
 
 
 def grow_to_window(touched: Mask, shape: tuple[int, ...], pixel_mm: float) -> ImageWindow:
@@ -107,28 +134,44 @@ def grow_to_window(touched: Mask, shape: tuple[int, ...], pixel_mm: float) -> Im
     import cv2
 
     rows, cols = shape[:2]
-    away = np.asarray(cv2.distanceTransform((~touched).astype(np.uint8), cv2.DIST_L2, 5), np.float32) * _BLOCK_PX
-    tall, wide = touched.shape[0] * _BLOCK_PX, touched.shape[1] * _BLOCK_PX
-    full = np.asarray(cv2.resize(away, (wide, tall), interpolation=cv2.INTER_LINEAR), np.float32)[:rows, :cols]
+    away = (
+        np.asarray(cv2.distanceTransform((~touched).astype(np.uint8), cv2.DIST_L2, 5), np.float32)
+        * _BLOCK_PX
+    )
+    tall = touched.shape[0] * _BLOCK_PX
+    wide = touched.shape[1] * _BLOCK_PX
+    full = np.asarray(cv2.resize(away, (wide, tall), interpolation=cv2.INTER_LINEAR), np.float32)[
+        :rows, :cols
+    ]
     full = np.pad(full, ((0, max(0, rows - tall)), (0, max(0, cols - wide))), "edge")
-    left = np.clip((_MARGIN_MM / pixel_mm - full) * np.float32(pixel_mm / (_BLEND_SHARE * _MARGIN_MM)), 0.0, 1.0)
+    left = np.clip(
+        (_MARGIN_MM / pixel_mm - full) * np.float32(pixel_mm / (_BLEND_SHARE * _MARGIN_MM)),
+        0.0,
+        1.0,
+    )
     moved = fill_holes(left > 0)
     left[moved & (left <= 0)] = 1.0
-    r, c = np.flatnonzero(moved.any(axis=1)), np.flatnonzero(moved.any(axis=0))
-    box = (_extend_to_fast_length(int(r[0]) - _BLOCK_PX, int(r[-1]) + _BLOCK_PX + 1, rows),
-           _extend_to_fast_length(int(c[0]) - _BLOCK_PX, int(c[-1]) + _BLOCK_PX + 1, cols))  # fmt: skip
+    r = np.flatnonzero(moved.any(axis=1))
+    c = np.flatnonzero(moved.any(axis=0))
+    box = (
+        _extend_to_fast_length(int(r[0]) - _BLOCK_PX, int(r[-1]) + _BLOCK_PX + 1, rows),
+        _extend_to_fast_length(int(c[0]) - _BLOCK_PX, int(c[-1]) + _BLOCK_PX + 1, cols),
+    )
     blend_weight = left[box] * left[box] * (3 - 2 * left[box])
     return ImageWindow(
-        rows=box[0], cols=box[1], changed=np.ascontiguousarray(moved[box]),
+        rows=box[0],
+        cols=box[1],
+        changed=np.ascontiguousarray(moved[box]),
         blend_weight=np.ascontiguousarray(blend_weight, np.float32),
-    )  # fmt: skip
+    )
 
 
 def _extend_to_fast_length(low: int, high: int, n: int) -> slice:
     """The pixels `low` to `high` of `n`, extended by a few to a length with a fast transform."""
     from scipy import fft
 
-    low, high = max(0, low), min(n, high)
+    low = max(0, low)
+    high = min(n, high)
     more = int(fft.next_fast_len(high - low, real=True) or 0) - (high - low)
     after = min(more, n - high)
     before = min(more - after, low)

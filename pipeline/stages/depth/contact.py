@@ -1,22 +1,25 @@
 """Contact of a gel or membrane, from its indentation.
 
-A surface moves outside the contact too (Hertz: at its edge by half of the largest indentation, on a thin bonded layer
-by less), so no limit on depth separates touched from moved. Pressure does: it is zero outside. A pressure wave of
-wavenumber q moves an elastic half-space by U(q) = 2 P(q) / (E* q), hence P(q) ~ q U(q), which is no rougher than a
-slope, and dimensionless where U is in mm. A layer bonded to a plate responds in the same way except to waves longer
-than its thickness; neglecting that shifts the pressure by a smooth amount, and neither the thickness nor the stiffness
-of the gel is needed.
+A surface moves outside the contact too (Hertz: at its edge by half of the largest indentation, on a
+thin bonded layer by less), so no limit on depth separates touched from moved. Pressure does: it is
+zero outside. A pressure wave of wavenumber q moves an elastic half-space by U(q) = 2 P(q) / (E* q),
+hence P(q) ~ q U(q), which is no rougher than a slope, and dimensionless where U is in mm. A layer
+bonded to a plate responds in the same way except to waves longer than its thickness; neglecting
+that shifts the pressure by a smooth amount, and neither the thickness nor the stiffness of the gel
+is needed.
 
-The estimated pressure is blurred. That of a ball falls like a square root, which a blur hardly moves; below a sharp rim
-it is nearly infinite and spreads by the width of the blur, over the adjacent wall as well. So the limit is a share of
-the peak nearby, a larger one where that peak is far above the median of the contact, as below a rim. Far from any peak
-the limit is a share of the median, not of the region's peak: a cone's is infinite at its tip, and 0.16 of it would lose
-a quarter of the cone.
+The estimated pressure is blurred. That of a ball falls like a square root, which a blur hardly
+moves; below a sharp rim it is nearly infinite and spreads by the width of the blur, over the
+adjacent wall as well. So the limit is a share of the peak nearby, a larger one where that peak is
+far above the median of the contact, as below a rim. Far from any peak the limit is a share of the
+median, not of the region's peak: a cone's is infinite at its tip, and 0.16 of it would lose a
+quarter of the cone.
 
-The constants were chosen by presses of the training objects on simulated sensor instances and by flat faces, except
-the share of the median pressure and the rule for hanging gel: the pressure of balls on real gels extends beyond their
-contact, and these two end it near their visible rim in the recordings of `benchmarks/real_depth.py`. By simulated
-instances alone the first would be 0.24 or less and the second unnecessary.
+The constants were chosen by presses of the training objects on simulated sensor instances and by
+flat faces, except the share of the median pressure and the rule for hanging gel: the pressure of
+balls on real gels extends beyond their contact, and these two end it near their visible rim in the
+recordings of `benchmarks/real_depth.py`. By simulated instances alone the first would be 0.24 or
+less and the second unnecessary.
 """
 
 import math
@@ -28,32 +31,47 @@ from pipeline.core.arrays import Floats, Indices, Mask, freeze, percentile
 from pipeline.core.memo import memoise
 from pipeline.physics.slopes import compute_slopes
 
-_WORKERS, _PARALLEL_PIXELS = 2, 2**18  # threads, and the pixels above which they save time
+# threads, and the pixels above which they save time
+_WORKERS = 2
+_PARALLEL_PIXELS = 2**18
 _NEAR_MM = 0.25  # farther than lens and smoothing spread an edge
 _PRESSURE_MIN = np.float32(0.02)  # mm/mm: noise and an inexact light make as much
 MEDIAN_PRESSURE_SHARE = 0.32  # of the median pressure of a region above `_CORE_SHARE`
-_CORE_SHARE, _PART_SHARE = np.float32(0.16), np.float32(0.25)  # of the region's peak
-_RIDGE_START, _RIDGE_END, _RIDGE_SHARE = 1.7, 3.5, 0.6  # times the median; share of such a peak nearby
-_HANGING_MM, _HANGING_SHARE = (
-    2.0,
-    np.float32(0.25),
-)  # gel within this distance (about its thickness) of a deeper point, and shallower than this share of it, hangs there
+# of the region's peak
+_CORE_SHARE = np.float32(0.16)
+_PART_SHARE = np.float32(0.25)
+# times the median; share of such a peak nearby
+_RIDGE_START = 1.7
+_RIDGE_END = 3.5
+_RIDGE_SHARE = 0.6
+# gel within this distance (about its thickness) of a deeper point, and shallower than this share of
+# it, hangs there
+_HANGING_MM = 2.0
+_HANGING_SHARE = np.float32(0.25)
 _BOX_MARGIN_PX = 8  # beyond what is indented: no filter of the contact reaches farther
 _REACH_CELLS = 8
 _SHORT_SORT_MAX = 2**16  # regions up to which 16-bit labels sort faster
-_SPECK_SHARE = 0.05  # of the largest region: smaller ones are dust and scratches that the press has shifted
+# of the largest region: smaller ones are dust and scratches that the press has shifted
+_SPECK_SHARE = 0.05
 _FLAT_DEPTH_SHARE = 0.8  # of the depth of the nearest rim: a face that deep is in contact as well
 _PRESSURE_FREE_BLUR_PX = 1.0
 _CORNER_LENGTH = 3.0  # times `narrow_px`
-_CORNER_MM = 0.12  # untouched frames of real Minis and drift of a real GelSlim make corners up to 0.1 mm deep
-_FLAT_SLOPE_SHARE = 0.3  # of the region's steep slopes: the gel falls away next to a contact, but not on a face
+# untouched frames of real Minis and drift of a real GelSlim make corners up to 0.1 mm deep
+_CORNER_MM = 0.12
+# of the region's steep slopes: the gel falls away next to a contact, but not on a face
+_FLAT_SLOPE_SHARE = 0.3
 
 
-def compute_relative_pressure(indentation_mm: Floats, smoothing_px: float, order: Literal[1, 2] = 1) -> Floats:
-    """Pressure (rows, cols) up to a constant factor and a smooth offset; negative where the surface hangs free.
+def compute_relative_pressure(
+    indentation_mm: Floats, smoothing_px: float, order: Literal[1, 2] = 1
+) -> Floats:
+    """Pressure (rows, cols) up to a constant factor and a smooth offset.
 
-    `order` is the power of the wavenumber: 1 for an elastic gel, 2 for a membrane under tension, which carries load by
-    its curvature alone. The image is mirrored at its border (cosine transform).
+    Negative where the surface hangs free.
+
+    `order` is the power of the wavenumber: 1 for an elastic gel, 2 for a membrane under tension,
+    which carries load by its curvature alone. The image is mirrored at its border (cosine
+    transform).
     """
     from scipy import fft
 
@@ -61,7 +79,9 @@ def compute_relative_pressure(indentation_mm: Floats, smoothing_px: float, order
     workers = _WORKERS if rows * cols > _PARALLEL_PIXELS else 1
     wave = np.asarray(fft.dctn(indentation_mm, type=2, norm="ortho", workers=workers))
     wave *= _compute_wavenumbers(rows, cols, smoothing_px, order)
-    return np.asarray(fft.idctn(wave, type=2, norm="ortho", workers=workers, overwrite_x=True), np.float32)
+    return np.asarray(
+        fft.idctn(wave, type=2, norm="ortho", workers=workers, overwrite_x=True), np.float32
+    )
 
 
 def detect_contact(
@@ -73,23 +93,33 @@ def detect_contact(
     smoothing_px: float,
     median_pressure_share: float = MEDIAN_PRESSURE_SHARE,
 ) -> Mask:
-    """Contact of a gel (rows, cols): indented by `least_mm` or more, with more pressure than a share of that nearby.
+    """Contact of a gel (rows, cols): indented by `least_mm` or more, with more pressure than a
+    share of that nearby.
 
-    An image's blur spreads pressure no farther than its own width, so only the peak within that counts: a cone's rim is
-    in contact whatever its tip does, and the pressure of a sharp edge does not widen the contact. Shallow gel close to
-    a deep point hangs free: a ball's contact on real gels ends where it is about a third as deep. A part in which no
-    pixel reaches `_PART_SHARE` of its region's peak pressure is left out.
+    An image's blur spreads pressure no farther than its own width, so only the peak within that
+    counts: a cone's rim is in contact whatever its tip does, and the pressure of a sharp edge does
+    not widen the contact. Shallow gel close to a deep point hangs free: a ball's contact on real
+    gels ends where it is about a third as deep. A part in which no pixel reaches `_PART_SHARE` of
+    its region's peak pressure is left out.
     """
     deep = indentation_mm > least_mm
     if not deep.any():
         return deep
     pressure = compute_relative_pressure(indentation_mm, smoothing_px) / np.float32(pixel_mm)
     pressure[~deep] = 0.0
-    held = indentation_mm >= _HANGING_SHARE * _compute_local_maximum(indentation_mm, _HANGING_MM / pixel_mm)
-    touched, here = np.zeros_like(deep), _find_box(deep, _BOX_MARGIN_PX)
+    held = indentation_mm >= _HANGING_SHARE * _compute_local_maximum(
+        indentation_mm, _HANGING_MM / pixel_mm
+    )
+    touched = np.zeros_like(deep)
+    here = _find_box(deep, _BOX_MARGIN_PX)
     deep_here = np.ascontiguousarray(deep[here])
     pressed, sure = _compare_with_nearby(
-        pressure[here], deep_here, held[here], pixel_mm, pressure_share, np.float32(median_pressure_share)
+        pressure[here],
+        deep_here,
+        held[here],
+        pixel_mm,
+        pressure_share,
+        np.float32(median_pressure_share),
     )
     touched[here] = _add_faces(indentation_mm[here], _select_seeded(pressed, sure), deep_here)
     return touched
@@ -105,9 +135,15 @@ def _find_box(mask: Mask, margin: int) -> tuple[slice, slice]:
 
 
 def _compare_with_nearby(
-    pressure: Floats, deep: Mask, held: Mask, pixel_mm: float, pressure_share: float, median_share: np.float32
+    pressure: Floats,
+    deep: Mask,
+    held: Mask,
+    pixel_mm: float,
+    pressure_share: float,
+    median_share: np.float32,
 ) -> tuple[Mask, Mask]:
-    """The pixels (rows, cols) of `deep` with enough pressure, and those of them with a part of their region's peak.
+    """The pixels (rows, cols) of `deep` with enough pressure, and those of them with a part of
+    their region's peak.
 
     `held`: what does not hang from a deeper point.
     """
@@ -118,15 +154,23 @@ def _compare_with_nearby(
     found, n = _label_regions(deep)
     at = np.flatnonzero(deep)  # the rest is on these pixels alone, each array (n,)
     own, near = (np.asarray(a, np.float32).reshape(-1)[at] for a in (pressure, dilated))
-    region, held = found.reshape(-1)[at], held.reshape(-1)[at]
+    region = found.reshape(-1)[at]
+    held = held.reshape(-1)[at]
     peak = _find_peaks(own, region, n)[region]
-    core = held & (own > np.maximum(np.maximum(_PRESSURE_MIN, pressure_share * near), _CORE_SHARE * peak))
+    core = held & (
+        own > np.maximum(np.maximum(_PRESSURE_MIN, pressure_share * near), _CORE_SHARE * peak)
+    )
     median = _compute_medians(own[core], region[core], n)[region]
-    ridge = np.clip((near / np.maximum(median, _PRESSURE_MIN) - _RIDGE_START) / (_RIDGE_END - _RIDGE_START), 0.0, 1.0)
+    ridge = np.clip(
+        (near / np.maximum(median, _PRESSURE_MIN) - _RIDGE_START) / (_RIDGE_END - _RIDGE_START),
+        0.0,
+        1.0,
+    )
     share = pressure_share + np.maximum(_RIDGE_SHARE - pressure_share, 0.0) * ridge
     limit = np.maximum(np.maximum(_PRESSURE_MIN, median_share * median), share * near)
     enough = held & (own > limit)
-    pressed, sure = np.zeros_like(deep), np.zeros_like(deep)
+    pressed = np.zeros_like(deep)
+    sure = np.zeros_like(deep)
     pressed.reshape(-1)[at] = enough
     sure.reshape(-1)[at] = enough & (own > _PART_SHARE * peak)
     return pressed, sure
@@ -135,7 +179,8 @@ def _compare_with_nearby(
 def detect_membrane_contact(
     indentation_mm: Floats, *, least_mm: float, pressure_share: float, smoothing_px: float
 ) -> Mask:
-    """Contact of a membrane (rows, cols): indented, with more load than a share of its region's peak; without holes.
+    """Contact of a membrane (rows, cols): indented, with more load than a share of its region's
+    peak; without holes.
 
     Each indented region has its own peak, so a light touch next to a firm one is kept.
     """
@@ -150,15 +195,23 @@ def detect_membrane_contact(
 
 
 def _compute_local_maximum(indentation_mm: Floats, reach_px: float) -> Floats:
-    """The largest indentation (rows, cols) within `reach_px` in rows and columns, on cells of an eighth of it."""
+    """The largest indentation (rows, cols) within `reach_px` in rows and columns, on cells of an
+    eighth of it.
+    """
     import cv2
 
     by = max(1, round(reach_px / _REACH_CELLS))
     rows, cols = indentation_mm.shape
-    small = cv2.resize(indentation_mm, (-(-cols // by), -(-rows // by)), interpolation=cv2.INTER_AREA)
+    small = cv2.resize(
+        indentation_mm, (-(-cols // by), -(-rows // by)), interpolation=cv2.INTER_AREA
+    )
     width = 2 * round(reach_px / by) + 1
     return np.asarray(
-        cv2.resize(cv2.dilate(small, np.ones((width, width), np.uint8)), (cols, rows), interpolation=cv2.INTER_LINEAR),
+        cv2.resize(
+            cv2.dilate(small, np.ones((width, width), np.uint8)),
+            (cols, rows),
+            interpolation=cv2.INTER_LINEAR,
+        ),
         np.float32,
     )
 
@@ -200,14 +253,16 @@ def _select_seeded(mask: Mask, seeds: Mask) -> Mask:
 def _add_faces(indentation_mm: Floats, pressed: Mask, deep: Mask) -> Mask:
     """The contact with the inside of flat faces, where hardly any pressure shows.
 
-    A flat face carries its pressure along its rim. Its inside is as deep as the rim and level, unlike the gel around a
-    contact, which falls away at once.
+    A flat face carries its pressure along its rim. Its inside is as deep as the rim and level,
+    unlike the gel around a contact, which falls away at once.
     """
     import cv2
 
     if not pressed.any():
         return pressed
-    smooth = np.asarray(cv2.GaussianBlur(indentation_mm, (0, 0), _PRESSURE_FREE_BLUR_PX), np.float32)
+    smooth = np.asarray(
+        cv2.GaussianBlur(indentation_mm, (0, 0), _PRESSURE_FREE_BLUR_PX), np.float32
+    )
     slope = np.asarray(cv2.magnitude(*compute_slopes(smooth, 1.0)), np.float32)
     _, nearest = cv2.distanceTransformWithLabels(
         (~pressed).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
@@ -224,12 +279,15 @@ def _add_faces(indentation_mm: Floats, pressed: Mask, deep: Mask) -> Mask:
     with_rim[0] = False
     joined = with_rim[regions].astype(np.uint8)
     # A line of pixels between the rim's pressure ridge and the face belongs to neither.
-    closed = cv2.morphologyEx(joined, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7)))
+    closed = cv2.morphologyEx(
+        joined, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
+    )
     return np.asarray(closed, np.bool_) & deep
 
 
 def fill_holes(mask: Mask) -> Mask:
-    """The mask (rows, cols) with its holes filled: pixels without a 4-connected path to the image border.
+    """The mask (rows, cols) with its holes filled: pixels without a 4-connected path to the image
+    border.
 
     Same as scipy's `binary_fill_holes`, whose package takes a third of a second to load.
     """
@@ -259,10 +317,11 @@ def remove_specks(mask: Mask, min_pixels: int) -> Mask:
 
 
 def remove_weak_specks(mask: Mask, pressure: Floats, min_pixels: float, peak_share: float) -> Mask:
-    """The mask (rows, cols) without regions of fewer than `min_pixels` pixels and little pressure: specks of noise.
+    """The mask (rows, cols) without regions of fewer than `min_pixels` pixels and little pressure:
+    specks of noise.
 
-    A region that reaches `peak_share` of the largest `pressure` (rows, cols) stays however small it is: only pieces of
-    a light touch's rim are visible.
+    A region that reaches `peak_share` of the largest `pressure` (rows, cols) stays however small it
+    is: only pieces of a light touch's rim are visible.
     """
     regions, n = _label_regions(mask)
     keep = np.bincount(regions.ravel(), minlength=n) >= min_pixels
@@ -272,21 +331,32 @@ def remove_weak_specks(mask: Mask, pressure: Floats, min_pixels: float, peak_sha
 
 
 def remove_border_artifacts(
-    mask: Mask, indentation_mm: Floats, rows: slice, cols: slice, shape: tuple[int, int], narrow_px: float
+    mask: Mask,
+    indentation_mm: Floats,
+    rows: slice,
+    cols: slice,
+    shape: tuple[int, int],
+    narrow_px: float,
 ) -> Mask:
-    """The mask without artifacts of the image border; it is the part `rows`, `cols` of an image of `shape`.
+    """The mask without artifacts of the image border.
 
-    Artifacts are small, shallow regions in a corner (the corners of a gel slide under load), and strips along the
-    border no wider than `narrow_px`, if there is a larger contact away from the border: beyond the border nothing is
-    known to be at rest, and illumination is least known there.
+    It is the part `rows`, `cols` of an image of `shape`.
+
+    Artifacts are small, shallow regions in a corner (the corners of a gel slide under load), and
+    strips along the border no wider than `narrow_px`, if there is a larger contact away from the
+    border: beyond the border nothing is known to be at rest, and illumination is least known there.
     """
     import cv2
 
     borders = (rows.start == 0, rows.stop == shape[0], cols.start == 0, cols.stop == shape[1])
-    if not any(at and end.any() for at, end in zip(borders, (mask[0], mask[-1], mask[:, 0], mask[:, -1]), strict=True)):
+    if not any(
+        at and end.any()
+        for at, end in zip(borders, (mask[0], mask[-1], mask[:, 0], mask[:, -1]), strict=True)
+    ):
         return mask
     n, found, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
-    regions, keep = np.asarray(found, np.int32), np.ones(n, np.bool_)
+    regions = np.asarray(found, np.int32)
+    keep = np.ones(n, np.bool_)
     keep[0] = False
     left, top, wide, tall, area = (np.asarray(stats[:, k], np.int64) for k in range(5))
     across = np.stack([top + rows.start == 0, top + tall + rows.start == shape[0]])
@@ -295,8 +365,12 @@ def remove_border_artifacts(
     largest = int(area[1:][~cut[1:]].max(initial=0))
     for k in (int(k) for k in np.flatnonzero(cut & keep)):
         at_corner = np.count_nonzero(across[:, k]) == np.count_nonzero(along[:, k]) == 1
-        narrow = min(tall[k] if across[:, k].any() else wide[k], wide[k] if along[:, k].any() else tall[k])
-        at_corner &= bool(max(wide[k], tall[k]) <= _CORNER_LENGTH * narrow_px or narrow <= narrow_px)
+        narrow = min(
+            tall[k] if across[:, k].any() else wide[k], wide[k] if along[:, k].any() else tall[k]
+        )
+        at_corner &= bool(
+            max(wide[k], tall[k]) <= _CORNER_LENGTH * narrow_px or narrow <= narrow_px
+        )
         shallow = at_corner and float(indentation_mm[np.equal(regions, k)].max()) <= _CORNER_MM
         keep[k] = not shallow and (narrow > narrow_px or area[k] > largest)
     return np.asarray(keep[regions], np.bool_)
@@ -304,8 +378,12 @@ def remove_border_artifacts(
 
 @memoise(8)  # a touch has a window of its own size
 def _compute_wavenumbers(rows: int, cols: int, smoothing_px: float, order: Literal[1, 2]) -> Floats:
-    """Wavenumbers (rows, cols) of a cosine transform to the power of `order`, radians per pixel, damped by a blur."""
+    """Wavenumbers (rows, cols) of a cosine transform to the power of `order`, radians per pixel,
+    damped by a blur.
+    """
     ky, kx = (np.arange(n) * (math.pi / n) for n in (rows, cols))
     q_sq = ky[:, None] ** 2 + kx[None, :] ** 2
     blurs = [np.exp(-0.5 * (smoothing_px * k) ** 2) for k in (ky, kx)]
-    return freeze(((np.sqrt(q_sq) if order == 1 else q_sq) * blurs[0][:, None] * blurs[1]).astype(np.float32))
+    return freeze(
+        ((np.sqrt(q_sq) if order == 1 else q_sq) * blurs[0][:, None] * blurs[1]).astype(np.float32)
+    )

@@ -1,6 +1,7 @@
 """Force of the touch behind a depth map, by the contact model of its sensor's kind.
 
-Not a column: a quantity of the stage *depth*, computed where a report, a table or the timeline asks for it.
+Not a column: a quantity of the stage *depth*, computed where a report, a table or the timeline asks
+for it.
 """
 
 import math
@@ -22,7 +23,9 @@ from pipeline.stages.depth.gel_force import estimate_gel_force
 
 # (sensor, frame, indentation_mm, contact) -> force
 EstimateForce = Callable[[SensorSpec, TactileFrame, Floats, Mask], ContactForce]
-FORCE_MODELS: KindTable[EstimateForce] = KindTable({GelSensor: estimate_gel_force, BubbleSensor: estimate_bubble_force})
+FORCE_MODELS: KindTable[EstimateForce] = KindTable(
+    {GelSensor: estimate_gel_force, BubbleSensor: estimate_bubble_force}
+)
 
 
 def skip_without_contact(
@@ -39,12 +42,21 @@ def skip_without_contact(
 
 
 def estimate_force(
-    depth: DepthMap, source: SensorSpec, frame: TactileFrame, _params: NoParams, _progress: Progress = SILENT
+    depth: DepthMap,
+    source: SensorSpec,
+    frame: TactileFrame,
+    _params: NoParams,
+    _progress: Progress = SILENT,
 ) -> ContactForce:
-    """Force of the contact with the described gel or membrane; raises SettingProblem for another kind."""
+    """Force of the contact with the described gel or membrane.
+
+    Raises SettingProblem for another kind.
+    """
     estimate = FORCE_MODELS.get(source.sensor_kind)
     if estimate is None:
-        raise SettingProblem(f"sensors of kind {source.kind!r} such as {source.name} have no contact model for force")
+        raise SettingProblem(
+            f"sensors of kind {source.kind!r} such as {source.name} have no contact model for force"
+        )
     contact = depth.contact & np.isfinite(depth.indentation_mm)
     return estimate(source.with_camera(depth.camera), frame, depth.indentation_mm, contact)
 

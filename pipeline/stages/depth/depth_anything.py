@@ -24,10 +24,12 @@ from pipeline.stages.networks.published_weights import read_depth_anything
 from pipeline.stages.networks.weights import NoWeights, Weights
 
 OutputKind = Literal["as trained", "metric", "distance", "relative"]
-_USUAL_DISTANCE_MM = 120.0  # largest distance in the tests of MMintLab/depth_anything_v2; it trained up to 200, too
+# largest distance in the tests of MMintLab/depth_anything_v2; it trained up to 200, too
+_USUAL_DISTANCE_MM = 120.0
 _MARGIN_PATCHES = 2  # patches around the contact's bounding box
 _NOT_SHIPPED = NoWeights(
-    why="no weights of Depth Anything V2 are shipped; give yours as --weights FILE, such as depth_anything_v2_vits.pth"
+    why="no weights of Depth Anything V2 are shipped; give yours as --weights FILE, such as "
+    "depth_anything_v2_vits.pth"
 )
 PatchWindow = tuple[int, int, int, int]  # top, left, rows, cols, in patches
 
@@ -36,28 +38,49 @@ PatchWindow = tuple[int, int, int, int]  # top, left, rows, cols, in patches
 class DepthAnythingParams:
     """Input size and output kind of the network."""
 
-    shorter_side_px: int = setting(0, "Shorter side", unit="px", low=0, high=1400, step=14,
-                        help="of the image that the network sees; 0 = as it was trained",
-                        source="Yang et al. 2024: 518 px, in patches of 14")  # fmt: skip
+    shorter_side_px: int = setting(
+        0,
+        "Shorter side",
+        unit="px",
+        low=0,
+        high=1400,
+        step=14,
+        help="of the image that the network sees; 0 = as it was trained",
+        source="Yang et al. 2024: 518 px, in patches of 14",
+    )
     largest_mm: float = setting(
-        0.0, "Largest output", unit="mm", low=0.0, high=1000.0, step=0.1,
-        help="indentation or distance of an output of 1; 0 = as the weights say, else the sensor's limit or 120 mm",
+        0.0,
+        "Largest output",
+        unit="mm",
+        low=0.0,
+        high=1000.0,
+        step=0.1,
+        help="indentation or distance of an output of 1; 0 = as the weights say, else the "
+        "sensor's limit or 120 mm",
         source="Yang et al. 2024, metric head: a sigmoid times the largest depth",
-    )  # fmt: skip
+    )
     output_kind: OutputKind = setting(
-        "as trained", "Output", choices=OutputKind,
-        help="metric: a share of the largest indentation; distance: from the camera, a share of the largest; "
+        "as trained",
+        "Output",
+        choices=OutputKind,
+        help="metric: a share of the largest indentation; distance: from the camera, a share of "
+        "the largest; "
         "relative: without unit, fitted to the physical estimate",
-        source="Yang et al. 2024, both heads; relative depth up to scale and shift: Ranftl et al. 2022",
-    )  # fmt: skip
+        source="Yang et al. 2024, both heads; relative depth up to scale and shift: Ranftl et al. "
+        "2022",
+    )
     crop_to_contact: bool = setting(
-        False, "Crop to contact",
-        help="faster by the share of patches left out; approximate, since every patch attends to all others",
+        False,
+        "Crop to contact",
+        help="faster by the share of patches left out; approximate, since every patch attends to "
+        "all others",
         source="our choice; attention over patches: Dosovitskiy et al. 2021",
-    )  # fmt: skip
+    )
 
 
-def select_weights(_source: SensorSpec, _target: SensorSpec, file: Path | None) -> Weights | NoWeights:
+def select_weights(
+    _source: SensorSpec, _target: SensorSpec, file: Path | None
+) -> Weights | NoWeights:
     """The user's weights; none are shipped."""
     return _NOT_SHIPPED if file is None else weights_registry.load_file(file, read_depth_anything)
 
@@ -70,12 +93,15 @@ def estimate_depth(
     params: DepthAnythingParams,
     progress: Progress,
 ) -> DepthMap | Skipped:
-    """Indentation, depth and contact of a frame as the network predicts them, on the frame's own pixels.
+    """Indentation, depth and contact of a frame as the network predicts them, on the frame's own
+    pixels.
 
-    The membrane at rest comes from the physical estimate, and so does the scale of a relative output. Raises what the
-    physical estimate raises.
+    The membrane at rest comes from the physical estimate, and so does the scale of a relative
+    output. Raises what the physical estimate raises.
     """
-    physical = photometric.run_physics(frame, source, calibration, photometric.DepthParams(), progress)
+    physical = photometric.run_physics(
+        frame, source, calibration, photometric.DepthParams(), progress
+    )
     if isinstance(physical, Skipped):
         return physical
     progress.step(0.5, "running the network")
@@ -86,32 +112,51 @@ def estimate_depth(
     )
     shape = (image.shape[0] // PATCH_PX, image.shape[1] // PATCH_PX)
     rest = physical.depth_mm + physical.indentation_mm
-    window = _compute_patch_window(physical.contact, shape) if params.crop_to_contact else (0, 0, *shape)
+    window = (
+        _compute_patch_window(physical.contact, shape) if params.crop_to_contact else (0, 0, *shape)
+    )
     kind = str(network.answer) if params.output_kind == "as trained" else params.output_kind
     output, contact_mask = _run_network(network, image, window, physical.contact.shape, kind)
     notes = [_describe_window(window, shape)]
     if kind == "metric":
-        indentation = (params.largest_mm or network.largest_mm or source.limits.indentation_max_mm) * output
+        indentation = (
+            params.largest_mm or network.largest_mm or source.limits.indentation_max_mm
+        ) * output
     elif kind == "distance":
         distance_mm = (params.largest_mm or network.largest_mm or _USUAL_DISTANCE_MM) * output
         if not (params.largest_mm or network.largest_mm):
             text = (
-                f"the weights do not state their largest distance, {_USUAL_DISTANCE_MM:g} mm is assumed: depths may be"
+                f"the weights do not state their largest distance, {_USUAL_DISTANCE_MM:g} mm "
+                "is assumed: depths may be"
             )
-            notes.append(StageWarning(f"{text} off by a factor; write largest_mm into a TOML next to the weights"))
+            notes.append(
+                StageWarning(
+                    f"{text} off by a factor; write largest_mm into a TOML next to the weights"
+                )
+            )
         indentation = _convert_distance(distance_mm, rest, source.limits.indentation_max_mm, notes)
     else:
         indentation = _fit_to_physical(output, physical.indentation_mm, notes)
     inside = _mask_window(window, shape, physical.contact.shape)
     indentation = np.where(inside, indentation, 0.0).astype(np.float32)
     least = source.limits.contact_min_mm
-    contact = (indentation > least if contact_mask is None else contact_mask) & inside & np.isfinite(physical.depth_mm)
+    contact = (
+        (indentation > least if contact_mask is None else contact_mask)
+        & inside
+        & np.isfinite(physical.depth_mm)
+    )
     if contact_mask is None:
-        notes.append(f"these weights predict no contact: it is where the indentation exceeds {least:g} mm")
+        notes.append(
+            f"these weights predict no contact: it is where the indentation exceeds {least:g} mm"
+        )
     return replace(
-        physical, indentation_mm=freeze(indentation), depth_mm=freeze((rest - indentation).astype(np.float32)),
-        contact=freeze(contact), notes=(*notes, *physical.notes), error=None,
-    )  # fmt: skip
+        physical,
+        indentation_mm=freeze(indentation),
+        depth_mm=freeze((rest - indentation).astype(np.float32)),
+        contact=freeze(contact),
+        notes=(*notes, *physical.notes),
+        error=None,
+    )
 
 
 def _run_network(
@@ -121,7 +166,9 @@ def _run_network(
     import torch
 
     top, left, rows, cols = window
-    part = image[top * PATCH_PX : (top + rows) * PATCH_PX, left * PATCH_PX : (left + cols) * PATCH_PX]
+    part = image[
+        top * PATCH_PX : (top + rows) * PATCH_PX, left * PATCH_PX : (left + cols) * PATCH_PX
+    ]
     whole = (top, left, image.shape[0] // PATCH_PX, image.shape[1] // PATCH_PX)
     with reproducible_inference():
         shown = torch.from_numpy(np.ascontiguousarray(part.transpose(2, 0, 1)))[None]
@@ -129,12 +176,19 @@ def _run_network(
 
     def resample_to_frame(field: Any) -> Floats:
         filled = torch.zeros((1, 1, *image.shape[:2]))
-        area = slice(top * PATCH_PX, (top + rows) * PATCH_PX), slice(left * PATCH_PX, (left + cols) * PATCH_PX)
+        area = (
+            slice(top * PATCH_PX, (top + rows) * PATCH_PX),
+            slice(left * PATCH_PX, (left + cols) * PATCH_PX),
+        )
         filled[0, 0, area[0], area[1]] = field[0]
         # As published, corners are aligned.
-        return torch.nn.functional.interpolate(filled, shape, mode="bilinear", align_corners=True)[0, 0].numpy()
+        return torch.nn.functional.interpolate(filled, shape, mode="bilinear", align_corners=True)[
+            0, 0
+        ].numpy()
 
-    return resample_to_frame(output), None if contact is None else resample_to_frame(torch.sigmoid(contact)) > 0.5
+    return resample_to_frame(output), None if contact is None else resample_to_frame(
+        torch.sigmoid(contact)
+    ) > 0.5
 
 
 def _compute_patch_window(contact: Mask, shape: tuple[int, int]) -> PatchWindow:
@@ -145,7 +199,9 @@ def _compute_patch_window(contact: Mask, shape: tuple[int, int]) -> PatchWindow:
     ends: list[tuple[int, int]] = []
     for places, n_px, n in ((rows, contact.shape[0], shape[0]), (cols, contact.shape[1], shape[1])):
         first, last = (int(place) * n / n_px for place in (places.min(), places.max() + 1))
-        ends.append((max(0, math.floor(first) - _MARGIN_PATCHES), min(n, math.ceil(last) + _MARGIN_PATCHES)))
+        ends.append(
+            (max(0, math.floor(first) - _MARGIN_PATCHES), min(n, math.ceil(last) + _MARGIN_PATCHES))
+        )
     (top, bottom), (left, right) = ends
     return top, left, bottom - top, right - left
 
@@ -154,33 +210,52 @@ def _mask_window(window: PatchWindow, shape: tuple[int, int], size: tuple[int, .
     """Pixels (rows, cols) of the frame inside the window."""
     top, left, rows, cols = window
     row, col = (np.arange(n_px) * n // n_px for n_px, n in zip(size, shape, strict=True))
-    return ((row >= top) & (row < top + rows))[:, None] & ((col >= left) & (col < left + cols))[None, :]
+    return ((row >= top) & (row < top + rows))[:, None] & ((col >= left) & (col < left + cols))[
+        None, :
+    ]
 
 
 def _fit_to_physical(output: Floats, physical_mm: Floats, notes: list[str]) -> Floats:
     """A relative output, scaled and shifted to the least-squares fit to the physical estimate."""
     known = np.isfinite(physical_mm)
-    scale, shift = 0.0, 0.0
+    scale = 0.0
+    shift = 0.0
     if known.any() and float(np.ptp(output[known])) > 0:
-        scale, shift = np.polyfit(output[known].astype(np.float64), physical_mm[known].astype(np.float64), 1)
-    text = "the output has no unit: it is fitted to the physical estimate, and its depths are only as good as that"
+        scale, shift = np.polyfit(
+            output[known].astype(np.float64), physical_mm[known].astype(np.float64), 1
+        )
+    text = (
+        "the output has no unit: it is fitted to the physical estimate, and its depths are "
+        "only as good as that"
+    )
     notes.append(StageWarning(text))
     if scale <= 0:
-        text = "the output decreases where physics increases, so it is ignored; give weights that predict metric depth"
+        text = (
+            "the output decreases where physics increases, so it is ignored; give weights "
+            "that predict metric depth"
+        )
         notes.append(StageWarning(text))
-        scale, shift = 0.0, 0.0
+        scale = 0.0
+        shift = 0.0
     return (scale * output + shift).astype(np.float32)
 
 
-def _convert_distance(distance_mm: Floats, rest_mm: Floats, most_mm: float, notes: list[str]) -> Floats:
-    """Indentation of a surface at this distance from the camera: rest - distance where that is 0 to `most_mm`, else 0.
+def _convert_distance(
+    distance_mm: Floats, rest_mm: Floats, most_mm: float, notes: list[str]
+) -> Floats:
+    """Indentation of a surface at this distance from the camera: rest - distance where that is 0 to
+    `most_mm`, else 0.
 
-    The lab's truth is the object alone: where there is none it is 0 m, and beyond the membrane nothing is touched.
+    The lab's truth is the object alone: where there is none it is 0 m, and beyond the membrane
+    nothing is touched.
     """
     indentation = rest_mm - distance_mm
     is_touched = (indentation > 0.0) & (indentation <= most_mm)
     if not is_touched.any():
-        text = "no distance lies within the membrane's reach, so nothing is touched; check largest_mm of the weights"
+        text = (
+            "no distance lies within the membrane's reach, so nothing is touched; check "
+            "largest_mm of the weights"
+        )
         notes.append(StageWarning(text))
     return np.where(is_touched | np.isnan(indentation), indentation, 0.0).astype(np.float32)
 
@@ -189,5 +264,8 @@ def _describe_window(window: PatchWindow, shape: tuple[int, int]) -> str:
     rows, cols = (n * PATCH_PX for n in shape)
     text = f"Depth Anything V2 saw {rows}x{cols} pixels, {window[2] * window[3]} patches"
     if window[2:] != shape:
-        text += f" of {shape[0] * shape[1]}: cropped to the contact, an approximation of the whole image"
+        text += (
+            f" of {shape[0] * shape[1]}: cropped to the contact, an approximation of the "
+            "whole image"
+        )
     return text

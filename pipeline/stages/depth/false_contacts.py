@@ -1,26 +1,37 @@
-"""Removal of false contacts: broad, shallow regions that drift of the light leaves next to a touch."""
+"""Removal of false contacts: broad, shallow regions that drift of the light leaves next to a
+touch.
+"""
 
 import numpy as np
 
 from pipeline.core.arrays import Floats, Mask, median, percentile
 from pipeline.physics.slopes import compute_slopes
 
-_FLANK, _FLANK_SHARE = 0.12, 0.1  # mm/mm of a flank, and its least share of a region's pixels
-_FLANK_OF_DEEPEST = 0.7  # of the steepest tenth of the deepest region, where a light touch has nothing steeper
+# mm/mm of a flank, and its least share of a region's pixels
+_FLANK = 0.12
+_FLANK_SHARE = 0.1
+# of the steepest tenth of the deepest region, where a light touch has nothing steeper
+_FLANK_OF_DEEPEST = 0.7
 _STEP_PX = 7  # extent of a smoothed step, to both sides
-_PROMINENCE = 0.5  # of a region's own depth: simulated second touches of 0.05 mm and more have 0.64 to 1.1
+# of a region's own depth: simulated second touches of 0.05 mm and more have 0.64 to 1.1
+_PROMINENCE = 0.5
 _RING_MM = (0.25, 0.8)  # inner and outer distance of the ring that a region is compared with
 _BORDER_SHARE = 0.4  # of the deepest region: corners next to a real GelSlim's presses reach 0.36
 
 
 def remove_false_contacts(
-    touched: Mask, surface_mm: Floats, pixel_mm: float, border: Mask | None = None, changed: Mask | None = None
+    touched: Mask,
+    surface_mm: Floats,
+    pixel_mm: float,
+    border: Mask | None = None,
+    changed: Mask | None = None,
 ) -> Mask:
     """The contact `touched` (rows, cols) without false regions; the deepest region stays.
 
-    A true region has flanks: some of it is steep, and not where the `changed` part of the image ends, since a surface
-    raised by drift ends there in a step. It stands out from its surroundings. At the image `border`, beyond which
-    nothing holds the surface, it has a good part of the deepest region's depth: light is least known in the corners.
+    A true region has flanks: some of it is steep, and not where the `changed` part of the image
+    ends, since a surface raised by drift ends there in a step. It stands out from its surroundings.
+    At the image `border`, beyond which nothing holds the surface, it has a good part of the deepest
+    region's depth: light is least known in the corners.
     """
     import cv2
 
@@ -37,7 +48,9 @@ def remove_false_contacts(
     steep = np.asarray(slope > min(_FLANK, _FLANK_OF_DEEPEST * steepest), np.bool_)
     if changed is not None:
         steep &= _erode_inside(changed)
-    keep = np.bincount(regions[touched & steep], minlength=n) > _FLANK_SHARE * np.bincount(regions.ravel(), minlength=n)
+    keep = np.bincount(regions[touched & steep], minlength=n) > _FLANK_SHARE * np.bincount(
+        regions.ravel(), minlength=n
+    )
     if border is not None:
         cut = np.unique(regions[touched & border])
         keep[cut[depths[cut - 1] < _BORDER_SHARE * float(depths.max())]] = False
@@ -49,7 +62,10 @@ def remove_false_contacts(
 
 
 def _erode_inside(changed: Mask) -> Mask:
-    """The pixels (rows, cols) farther from the end of `changed` than a smoothed step; the image border is no end."""
+    """The pixels (rows, cols) farther from the end of `changed` than a smoothed step.
+
+    The image border is no end.
+    """
     import cv2
 
     kernel = np.ones((_STEP_PX, _STEP_PX), np.uint8)
@@ -63,7 +79,10 @@ def _stands_out(region: Mask, touched: Mask, surface_mm: Floats, pixel_mm: float
     near_px, far_px = (max(1, round(mm / pixel_mm)) for mm in _RING_MM)
     left, top, width, height = cv2.boundingRect(region.astype(np.uint8))
     around = far_px + near_px
-    here = tuple(slice(max(0, first - around), first + n + around) for first, n in ((top, height), (left, width)))
+    here = tuple(
+        slice(max(0, first - around), first + n + around)
+        for first, n in ((top, height), (left, width))
+    )
     ring = _dilate(region[here], far_px) & ~_dilate(touched[here], near_px)
     if not ring.any():
         return True

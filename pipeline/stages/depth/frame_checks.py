@@ -14,7 +14,9 @@ from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthMap, make_pixel_index
 from pipeline.sensors.spec import SensorSpec
 
-_BLACK_GREY, _LIT_GREY = 2, 8  # grey levels: at most in a pixel that was lost, and more than that in its reference
+# grey levels: at most in a pixel that was lost, and more than that in its reference
+_BLACK_GREY = 2
+_LIT_GREY = 8
 _MAX_LOST_SHARE = 0.25  # of the pixels
 
 
@@ -26,10 +28,12 @@ def see_by_frame(source: SensorSpec, frame: TactileFrame) -> SensorSpec:
 def check_frame(frame: TactileFrame, source: SensorSpec) -> None:
     """Raise ShapeError for a frame that no method can read."""
     where = f"frame {frame.index} of {frame.sensor or source.name}"
-    image, reference = frame.image, frame.reference
+    image = frame.image
+    reference = frame.reference
     if reference is None:
         raise MissingReference(
-            f"no reference image for {where}; record one frame without contact, or choose its image as the reference"
+            f"no reference image for {where}; record one frame without contact, or choose its "
+            "image as the reference"
         )
     camera = frame.camera or source.camera
     kind = source.sensor_kind
@@ -37,7 +41,8 @@ def check_frame(frame: TactileFrame, source: SensorSpec) -> None:
     for what, array in (("image", image), ("reference", reference)):
         if array.shape != wanted:
             raise SensorMismatch(
-                f"the {what} of {where} must have shape {wanted}, got {array.shape}; choose the right sensor"
+                f"the {what} of {where} must have shape {wanted}, got {array.shape}; choose the "
+                "right sensor"
             )
         problem = kind.find_image_problem(array)
         if problem:
@@ -45,20 +50,34 @@ def check_frame(frame: TactileFrame, source: SensorSpec) -> None:
     lost = 0.0 if kind.is_depth else _measure_lost_share(image, reference)
     if lost > _MAX_LOST_SHARE:
         raise ShapeError(
-            f"{lost:.0%} of the image of {where} is black where its reference is not: a part of it was lost, or the "
+            f"{lost:.0%} of the image of {where} is black where its reference is not: a part of "
+            "it was lost, or the "
             "light failed; leave this frame out"
         )
 
 
 def _measure_lost_share(image: NDArray[Any], reference: NDArray[Any]) -> float:
-    """Share of the pixels (rows, cols, 3) that are black in the image alone: no touch casts such a shadow."""
+    """Share of the pixels (rows, cols, 3) that are black in the image alone: no touch casts such
+    a shadow.
+    """
     lost = (image[..., 1] <= _BLACK_GREY) & (reference[..., 1] > _LIT_GREY)
-    return float((lost & (image <= _BLACK_GREY).all(axis=2)).mean()) if lost.mean() > _MAX_LOST_SHARE else 0.0
+    return (
+        float((lost & (image <= _BLACK_GREY).all(axis=2)).mean())
+        if lost.mean() > _MAX_LOST_SHARE
+        else 0.0
+    )
 
 
-def make_untouched_depth(frame: TactileFrame, source: SensorSpec, notes: tuple[str, ...]) -> DepthMap:
-    """The result without contact; its arrays are the same for each camera of a gel, and each reference of a bubble."""
-    rest = frame.reference if frame.is_depth and frame.reference is not None else source.rest_depth_mm
+def make_untouched_depth(
+    frame: TactileFrame, source: SensorSpec, notes: tuple[str, ...]
+) -> DepthMap:
+    """The result without contact.
+
+    Its arrays are the same for each camera of a gel, and each reference of a bubble.
+    """
+    rest = (
+        frame.reference if frame.is_depth and frame.reference is not None else source.rest_depth_mm
+    )
     shape = source.camera.shape
     return _untouched.get_or_make(
         (compute_cached_digest(rest), source.camera, notes),

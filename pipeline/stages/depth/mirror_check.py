@@ -1,8 +1,8 @@
 """Whether a gel's images are mirrored, where the reference image alone does not show it.
 
-A GelSight Mini's LEDs look nearly alike from left and right. A touch shows it: the slopes of a calibration table are
-those of a surface, d(gx)/dy = d(gy)/dx; in a mirrored image one of the two is reversed, and half of what a dent shows
-belongs to no surface.
+A GelSight Mini's LEDs look nearly alike from left and right. A touch shows it: the slopes of a
+calibration table are those of a surface, d(gx)/dy = d(gy)/dx; in a mirrored image one of the two is
+reversed, and half of what a dent shows belongs to no surface.
 """
 
 from dataclasses import replace
@@ -22,7 +22,10 @@ _LESS_RESIDUAL = 0.8  # mirrored / plain: identifies 9 of 10 balls on a real Min
 
 
 def describe_mirroring(reference: Image, source: SensorSpec, changed: ChangedImage) -> str:
-    """How a touch shows that the images are mirrored, as a clause; "" where it does not, or they are not."""
+    """How a touch shows that the images are mirrored, as a clause.
+
+    "" where it does not, or they are not.
+    """
     how = None if source.optics is None else compare_colours(reference, source).possible_mirroring
     if how is None or not looks_mirrored(changed, how):
         return ""
@@ -33,16 +36,24 @@ def looks_mirrored(changed: ChangedImage, direction: MirrorDirection) -> bool:
     """Whether a touch's slopes are closer to those of a surface when the images are mirrored."""
     _, cells = changed.patches
     change, reference, where, unmarked = (
-        mirror_image(a, direction) for a in (cells.change, cells.reference, cells.changed, cells.unmarked_share)
+        mirror_image(a, direction)
+        for a in (cells.change, cells.reference, cells.changed, cells.unmarked_share)
     )
     rows, cols = changed.image.shape[:2]
-    x_px, y_px = cells.x_px, cells.y_px
+    x_px = cells.x_px
+    y_px = cells.y_px
     if direction == "left to right":
         x_px = np.ascontiguousarray(cols - 1 - x_px[::-1])
     else:
         y_px = np.ascontiguousarray(rows - 1 - y_px[::-1])
     mirrored = replace(
-        cells, change=change, reference=reference, changed=where, unmarked_share=unmarked, x_px=x_px, y_px=y_px
+        cells,
+        change=change,
+        reference=reference,
+        changed=where,
+        unmarked_share=unmarked,
+        x_px=x_px,
+        y_px=y_px,
     )
     shares = [_compute_curl_share(patch, changed.calibration) for patch in (mirrored, cells)]
     return shares[0] < _LESS_RESIDUAL * shares[1]
@@ -51,7 +62,9 @@ def looks_mirrored(changed: ChangedImage, direction: MirrorDirection) -> bool:
 def _compute_curl_share(cells: ImagePatch, calibration: Calibration) -> float:
     """The share of the squared slopes that belongs to no surface."""
     gx, gy = look_up_slopes(cells, calibration)
-    surface_mm = integrate_slopes(gx, gy, cells.pixel_mm, SideBoundaries("free", "free", "free", "free"))
+    surface_mm = integrate_slopes(
+        gx, gy, cells.pixel_mm, SideBoundaries("free", "free", "free", "free")
+    )
     slopes = compute_slopes(surface_mm, cells.pixel_mm)
     residual = sum(float(((a - b) ** 2).sum()) for a, b in zip((gx, gy), slopes, strict=True))
     return residual / max(float((gx**2 + gy**2).sum()), 1e-9)

@@ -1,7 +1,7 @@
 """Stage one: how far the source sensor's surface is pushed in, and where it is touched.
 
-A gel's image goes through the nodes of `gel.chain`; a bubble's depth image is compared with its untouched one
-(`bubble_depth`).
+A gel's image goes through the nodes of `gel.chain`; a bubble's depth image is compared with its
+untouched one (`bubble_depth`).
 """
 
 from typing import Any, cast
@@ -26,7 +26,11 @@ _run_chain = chain_nodes(NODES, READS)
 
 
 def run_physics(
-    frame: TactileFrame, source: SensorSpec, calibration: Calibration | None, params: DepthParams, progress: Progress
+    frame: TactileFrame,
+    source: SensorSpec,
+    calibration: Calibration | None,
+    params: DepthParams,
+    progress: Progress,
 ) -> DepthMap | Skipped[DepthMap]:
     """`estimate_depth` as a method's function."""
     return _run_chain(frame, source, calibration, params, progress)
@@ -39,10 +43,12 @@ def estimate_depth(
     params: DepthParams,
     progress: Progress = SILENT,
 ) -> DepthMap:
-    """Indentation (mm, positive toward the camera), depth and contact of a frame, in the source sensor's frame.
+    """Indentation (mm, positive toward the camera), depth and contact of a frame, in the source
+    sensor's frame.
 
-    `calibration` None stands for the table that the sensor's description implies. The frame's own camera is used where
-    it has one. Raises ShapeError for a frame that cannot be read, CalibrationError for one of another sensor.
+    `calibration` None stands for the table that the sensor's description implies. The frame's own
+    camera is used where it has one. Raises ShapeError for a frame that cannot be read,
+    CalibrationError for one of another sensor.
     """
     found = run_physics(frame, source, calibration, params, progress)
     return found.output if isinstance(found, Skipped) else found
@@ -51,8 +57,13 @@ def estimate_depth(
 def skip_without_contact(
     frame: TactileFrame, source: SensorSpec, calibration: Calibration | None, params: DepthParams
 ) -> DepthMap | None:
-    """The exact result for a frame without contact; None where there may be contact. Raises as `estimate_depth`."""
-    found = run_nodes(NODES[:2], {"frame": frame, "source": source, "calibration": calibration}, params, SILENT)
+    """The exact result for a frame without contact.
+
+    None where there may be contact. Raises as `estimate_depth`.
+    """
+    found = run_nodes(
+        NODES[:2], {"frame": frame, "source": source, "calibration": calibration}, params, SILENT
+    )
     return found.output if isinstance(found, Skipped) else None
 
 
@@ -64,7 +75,9 @@ def estimate_gel_depth(
     progress: Progress = SILENT,
     illumination: Illumination | None = None,
 ) -> tuple[DepthMap, Illumination | None]:
-    """Depth of a gel's frame, and the light that it was measured by; None where there was nothing to light.
+    """Depth of a gel's frame, and the light that it was measured by.
+
+    None where there was nothing to light.
 
     `illumination` None is the frame's own.
     """
@@ -76,19 +89,30 @@ def estimate_gel_depth(
             values["depth.light"] = FrameLight(illumination=illumination, calibration=table)
         found = run_nodes(NODES[2:], values, params, progress)
     light = values.get("depth.light")
-    return found.output if isinstance(found, Skipped) else found, None if light is None else light.illumination
+    return found.output if isinstance(
+        found, Skipped
+    ) else found, None if light is None else light.illumination
 
 
-def warn_of_mismatch(frame: TactileFrame, source: SensorSpec, calibration: Calibration | None) -> tuple[str, ...]:
-    """A warning where a gel's images contradict the described LEDs that its calibration rests on."""
-    mismatch = describe_mismatch(frame, source) if calibration is None or calibration.is_built_in else ""
+def warn_of_mismatch(
+    frame: TactileFrame, source: SensorSpec, calibration: Calibration | None
+) -> tuple[str, ...]:
+    """A warning where a gel's images contradict the described LEDs that its calibration rests
+    on.
+    """
+    mismatch = (
+        describe_mismatch(frame, source) if calibration is None or calibration.is_built_in else ""
+    )
     return (StageWarning(f"{mismatch}; depth and contact may be all wrong"),) if mismatch else ()
 
 
 def describe_mismatch(frame: TactileFrame, source: SensorSpec) -> str:
-    """How a gel's images differ from those of the sensor's description, as a clause; "" where they do not.
+    """How a gel's images differ from those of the sensor's description, as a clause.
 
-    The reference image shows most of it; on some sensors, mirroring shows only together with a touch.
+    "" where they do not.
+
+    The reference image shows most of it; on some sensors, mirroring shows only together with a
+    touch.
     """
     if frame.is_depth or frame.reference is None:
         return ""
@@ -98,6 +122,7 @@ def describe_mismatch(frame: TactileFrame, source: SensorSpec) -> str:
     if mismatch or "depth.change" not in values:
         return mismatch
     rest = values["depth.rest"]
-    image, reference = cast("Image", frame.image), cast("Image", frame.reference)
+    image = cast("Image", frame.image)
+    reference = cast("Image", frame.reference)
     changed = make_changed_image(image, rest, values["depth.change"], rest.calibration)
     return mirror_check.describe_mirroring(reference, rest.source, changed)

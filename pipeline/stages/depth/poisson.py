@@ -1,20 +1,24 @@
-"""Integration of slopes to a surface: the exact least-squares solution by cosine or sine transforms.
+"""Integration of slopes to a surface: the exact least-squares solution by cosine or sine
+transforms.
 
-Minimises the sum of |D z - g|^2 over the edges between neighbouring pixels, where the slope of an edge is the mean of
-its two pixels, g_{i+1/2} = (g_i + g_{i+1}) / 2. The normal equations are a five-point Poisson equation, which is
-diagonal in waves along an axis: cosines at a free end, sines at an end that is held at zero:
+Minimises the sum of |D z - g|^2 over the edges between neighbouring pixels, where the slope of an
+edge is the mean of its two pixels, g_{i+1/2} = (g_i + g_{i+1}) / 2. The normal equations are a
+five-point Poisson equation, which is diagonal in waves along an axis: cosines at a free end, sines
+at an end that is held at zero:
 
-    z^(k, l) = -div^(k, l) / (4 sin^2(pi k / 2W) + 4 sin^2(pi l / 2H)),
-    k = 0..W-1 both ends free (DCT-II);  1..W both flat (DST-II);  1/2..W-1/2 one of each (DCT-IV, DST-IV).
+    z^(k, l) = -div^(k, l) / (4 sin^2(pi k / 2W) + 4 sin^2(pi l / 2H)), k = 0..W-1 both ends free
+    (DCT-II);  1..W both flat (DST-II);  1/2..W-1/2 one of each (DCT-IV, DST-IV).
 
-The transform runs along the axis with the faster length; along the other, each wave is a tridiagonal system, solved by
-elimination (Hockney 1965): as exact, in a third of the time of transforms along both.
+The transform runs along the axis with the faster length; along the other, each wave is a
+tridiagonal system, solved by elimination (Hockney 1965): as exact, in a third of the time of
+transforms along both.
 
-Frankot & Chellappa 1988, Simchony et al. 1990. Two slips are common in public integrators and are avoided here:
-counting k from 1, which damps the long waves, and a divergence without the half of the central difference.
+Frankot & Chellappa 1988, Simchony et al. 1990. Two slips are common in public integrators and are
+avoided here: counting k from 1, which damps the long waves, and a divergence without the half of
+the central difference.
 
-For slopes with different weights per pixel, `solve_weighted_slopes` minimises sum (D z - g)' A (D z - g) by conjugate
-gradients, with this integral as the preconditioner.
+For slopes with different weights per pixel, `solve_weighted_slopes` minimises sum (D z - g)' A (D z
+- g) by conjugate gradients, with this integral as the preconditioner.
 """
 
 import math
@@ -32,8 +36,11 @@ _BOUNDARIES: tuple[Boundary, ...] = get_args(Boundary)
 EndConditions = tuple[Boundary, Boundary]
 Integrator = Callable[[Floats, Floats], Floats]  # slopes (gx, gy) in mm/mm to a surface in mm
 
-_WORKERS, _PARALLEL_PIXELS = 2, 2**18  # threads, and the pixels above which they save time
-_DOUBLE_MODES = 8  # the longest waves, solved in double precision: single precision loses digits there
+# threads, and the pixels above which they save time
+_WORKERS = 2
+_PARALLEL_PIXELS = 2**18
+# the longest waves, solved in double precision: single precision loses digits there
+_DOUBLE_MODES = 8
 _FAST_PRIME_MAX = 13  # lengths without larger prime factors have a fast transform
 
 
@@ -46,18 +53,28 @@ class SideBoundaries(NamedTuple):
     bottom: Boundary
 
 
-def integrate_slopes(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary | SideBoundaries = "free") -> Floats:
-    """The surfaces z_mm (..., rows, cols) float32 whose slopes (mm/mm, x right, y down) are nearest to gx, gy.
+def integrate_slopes(
+    gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary | SideBoundaries = "free"
+) -> Floats:
+    """The surfaces z_mm (..., rows, cols) float32 whose slopes (mm/mm, x right, y down) are nearest
+    to gx, gy.
 
-    "free": no condition at the border; "flat": zero along the outer edge of the border pixels; the four sides may
-    differ. Free on all sides, the surface has mean zero. Raises ShapeError for arrays of different shapes, that are no
-    images or not finite, SettingProblem for another boundary.
+    "free": no condition at the border; "flat": zero along the outer edge of the border pixels; the
+    four sides may differ. Free on all sides, the surface has mean zero. Raises ShapeError for
+    arrays of different shapes, that are no images or not finite, SettingProblem for another
+    boundary.
     """
     if gx.ndim < 2 or gx.shape != gy.shape or gx.size == 0:
-        raise ShapeError(f"slopes must be two images of one shape (rows, cols), got {gx.shape} and {gy.shape}")
+        raise ShapeError(
+            f"slopes must be two images of one shape (rows, cols), got {gx.shape} and {gy.shape}"
+        )
     from pipeline.stages.depth.poisson_kernels import compute_divergence, solve_tridiagonal
 
-    sides = boundary if isinstance(boundary, SideBoundaries) else SideBoundaries(boundary, boundary, boundary, boundary)
+    sides = (
+        boundary
+        if isinstance(boundary, SideBoundaries)
+        else SideBoundaries(boundary, boundary, boundary, boundary)
+    )
     for side in set(sides).difference(_BOUNDARIES):
         raise SettingProblem(f"boundary must be one of {', '.join(_BOUNDARIES)}, got {side!r}")
     *_, rows, cols = gx.shape
@@ -65,7 +82,8 @@ def integrate_slopes(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary
     free = np.array([side == "free" for side in sides])
     out = np.empty((gx.size // (rows * cols), rows, cols), np.float32)
     slopes = np.empty((2, *out.shape), np.float32)
-    slopes[0], slopes[1] = gx.reshape(out.shape), gy.reshape(out.shape)
+    slopes[0] = gx.reshape(out.shape)
+    slopes[1] = gy.reshape(out.shape)
     if not math.isfinite(compute_divergence(slopes, free, out)):
         raise ShapeError("slopes hold values that are not finite; fill them before integrating")
     along_x: EndConditions = (sides.left, sides.right)
@@ -77,7 +95,8 @@ def integrate_slopes(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary
     solve_tridiagonal(wave, per, np.float32(-pixel_mm), slow, np.empty(slow.shape))
     wave = _transform(wave, ends, back=True)
     surface = (wave if across else _transpose(wave)).reshape(gx.shape)
-    surface.flags.writeable = False  # not by `freeze`: a call in another module takes part of so short a time
+    # not by `freeze`: a call in another module takes part of so short a time
+    surface.flags.writeable = False
     return surface
 
 
@@ -89,19 +108,22 @@ def solve_weighted_slopes(
     integrated: Integrator,
     steps: int,
 ) -> Floats:
-    """The surfaces (..., rows, cols) whose slopes are nearest to `target_slopes` under per-pixel weights.
+    """The surfaces (..., rows, cols) whose slopes are nearest to `target_slopes` under per-pixel
+    weights.
 
-    slope_weights (3, rows, cols): a matrix (xx, xy, yy) for each pixel. `steps` of conjugate gradients from
-    `surface_mm`, preconditioned by `integrated`, the integral with equal weights.
+    slope_weights (3, rows, cols): a matrix (xx, xy, yy) for each pixel. `steps` of conjugate
+    gradients from `surface_mm`, preconditioned by `integrated`, the integral with equal weights.
     """
     from pipeline.stages.depth.poisson_kernels import compute_residual, descend
 
     # Copies, as the kernels are compiled again for read-only arrays.
     surface = np.array(surface_mm, np.float32).reshape(-1, *surface_mm.shape[-2:])
     wanted = np.array(target_slopes, np.float32).reshape(2, *surface.shape)
-    weights, per_px = np.array(slope_weights, np.float32), np.float32(1.0) / np.float32(pixel_mm)
+    weights = np.array(slope_weights, np.float32)
+    per_px = np.float32(1.0) / np.float32(pixel_mm)
     slopes, left, along = (np.zeros((2, *surface.shape), np.float32) for _ in range(3))
-    way, energy = np.zeros_like(surface), np.zeros(len(surface))
+    way = np.zeros_like(surface)
+    energy = np.zeros(len(surface))
     compute_residual(surface, wanted, weights, per_px, slopes, left)
     for _ in range(steps):
         field = left.reshape(2, *surface_mm.shape)
@@ -119,7 +141,9 @@ def _transform(images: Floats, ends: EndConditions, *, back: bool) -> Floats:
     kind = 2 if first == last else 4
     transforms = (fft.dct, fft.idct) if first == "free" else (fft.dst, fft.idst)
     workers = _WORKERS if images.size > _PARALLEL_PIXELS else 1
-    return np.asarray(transforms[back](images, type=kind, norm="ortho", workers=workers), np.float32)
+    return np.asarray(
+        transforms[back](images, type=kind, norm="ortho", workers=workers), np.float32
+    )
 
 
 def _transpose(images: Floats) -> Floats:
@@ -133,26 +157,37 @@ def _transpose(images: Floats) -> Floats:
 
 
 def _is_fast_length(n: int, other: int) -> bool:
-    """Whether a transform of length `n` is no slower than one of another length, by their largest prime factors."""
+    """Whether a transform of length `n` is no slower than one of another length, by their
+    largest prime factors.
+    """
     return _compute_largest_prime(n) <= max(_compute_largest_prime(other), _FAST_PRIME_MAX)
 
 
 def _compute_largest_prime(n: int) -> int:
-    largest, k = 1, 2
+    largest = 1
+    k = 2
     while k * k <= n:
         while n % k == 0:
-            n, largest = n // k, k
+            n = n // k
+            largest = k
         k += 1
     return max(n, largest)
 
 
 @derive_once
-def _compute_pivots(rows: int, modes: int, ends: EndConditions, others: EndConditions) -> tuple[Floats, Doubles]:
-    """Inverse pivots for `solve_tridiagonal`: images (rows, modes) with `ends` along the rows, `others` across."""
+def _compute_pivots(
+    rows: int, modes: int, ends: EndConditions, others: EndConditions
+) -> tuple[Floats, Doubles]:
+    """Inverse pivots for `solve_tridiagonal`: images (rows, modes) with `ends` along the rows,
+    `others` across.
+    """
     from pipeline.stages.depth.poisson_kernels import compute_pivots
 
     first = 0.5 if ends[0] != ends[1] else float(ends[0] == "flat")
     waves = 4.0 * np.sin((np.arange(modes) + first) * (math.pi / (2 * modes))) ** 2
-    out, slow = np.empty((rows, modes), np.float32), np.empty((rows, min(_DOUBLE_MODES, modes)))
-    compute_pivots(waves, *(1.0 if end == "free" else 3.0 for end in others), np.zeros(modes), out, slow)
+    out = np.empty((rows, modes), np.float32)
+    slow = np.empty((rows, min(_DOUBLE_MODES, modes)))
+    compute_pivots(
+        waves, *(1.0 if end == "free" else 3.0 for end in others), np.zeros(modes), out, slow
+    )
     return freeze(out), freeze(slow)

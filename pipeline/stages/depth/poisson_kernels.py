@@ -14,19 +14,28 @@ _ENERGY_MIN = 1e-20
 
 @kernel(fastmath=FAST)
 def compute_divergence(slopes, free, out):
-    """Write the negated divergence of slopes (2, n, rows, cols) into `out`; free (4,): whether a side is free.
+    """Write the negated divergence of slopes (2, n, rows, cols) into `out`.
 
-    A held side lies half a pixel outside: the edge to it has its pixel's slope. A free side has no edge. This is the
-    negated transpose of D applied to the slopes. Returns 0, or NaN if a slope is not finite.
+    Free (4,): whether a side is free.
+
+    A held side lies half a pixel outside: the edge to it has its pixel's slope. A free side has no
+    edge. This is the negated transpose of D applied to the slopes. Returns 0, or NaN if a slope is
+    not finite.
     """
-    gx, gy = slopes[0], slopes[1]
+    gx = slopes[0]
+    gy = slopes[1]
     rows, cols = gx.shape[1:]
-    nothing, half = np.float32(0.0), np.float32(0.5)
-    total, one, last = nothing, np.uint64(1), np.uint64(cols - 1)
+    nothing = np.float32(0.0)
+    half = np.float32(0.5)
+    total = nothing
+    one = np.uint64(1)
+    last = np.uint64(cols - 1)
     for m in range(gx.shape[0]):
         image = np.uint64(m)
         for row in range(rows):
-            r, above, below = np.uint64(row), np.uint64(max(row - 1, 0)), np.uint64(min(row + 1, rows - 1))
+            r = np.uint64(row)
+            above = np.uint64(max(row - 1, 0))
+            below = np.uint64(min(row + 1, rows - 1))
             up = half if row == 0 and free[2] else -half
             down = -half if row == rows - 1 and free[3] else half
             for i in range(cols):
@@ -47,11 +56,12 @@ def compute_divergence(slopes, free, out):
 
 @kernel()
 def compute_pivots(waves, first, last, per, out, slow):
-    """Write the inverse pivots (rows, modes) of a five-point operator, tridiagonal along the rows, diagonal in modes.
+    """Write the inverse pivots (rows, modes) of a five-point operator, tridiagonal along the rows,
+    diagonal in modes.
 
-    waves (modes,): its eigenvalues along the other axis. first, last: the diagonal at the ends at both sides, 1 at a
-    free one, 3 at one that is held. per (modes,): zeros, scratch. slow (rows, at most modes): the same of
-    the first modes. A zero pivot (the constant mode) counts as infinite.
+    waves (modes,): its eigenvalues along the other axis. first, last: the diagonal at the ends at
+    both sides, 1 at a free one, 3 at one that is held. per (modes,): zeros, scratch. slow (rows, at
+    most modes): the same of the first modes. A zero pivot (the constant mode) counts as infinite.
     """
     rows, modes = out.shape
     for r in range(rows):
@@ -71,8 +81,8 @@ def compute_pivots(waves, first, last, per, out, slow):
 def solve_tridiagonal(wave, per, scale, slow, line):
     """Solve in place for `wave` (n, rows, modes), times `scale`, with `per` and `slow` of `pivots`.
 
-    The modes of `slow`, the longest waves, are solved in double precision; line, of the same shape: scratch. If only
-    differences of the first mode are determined, its mean is zero.
+    The modes of `slow`, the longest waves, are solved in double precision; line, of the same shape:
+    scratch. If only differences of the first mode are determined, its mean is zero.
     """
     (rows, few), modes, one = slow.shape, wave.shape[2], np.uint64(1)
     for m in range(wave.shape[0]):
@@ -81,7 +91,9 @@ def solve_tridiagonal(wave, per, scale, slow, line):
             r = np.uint64(row)
             for i in range(few):
                 k = np.uint64(i)
-                line[r, k] = scale * wave[image, r, k] + (line[r - one, k] * slow[r - one, k] if row > 0 else 0.0)
+                line[r, k] = scale * wave[image, r, k] + (
+                    line[r - one, k] * slow[r - one, k] if row > 0 else 0.0
+                )
             for i in range(modes):
                 k = np.uint64(i)
                 wave[image, r, k] *= scale
@@ -89,7 +101,8 @@ def solve_tridiagonal(wave, per, scale, slow, line):
                     wave[image, r, k] += per[r - one, k] * wave[image, r - one, k]
         mean = 0.0
         for row in range(rows - 1, -1, -1):
-            r, after = np.uint64(row), np.uint64(min(row + 1, rows - 1))
+            r = np.uint64(row)
+            after = np.uint64(min(row + 1, rows - 1))
             on = np.float32(1.0 if row < rows - 1 else 0.0)
             for i in range(modes):
                 k = np.uint64(i)
@@ -106,8 +119,9 @@ def solve_tridiagonal(wave, per, scale, slow, line):
                 wave[image, r, k] = line[r, k]
 
 
-# Conjugate gradients on sum (grad z - g)' A (grad z - g): z surfaces (n, rows, cols), A a matrix (xx, xy, yy) a pixel,
-# `weights` (3, rows, cols). `slopes`, `left` and `along` are (2, n, rows, cols): of x and of y.
+# Conjugate gradients on sum (grad z - g)' A (grad z - g): z surfaces (n, rows, cols), A a matrix
+# (xx, xy, yy) a pixel, `weights` (3, rows, cols). `slopes`, `left` and `along` are (2, n, rows,
+# cols): of x and of y.
 
 
 @kernel(fastmath=FAST)
@@ -121,26 +135,35 @@ def compute_residual(surface, wanted, weights, per_px, slopes, left):
             r = np.uint64(row)
             for i in range(cols):
                 c = np.uint64(i)
-                x, y = wanted[0, image, r, c] - slopes[0, image, r, c], wanted[1, image, r, c] - slopes[1, image, r, c]
+                x = wanted[0, image, r, c] - slopes[0, image, r, c]
+                y = wanted[1, image, r, c] - slopes[1, image, r, c]
                 left[0, image, r, c] = weights[0, r, c] * x + weights[1, r, c] * y
                 left[1, image, r, c] = weights[1, r, c] * x + weights[2, r, c] * y
 
 
 @kernel(fastmath=FAST)
 def descend(step, weights, per_px, slopes, way, along, energy, surface, left):
-    """Take one step of conjugate gradients, `step` being the preconditioned residual; return whether anything moved.
+    """Take one step of conjugate gradients, `step` being the preconditioned residual.
 
-    `way` is the direction and `along` its slopes; energy (n,): the residual times the slopes of the last step.
+    Return whether anything moved.
+
+    `way` is the direction and `along` its slopes; energy (n,): the residual times the slopes of the
+    last step.
     """
     write_slopes(step, per_px, slopes[0], slopes[1])
     (n, rows, cols), moved = step.shape, False
     for m in range(n):
-        image, new, stiff = np.uint64(m), 0.0, 0.0
+        image = np.uint64(m)
+        new = 0.0
+        stiff = 0.0
         for row in range(rows):
             r = np.uint64(row)
             for i in range(cols):
                 c = np.uint64(i)
-                new += left[0, image, r, c] * slopes[0, image, r, c] + left[1, image, r, c] * slopes[1, image, r, c]
+                new += (
+                    left[0, image, r, c] * slopes[0, image, r, c]
+                    + left[1, image, r, c] * slopes[1, image, r, c]
+                )
         share = np.float32(new / energy[image] if energy[image] > _ENERGY_MIN else 0.0)
         energy[image] = new
         for row in range(rows):
@@ -150,17 +173,20 @@ def descend(step, weights, per_px, slopes, way, along, energy, surface, left):
                 way[image, r, c] = share * way[image, r, c] + step[image, r, c]
                 x = share * along[0, image, r, c] + slopes[0, image, r, c]
                 y = share * along[1, image, r, c] + slopes[1, image, r, c]
-                along[0, image, r, c], along[1, image, r, c] = x, y
+                along[0, image, r, c] = x
+                along[1, image, r, c] = y
                 xy = weights[1, r, c]
                 stiff += x * (weights[0, r, c] * x + xy * y) + y * (xy * x + weights[2, r, c] * y)
         if stiff <= _ENERGY_MIN or new == 0.0:
             continue
-        share, moved = np.float32(new / stiff), True
+        share = np.float32(new / stiff)
+        moved = True
         for row in range(rows):
             r = np.uint64(row)
             for i in range(cols):
                 c = np.uint64(i)
-                x, y = along[0, image, r, c], along[1, image, r, c]
+                x = along[0, image, r, c]
+                y = along[1, image, r, c]
                 surface[image, r, c] += share * way[image, r, c]
                 left[0, image, r, c] -= share * (weights[0, r, c] * x + weights[1, r, c] * y)
                 left[1, image, r, c] -= share * (weights[1, r, c] * x + weights[2, r, c] * y)

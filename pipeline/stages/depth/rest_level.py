@@ -1,10 +1,11 @@
 """Levels a gel's surface: finds where it is at rest and brings it to zero there.
 
-Slopes that are slightly wrong on one flank of a dent leave the gel behind it too high or too low, and a level face has
-no slopes that distinguish it from the gel around. Mechanics does: a nearly incompressible layer of thickness t returns
-to rest within about t of a load. So quiet patches, farther than that from any pressure, are either at rest or the
-inside of a face, and a face is about as deep as the rim that encloses it. The surface z is brought to zero on the
-former with the least bending:
+Slopes that are slightly wrong on one flank of a dent leave the gel behind it too high or too low,
+and a level face has no slopes that distinguish it from the gel around. Mechanics does: a nearly
+incompressible layer of thickness t returns to rest within about t of a load. So quiet patches,
+farther than that from any pressure, are either at rest or the inside of a face, and a face is about
+as deep as the rim that encloses it. The surface z is brought to zero on the former with the least
+bending:
 
     minimise  sum |grad (z' - z)|^2 + w z'^2,   w > 0 at rest;
 
@@ -23,17 +24,23 @@ from pipeline.sensors.spec import Gel
 _CELLS = 56  # of the coarse grid, along the longer side
 _QUIET_DISTANCE = 0.7  # gel thicknesses from pressure
 _FACE_SHARE = 0.7  # of the rim's depth: an enclosed patch that deep is the inside of a face
-_CUT_FACE_SHARE = 0.87  # the same for a patch at the image border, which slightly wrong slopes lift as well
+# the same for a patch at the image border, which slightly wrong slopes lift as well
+_CUT_FACE_SHARE = 0.87
 _FACE_RELIEF_SHARE = 0.3  # of the whole relief: smallest depth of a face's rim
-_LOWEST_PERCENT = 2.0  # percentile that stands for the lowest part: a bulge, or the surroundings of a face
+# percentile that stands for the lowest part: a bulge, or the surroundings of a face
+_LOWEST_PERCENT = 2.0
 _REST_SPREAD_SHARE = 0.2  # of the whole relief: quiet parts with less spread need no correction
-_LOW_PERCENT, _HIGH_PERCENT = 5.0, 95.0  # percentiles of that spread
+# percentiles of that spread
+_LOW_PERCENT = 5.0
+_HIGH_PERCENT = 95.0
 _REST_WEIGHT = 0.3  # weight w of a cell at rest, against one of a step between two cells
 _ITERATIONS = 24
 _TOLERANCE = 1e-3
 _CELL_TOUCHED = 0.5  # share of a cell
 _FAR_SHARE_MIN = 0.02  # of the pixels: fewer far pixels give no level
-_FAR_TOLERANCE_MM, _FAR_ITERATIONS = 2e-3, 12  # of the far field, which is a tenth of a millimetre
+# of the far field, which is a tenth of a millimetre
+_FAR_TOLERANCE_MM = 2e-3
+_FAR_ITERATIONS = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,14 +52,21 @@ class LevelledSurface:
 
 
 def level_surface(surface_mm: Floats, pressed: Mask, pixel_mm: float, gel: Gel) -> LevelledSurface:
-    """The surface (rows, cols) with its rest at zero; `pressed`: where there certainly is pressure."""
+    """The surface (rows, cols) with its rest at zero.
+
+    `pressed`: where there certainly is pressure.
+    """
     by = max(1, round(max(surface_mm.shape) / _CELLS))
-    z, held = downsample(surface_mm, by), downsample(pressed.astype(np.float32), by) > 0
+    z = downsample(surface_mm, by)
+    held = downsample(pressed.astype(np.float32), by) > 0
     inside = np.zeros(z.shape, np.bool_)
     reach = _QUIET_DISTANCE * gel.thickness_mm / (pixel_mm * by)
     quiet, patches = _find_quiet_patches(held, reach)
-    lowest, highest = (float(v) for v in np.percentile(z, (_LOWEST_PERCENT, 100.0 - _LOWEST_PERCENT)))
-    rest, level = quiet.copy(), (lowest if held.any() else float(np.median(z)))
+    lowest, highest = (
+        float(v) for v in np.percentile(z, (_LOWEST_PERCENT, 100.0 - _LOWEST_PERCENT))
+    )
+    rest = quiet.copy()
+    level = lowest if held.any() else float(np.median(z))
     if patches:
         levels = [float(np.median(z[patch])) for patch in patches]
         level = min(levels)
@@ -79,22 +93,30 @@ def level_surface(surface_mm: Floats, pressed: Mask, pixel_mm: float, gel: Gel) 
 
 
 def compute_far_field(surface_mm: Floats, touched: Mask, pixel_mm: float, gel: Gel) -> Floats:
-    """The layer's surface (rows, cols) in mm outside the contact, with its bulge, from mechanics alone.
+    """The layer's surface (rows, cols) in mm outside the contact, with its bulge, from mechanics
+    alone.
 
     The surface of least energy through the measured contact, on a coarse grid.
     """
     by = max(1, round(max(surface_mm.shape) / _CELLS))
     share = downsample(touched.astype(np.float32), by)
-    depth = downsample(np.where(touched, surface_mm, np.float32(0.0)), by) / np.maximum(share, np.float32(1e-6))
+    depth = downsample(np.where(touched, surface_mm, np.float32(0.0)), by) / np.maximum(
+        share, np.float32(1e-6)
+    )
     held = share > min(_CELL_TOUCHED, 0.5 * float(share.max()))
-    return upsample(_relax(np.asarray(depth, np.float32), held, pixel_mm * by, gel), surface_mm.shape)
+    return upsample(
+        _relax(np.asarray(depth, np.float32), held, pixel_mm * by, gel), surface_mm.shape
+    )
 
 
-def level_by_far_field(surface_mm: Floats, touched: Mask, far: Mask, pixel_mm: float, gel: Gel) -> Floats:
+def level_by_far_field(
+    surface_mm: Floats, touched: Mask, far: Mask, pixel_mm: float, gel: Gel
+) -> Floats:
     """The surface (rows, cols) shifted so that its `far` part is as high as mechanics predicts.
 
-    A nearly incompressible layer rises around a contact, so what looks at rest is not: slopes alone would measure the
-    contact from the bulge. Unchanged where too few pixels are far from the contact.
+    A nearly incompressible layer rises around a contact, so what looks at rest is not: slopes alone
+    would measure the contact from the bulge. Unchanged where too few pixels are far from the
+    contact.
     """
     if np.count_nonzero(far) <= _FAR_SHARE_MIN * far.size:
         return surface_mm
@@ -110,7 +132,9 @@ def _relax(depth_mm: Floats, held: Mask, cell_mm: float, gel: Gel) -> Floats:
 
 
 def _extend_to_rim(surface_mm: Floats, inside: Mask) -> Mask:
-    """The face that a patch of its inside belongs to: everything connected to it that is about as deep."""
+    """The face that a patch of its inside belongs to: everything connected to it that is about
+    as deep.
+    """
     import cv2
 
     if not inside.any():
@@ -151,12 +175,16 @@ def _compute_rim_height(z: Floats, patch: Mask, reach: float) -> float:
 
     width = 2 * math.ceil(2.0 * reach) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
-    inner = np.asarray(cv2.erode(patch.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=1), np.bool_)
+    inner = np.asarray(
+        cv2.erode(patch.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=1), np.bool_
+    )
     return float(np.median(np.asarray(cv2.dilate(z, disc))[patch & ~inner]))
 
 
 def _solve_correction(z: Floats, rest: Mask) -> Floats:
-    """The correction d of the coarse surface: (laplacian + w) d = -w z by preconditioned conjugate gradients."""
+    """The correction d of the coarse surface: (laplacian + w) d = -w z by preconditioned
+    conjugate gradients.
+    """
     from scipy import fft
 
     if not rest.any():
@@ -172,7 +200,9 @@ def _solve_correction(z: Floats, rest: Mask) -> Floats:
 
     d: Doubles = np.zeros(z.shape)
     left = -weight * z.astype(np.float64)
-    step, energy, first = np.zeros_like(d), 1.0, float(np.abs(left).max())
+    step = np.zeros_like(d)
+    energy = 1.0
+    first = float(np.abs(left).max())
     for k in range(_ITERATIONS):
         if float(np.abs(left).max()) <= _TOLERANCE * first:
             break
@@ -181,7 +211,9 @@ def _solve_correction(z: Floats, rest: Mask) -> Floats:
         step = ready + (new / energy if k else 0.0) * step
         moved = _laplacian(step) + weight * step
         length = new / float((step * moved).sum())
-        d, left, energy = d + length * step, left - length * moved, new
+        d = d + length * step
+        left = left - length * moved
+        energy = new
     return d.astype(np.float32)
 
 
@@ -207,4 +239,6 @@ def upsample(image: Floats, shape: tuple[int, ...]) -> Floats:
     """A coarse image interpolated to `shape` (rows, cols)."""
     import cv2
 
-    return np.asarray(cv2.resize(image, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR), np.float32)
+    return np.asarray(
+        cv2.resize(image, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR), np.float32
+    )

@@ -49,14 +49,16 @@ UNET = Method(
     stage="depth",
     name="unet",
     title="U-Net",
-    help="the lab's networks, with weights that you give: depth of a gel (gelslim_depth) or contact of a bubble",
+    help="the lab's networks, with weights that you give: depth of a gel (gelslim_depth) or "
+    "contact of a bubble",
     run=fall_back_without_weights(unet.estimate_depth, fallback=PHYSICS),
     params=NoParams,
     reads=(*PHYSICS.reads, "depth_weights"),
     weights=unet.select_weights,
 )
 
-# The first that fits the sensor is the default: a bubble's network errs less (`benchmarks/bubble_network.py`).
+# The first that fits the sensor is the default: a bubble's network errs less
+# (`benchmarks/bubble_network.py`).
 STAGE = make_depth_stage(
     name="depth",
     title="Depth",

@@ -35,29 +35,62 @@ class Metric:
 
 
 METRICS: Mapping[str, Metric] = {
-    "mae_mm": Metric(title="error", unit="mm", meaning="mean absolute error of indentation over the whole image"),
+    "mae_mm": Metric(
+        title="error", unit="mm", meaning="mean absolute error of indentation over the whole image"
+    ),
     "contact_mae_mm": Metric(
-        title="error in contact", unit="mm", meaning="mean absolute error of indentation inside the true contact"
+        title="error in contact",
+        unit="mm",
+        meaning="mean absolute error of indentation inside the true contact",
     ),
     "contact_iou": Metric(
-        title="IoU of contact", unit="", meaning="intersection over union of contact and true contact", better="higher"
+        title="IoU of contact",
+        unit="",
+        meaning="intersection over union of contact and true contact",
+        better="higher",
     ),
     "psnr_db": Metric(
-        title="PSNR", unit="dB", meaning="peak signal-to-noise ratio of the generated image", better="higher"
+        title="PSNR",
+        unit="dB",
+        meaning="peak signal-to-noise ratio of the generated image",
+        better="higher",
     ),
     "depth_mae_mm": Metric(
-        title="depth image error", unit="mm", meaning="mean absolute difference to the recorded depth image"
+        title="depth image error",
+        unit="mm",
+        meaning="mean absolute difference to the recorded depth image",
     ),
     "translation_mm": Metric(
-        title="translation error", unit="mm", meaning="translation error of the object at the contact"
+        title="translation error",
+        unit="mm",
+        meaning="translation error of the object at the contact",
     ),
-    "rotation_deg": Metric(title="rotation error", unit="deg", meaning="rotation error of the object"),
-    "mssd_mm": Metric(title="MSSD", unit="mm", meaning="maximum symmetry-aware surface distance of the object"),
-    "se2_mm": Metric(title="in-plane translation error", unit="mm", meaning="in the sensor's plane, symmetry-aware"),
-    "se2_deg": Metric(title="in-plane rotation error", unit="deg", meaning="in the sensor's plane, symmetry-aware"),
-    "observable_mm": Metric(title="observable translation error", unit="mm", meaning="along determined directions"),
-    "observable_deg": Metric(title="observable rotation error", unit="deg", meaning="about determined axes"),
-    "n_poses": Metric(title="poses", unit="", meaning="poses that fit equally well, up to symmetry", better="neither"),
+    "rotation_deg": Metric(
+        title="rotation error", unit="deg", meaning="rotation error of the object"
+    ),
+    "mssd_mm": Metric(
+        title="MSSD", unit="mm", meaning="maximum symmetry-aware surface distance of the object"
+    ),
+    "se2_mm": Metric(
+        title="in-plane translation error",
+        unit="mm",
+        meaning="in the sensor's plane, symmetry-aware",
+    ),
+    "se2_deg": Metric(
+        title="in-plane rotation error", unit="deg", meaning="in the sensor's plane, symmetry-aware"
+    ),
+    "observable_mm": Metric(
+        title="observable translation error", unit="mm", meaning="along determined directions"
+    ),
+    "observable_deg": Metric(
+        title="observable rotation error", unit="deg", meaning="about determined axes"
+    ),
+    "n_poses": Metric(
+        title="poses",
+        unit="",
+        meaning="poses that fit equally well, up to symmetry",
+        better="neither",
+    ),
     "pose_spread_mm": Metric(
         title="pose ambiguity",
         unit="mm",
@@ -76,39 +109,64 @@ METRICS: Mapping[str, Metric] = {
     ),
     "n_warnings": Metric(title="warnings", unit="", meaning="warnings that not every frame has"),
     "max_indentation_mm": Metric(
-        title="largest indentation", unit="mm", meaning="of the source sensor in contact", better="neither"
+        title="largest indentation",
+        unit="mm",
+        meaning="of the source sensor in contact",
+        better="neither",
     ),
-    "contact_area_mm2": Metric(title="contact area", unit="mm²", meaning="on the source sensor", better="neither"),
+    "contact_area_mm2": Metric(
+        title="contact area", unit="mm²", meaning="on the source sensor", better="neither"
+    ),
     "force_n": Metric(
-        title="force", unit="N", meaning="normal force of the contact model, scaled by weighings", better="neither"
+        title="force",
+        unit="N",
+        meaning="normal force of the contact model, scaled by weighings",
+        better="neither",
     ),
     "uncalibrated_force_n": Metric(
         title="force (scale unknown)",
         unit="N",
-        meaning="normal force of the contact model with the described sensor: compare frames of one sensor only",
+        meaning="normal force of the contact model with the described sensor: compare frames of "
+        "one sensor only",
         better="neither",
     ),
-    "true_force_n": Metric(title="true force", unit="N", meaning="normal force of the recording", better="neither"),
+    "true_force_n": Metric(
+        title="true force", unit="N", meaning="normal force of the recording", better="neither"
+    ),
     "shear_n": Metric(
-        title="shear force", unit="N", meaning="along the gel, by its markers; scaled as the force", better="neither"
+        title="shear force",
+        unit="N",
+        meaning="along the gel, by its markers; scaled as the force",
+        better="neither",
     ),
     "uncalibrated_shear_n": Metric(
         title="shear force (scale unknown)",
         unit="N",
-        meaning="along the described gel, by its markers: compare it with the force, and frames of one sensor only",
+        meaning="along the described gel, by its markers: compare it with the force, and frames "
+        "of one sensor only",
         better="neither",
     ),
-    "true_shear_n": Metric(title="true shear force", unit="N", meaning="of the recording", better="neither"),
+    "true_shear_n": Metric(
+        title="true shear force", unit="N", meaning="of the recording", better="neither"
+    ),
     "shear_direction_deg": Metric(
-        title="shear direction", unit="deg", meaning="in the image: 0 to the right, 90 down", better="neither"
+        title="shear direction",
+        unit="deg",
+        meaning="in the image: 0 to the right, 90 down",
+        better="neither",
     ),
 }
 """Name of a metric within its stage (`mssd_mm` of `pose.mssd_mm`) -> its description."""
-WITHOUT_TRUTH = "frame"  # stands for the stage in metrics of a whole frame, which need no truth: `frame.round_trip_mm`
+# stands for the stage in metrics of a whole frame, which need no truth: `frame.round_trip_mm`
+WITHOUT_TRUTH = "frame"
 ROUND_TRIP = f"{WITHOUT_TRUTH}.round_trip_mm"
 TRAINING_DISTANCE = f"{WITHOUT_TRUTH}.training_distance"
-FORCE, UNCALIBRATED_FORCE, TRUE_FORCE = (f"{WITHOUT_TRUTH}.{of}force_n" for of in ("", "uncalibrated_", "true_"))
-SHEAR, UNCALIBRATED_SHEAR, TRUE_SHEAR = (f"{WITHOUT_TRUTH}.{of}shear_n" for of in ("", "uncalibrated_", "true_"))
+FORCE, UNCALIBRATED_FORCE, TRUE_FORCE = (
+    f"{WITHOUT_TRUTH}.{of}force_n" for of in ("", "uncalibrated_", "true_")
+)
+SHEAR, UNCALIBRATED_SHEAR, TRUE_SHEAR = (
+    f"{WITHOUT_TRUTH}.{of}shear_n" for of in ("", "uncalibrated_", "true_")
+)
 SHEAR_DIRECTION = f"{WITHOUT_TRUTH}.shear_direction_deg"
 
 
@@ -126,8 +184,13 @@ def is_stage_error(figure: str) -> bool:
     return stage != WITHOUT_TRUTH and METRICS[name].better == "lower"
 
 
-def compute_mae_mm(estimate: NDArray[np.floating], truth: NDArray[np.floating], where: Mask) -> float:
-    """Mean absolute difference in mm over `where`, pixels without a value left out; NaN if none is left."""
+def compute_mae_mm(
+    estimate: NDArray[np.floating], truth: NDArray[np.floating], where: Mask
+) -> float:
+    """Mean absolute difference in mm over `where`, pixels without a value left out.
+
+    NaN if none is left.
+    """
     gap = np.abs(np.asarray(estimate, dtype=np.float64) - truth)[where]
     gap = gap[np.isfinite(gap)]
     return float(gap.mean()) if gap.size else math.nan
@@ -146,7 +209,9 @@ def psnr_db(a: NDArray[np.generic], b: NDArray[np.generic], peak: float) -> floa
     return min(PSNR_CAP_DB, 10.0 * math.log10(peak * peak / mse)) if mse > 0 else PSNR_CAP_DB
 
 
-def compute_surface_metrics(indentation_mm: NDArray[np.floating], contact: Mask, truth: Truth) -> dict[str, float]:
+def compute_surface_metrics(
+    indentation_mm: NDArray[np.floating], contact: Mask, truth: Truth
+) -> dict[str, float]:
     """Compare a membrane (rows, cols) to its ground truth; empty where that has another size."""
     figures: dict[str, float] = {}
     if truth.contact is not None and truth.contact.shape == contact.shape:
@@ -155,7 +220,9 @@ def compute_surface_metrics(indentation_mm: NDArray[np.floating], contact: Mask,
         everywhere = np.ones(contact.shape, dtype=np.bool_)
         figures["mae_mm"] = compute_mae_mm(indentation_mm, truth.indentation_mm, everywhere)
         if truth.contact is not None and truth.contact.any():
-            figures["contact_mae_mm"] = compute_mae_mm(indentation_mm, truth.indentation_mm, truth.contact)
+            figures["contact_mae_mm"] = compute_mae_mm(
+                indentation_mm, truth.indentation_mm, truth.contact
+            )
     return figures
 
 
@@ -178,22 +245,35 @@ def compute_pose_metrics(
 ) -> dict[str, float]:
     """Compare a pose to the true one; `mesh` and its `symmetry` (None = none) are the object's.
 
-    `translation_mm` and `rotation_deg` ignore symmetry; `mssd_mm`, `se2_mm`, `se2_deg`, `observable_mm` and
-    `observable_deg` are those of `SymmetricPoseError`.
+    `translation_mm` and `rotation_deg` ignore symmetry; `mssd_mm`, `se2_mm`, `se2_deg`,
+    `observable_mm` and `observable_deg` are those of `SymmetricPoseError`.
     """
     if pose.sensor_from_object is None or truth.sensor_from_object is None:
         return {}
     centre = pose.scene_mm.astype(np.float64).mean(axis=0)
-    # The error is stated at the contact: a distant object origin would turn a small angle into a large translation.
+    # The error is stated at the contact: a distant object origin would turn a small angle into a
+    # large translation.
     in_object = rigid.apply(rigid.invert(truth.sensor_from_object), centre)
     off = rigid.apply(pose.sensor_from_object, in_object) - centre
     turn = rigid.invert(truth.sensor_from_object) @ pose.sensor_from_object
-    figures = {"translation_mm": float(np.linalg.norm(off)), "rotation_deg": rigid.rotation_angle_deg(turn)}
+    figures = {
+        "translation_mm": float(np.linalg.norm(off)),
+        "rotation_deg": rigid.rotation_angle_deg(turn),
+    }
     if mesh is not None:
         error = compute_symmetric_error(
-            pose.sensor_from_object, truth.sensor_from_object, mesh, symmetry, centre, pose.observable
-        )  # fmt: skip
-        figures |= {f"{name}": value for name, value in asdict(error).items() if math.isfinite(value)}
-        ambiguity = compute_ambiguity((pose.sensor_from_object, *pose.alternatives), mesh, symmetry, _SAME_MM)
+            pose.sensor_from_object,
+            truth.sensor_from_object,
+            mesh,
+            symmetry,
+            centre,
+            pose.observable,
+        )
+        figures |= {
+            f"{name}": value for name, value in asdict(error).items() if math.isfinite(value)
+        }
+        ambiguity = compute_ambiguity(
+            (pose.sensor_from_object, *pose.alternatives), mesh, symmetry, _SAME_MM
+        )
         figures |= {"n_poses": float(ambiguity.n_distinct), "pose_spread_mm": ambiguity.spread_mm}
     return figures

@@ -1,4 +1,5 @@
-"""The KL autoencoder of latent diffusion (`kl-f8`, Rombach et al. 2022) with the published tensor names.
+"""The KL autoencoder of latent diffusion (`kl-f8`, Rombach et al. 2022) with the published tensor
+names.
 
 It encodes three-channel images to a few channels at 1/8 of the side length, and decodes them.
 """
@@ -42,14 +43,18 @@ class AutoencoderKl(nn.Module):
 
 
 class _Encoder(nn.Module):
-    def __init__(self, width: int, channel_multipliers: tuple[int, ...], blocks: int, groups: int) -> None:
+    def __init__(
+        self, width: int, channel_multipliers: tuple[int, ...], blocks: int, groups: int
+    ) -> None:
         super().__init__()
         widths = [width, *(width * factor for factor in channel_multipliers)]
         self.conv_in = nn.Conv2d(3, width, 3, padding=1)
         self.down = nn.ModuleList()
         for level, (inputs, outputs) in enumerate(pairwise(widths)):
             step = nn.Module()
-            step.block = nn.ModuleList(_Block(inputs if k == 0 else outputs, outputs, groups) for k in range(blocks))
+            step.block = nn.ModuleList(
+                _Block(inputs if k == 0 else outputs, outputs, groups) for k in range(blocks)
+            )
             if level < len(channel_multipliers) - 1:
                 step.downsample = _Downsample(outputs)
             self.down.append(step)
@@ -69,14 +74,17 @@ class _Encoder(nn.Module):
 
 
 class _Decoder(nn.Module):
-    def __init__(self, width: int, channel_multipliers: tuple[int, ...], blocks: int, groups: int) -> None:
+    def __init__(
+        self, width: int, channel_multipliers: tuple[int, ...], blocks: int, groups: int
+    ) -> None:
         super().__init__()
         widths = [width * factor for factor in channel_multipliers]
         self.conv_in = nn.Conv2d(LATENT_CHANNELS, widths[-1], 3, padding=1)
         self.mid = _Middle(widths[-1], groups)
         self.up = nn.ModuleList()
         for level, outputs in enumerate(widths):
-            step, deeper = nn.Module(), widths[min(level + 1, len(widths) - 1)]
+            step = nn.Module()
+            deeper = widths[min(level + 1, len(widths) - 1)]
             step.block = nn.ModuleList(
                 _Block(deeper if k == 0 else outputs, outputs, groups) for k in range(blocks + 1)
             )
@@ -100,7 +108,8 @@ class _Decoder(nn.Module):
 class _Middle(nn.Module):
     def __init__(self, width: int, groups: int) -> None:
         super().__init__()
-        self.block_1, self.block_2 = _Block(width, width, groups), _Block(width, width, groups)
+        self.block_1 = _Block(width, width, groups)
+        self.block_2 = _Block(width, width, groups)
         self.attn_1 = _Attention(width, groups)
 
     def forward(self, field: Tensor) -> Tensor:
@@ -110,7 +119,8 @@ class _Middle(nn.Module):
 class _Block(nn.Module):
     def __init__(self, inputs: int, outputs: int, groups: int) -> None:
         super().__init__()
-        self.norm1, self.norm2 = nn.GroupNorm(groups, inputs, _EPS), nn.GroupNorm(groups, outputs, _EPS)
+        self.norm1 = nn.GroupNorm(groups, inputs, _EPS)
+        self.norm2 = nn.GroupNorm(groups, outputs, _EPS)
         self.conv1 = nn.Conv2d(inputs, outputs, 3, padding=1)
         self.conv2 = nn.Conv2d(outputs, outputs, 3, padding=1)
         if inputs != outputs:
@@ -130,7 +140,9 @@ class _Attention(nn.Module):
 
     def forward(self, field: Tensor) -> Tensor:
         normed = self.norm(field)
-        query, key, value = (part(normed).flatten(2).transpose(1, 2) for part in (self.q, self.k, self.v))
+        query, key, value = (
+            part(normed).flatten(2).transpose(1, 2) for part in (self.q, self.k, self.v)
+        )
         attended = functional.scaled_dot_product_attention(query, key, value)
         return field + self.proj_out(attended.transpose(1, 2).reshape(field.shape))
 

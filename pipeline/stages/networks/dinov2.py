@@ -49,9 +49,11 @@ class DinoV2Encoder(nn.Module):
         nn.init.normal_(self.cls_token, std=1e-6)
 
     def forward(self, image: Tensor, window: tuple[int, int, int, int]) -> list[Tensor]:
-        """List of tokens (n, patches, width), one per output block, for images (n, 3, rows, cols) of whole patches.
+        """List of tokens (n, patches, width), one per output block, for images (n, 3, rows, cols)
+        of whole patches.
 
-        `window` (top, left, rows, cols) in patches places this crop in an image of rows x cols patches.
+        `window` (top, left, rows, cols) in patches places this crop in an image of rows x cols
+        patches.
         """
         patches = self.patch_embed(image)
         n, _, rows, cols = patches.shape
@@ -68,8 +70,11 @@ class DinoV2Encoder(nn.Module):
         return outputs
 
     def _position_embeddings(self, rows: int, cols: int) -> tuple[Tensor, Tensor]:
-        """Position embeddings of the class token (1, 1, width) and of all patches (1, width, rows, cols)."""
-        first, positions = self.pos_embed[:, :1], self.pos_embed[:, 1:]
+        """Position embeddings of the class token (1, 1, width) and of all patches (1, width,
+        rows, cols).
+        """
+        first = self.pos_embed[:, :1]
+        positions = self.pos_embed[:, 1:]
         side = _TRAINED_PATCHES
         positions = positions.reshape(1, side, side, -1).permute(0, 3, 1, 2)
         if (rows, cols) == (side, side):
@@ -106,11 +111,16 @@ class _Attention(nn.Module):
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
         self.heads = heads
-        self.qkv, self.proj = _linear(width, 3 * width), _linear(width, width)
+        self.qkv = _linear(width, 3 * width)
+        self.proj = _linear(width, width)
 
     def forward(self, tokens: Tensor) -> Tensor:
         n, count, width = tokens.shape
-        parts = self.qkv(tokens).reshape(n, count, 3, self.heads, width // self.heads).permute(2, 0, 3, 1, 4)
+        parts = (
+            self.qkv(tokens)
+            .reshape(n, count, 3, self.heads, width // self.heads)
+            .permute(2, 0, 3, 1, 4)
+        )
         attended = functional.scaled_dot_product_attention(parts[0], parts[1], parts[2])
         return self.proj(attended.transpose(1, 2).reshape(n, count, width))
 
@@ -118,7 +128,8 @@ class _Attention(nn.Module):
 class _Mlp(nn.Module):
     def __init__(self, width: int) -> None:
         super().__init__()
-        self.fc1, self.fc2 = _linear(width, 4 * width), _linear(4 * width, width)
+        self.fc1 = _linear(width, 4 * width)
+        self.fc2 = _linear(4 * width, width)
 
     def forward(self, tokens: Tensor) -> Tensor:
         return self.fc2(functional.gelu(self.fc1(tokens)))

@@ -1,4 +1,6 @@
-"""The first pass of a residual denoiser without torch: the posterior mean, which is all that one step needs."""
+"""The first pass of a residual denoiser without torch: the posterior mean, which is all that one
+step needs.
+"""
 
 from __future__ import annotations
 
@@ -41,12 +43,17 @@ class FirstPassPredictor(ResidualConstants):
     def __init__(self, weights: Weights, load: Callable[[Weights], nn.Module]) -> None:
         """`load` makes the whole network. Raises ValueError for a file that OpenCV cannot read."""
         names = {field.name for field in fields(ResidualConstants)}
-        super().__init__(**{name: float(value) for name, value in weights.config.items() if name in names})
-        self._weights, self._load = weights, load
+        super().__init__(
+            **{name: float(value) for name, value in weights.config.items() if name in names}
+        )
+        self._weights = weights
+        self._load = load
         self._predict = OnnxPredictor(weights.read_onnx(), fold=int(weights.config.get("fold", 2)))
 
     def predict(self, condition: Floats) -> tuple[Floats, Floats]:
-        """The clean field (2, rows, cols) and the log of its expected error (rows, cols) of a condition."""
+        """The clean field (2, rows, cols) and the log of its expected error (rows, cols) of a
+        condition.
+        """
         output = self._predict(condition)[0]
         return output[:2].clip(-FIELD_LIMIT, FIELD_LIMIT), output[2]
 
@@ -55,4 +62,5 @@ class FirstPassPredictor(ResidualConstants):
         return self._load(self._weights)
 
 
-ResidualNetwork: TypeAlias = "nn.Module | FirstPassPredictor"  # what `network_factory.load_predictor` returns
+# what `network_factory.load_predictor` returns
+ResidualNetwork: TypeAlias = "nn.Module | FirstPassPredictor"

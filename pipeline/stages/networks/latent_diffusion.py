@@ -1,8 +1,9 @@
-"""The paper's generator: latent diffusion conditioned on the encoded source image (T2T) or target depth (T2D2).
+"""The paper's generator: latent diffusion conditioned on the encoded source image (T2T) or target
+depth (T2D2).
 
-Parts and tensors have the names of the published checkpoint: `first_stage_model` (autoencoder), `cond_stage_model`
-(encoder of the condition), `model.diffusion_model` (denoiser) and `scale_factor`, which scales latents to unit
-standard deviation.
+Parts and tensors have the names of the published checkpoint: `first_stage_model` (autoencoder),
+`cond_stage_model` (encoder of the condition), `model.diffusion_model` (denoiser) and
+`scale_factor`, which scales latents to unit standard deviation.
 """
 
 from typing import Literal, NamedTuple, cast
@@ -23,10 +24,12 @@ LATENT_LIMIT = 5.0  # standard deviations; latents of the data stay within
 _DOWNSAMPLING = 8  # image pixels per latent, along each side
 TrainedPart = Literal["both", "autoencoder", "denoiser"]
 EncoderKind = Literal["resnet", "fold"]
-"""How a condition enters the latents' grid: encoded, as published, or its pixels folded into channels."""
+"""How a condition enters the latents' grid: encoded, as published, or its pixels folded into
+channels.
+"""
 Condition = Literal["image", "reprojected", "depth"]
-"""What the network is conditioned on: the source's image as published, the source's image resampled to the target's
-view, or the target depth.
+"""What the network is conditioned on: the source's image as published, the source's image resampled
+to the target's view, or the target depth.
 """
 
 
@@ -41,15 +44,19 @@ class LatentTrainingOutput(NamedTuple):
 
 
 class LatentDiffusion(nn.Module):
-    """Latent diffusion of three-channel images in -1..1 of side `side`; defaults are those of the paper.
+    """Latent diffusion of three-channel images in -1..1 of side `side`.
 
-    `condition` (`stages.touch.image_condition`, `stages.touch.depth_condition`) has `condition_inputs` channels, which
-    `condition_encoder` brings to the latents' grid; only "resnet" has `condition_channels`.
-    `raw_condition`: trained on changes of 0..255 normalised by statistics of 0..1, as the published weights were.
-    `half_turn`: the output has to be rotated by 180 degrees for the target's camera. `trained_with_condition_dropout`:
-    whether guidance can act. `trained_on_recordings` (0 or 1): by recorded pairs, which know how the sensors lie.
-    `generated_*` and `true_*` are mean and standard deviation (mm) of generated and true
-    imprints of training examples; they remove small biases of the output. A standard deviation of 0 disables this.
+    Defaults are those of the paper.
+
+    `condition` (`stages.touch.image_condition`, `stages.touch.depth_condition`) has
+    `condition_inputs` channels, which `condition_encoder` brings to the latents' grid; only
+    "resnet" has `condition_channels`. `raw_condition`: trained on changes of 0..255 normalised by
+    statistics of 0..1, as the published weights were. `half_turn`: the output has to be rotated by
+    180 degrees for the target's camera. `trained_with_condition_dropout`: whether guidance can act.
+    `trained_on_recordings` (0 or 1): by recorded pairs, which know how the sensors lie.
+    `generated_*` and `true_*` are mean and standard deviation (mm) of generated and true imprints
+    of training examples; they remove small biases of the output. A standard deviation of 0 disables
+    this.
     """
 
     model: nn.ModuleDict
@@ -57,19 +64,40 @@ class LatentDiffusion(nn.Module):
     alphas_cumprod: Tensor
 
     def __init__(
-        self, *, side: int = 256, width: int = 192, channel_multipliers: str = "1 2 2 4 4", blocks: int = 2,
-        attention: str = "1 2 4 8", heads: int = 8, groups: int = 32, autoencoder_width: int = 128,
-        autoencoder_multipliers: str = "1 2 4 4", autoencoder_blocks: int = 2, condition_channels: int = 64,
-        condition: Condition = "image", condition_inputs: int = 3, condition_encoder: EncoderKind = "resnet",
-        raw_condition: bool = False, trained_with_condition_dropout: bool = True, half_turn: bool = False,
-        generated_mean_mm: float = 0.0, generated_std_mm: float = 0.0, true_mean_mm: float = 0.0,
-        true_std_mm: float = 0.0, trained_on_recordings: float = 0.0,
-    ) -> None:  # fmt: skip
+        self,
+        *,
+        side: int = 256,
+        width: int = 192,
+        channel_multipliers: str = "1 2 2 4 4",
+        blocks: int = 2,
+        attention: str = "1 2 4 8",
+        heads: int = 8,
+        groups: int = 32,
+        autoencoder_width: int = 128,
+        autoencoder_multipliers: str = "1 2 4 4",
+        autoencoder_blocks: int = 2,
+        condition_channels: int = 64,
+        condition: Condition = "image",
+        condition_inputs: int = 3,
+        condition_encoder: EncoderKind = "resnet",
+        raw_condition: bool = False,
+        trained_with_condition_dropout: bool = True,
+        half_turn: bool = False,
+        generated_mean_mm: float = 0.0,
+        generated_std_mm: float = 0.0,
+        true_mean_mm: float = 0.0,
+        true_std_mm: float = 0.0,
+        trained_on_recordings: float = 0.0,
+    ) -> None:
         super().__init__()
-        self.side, self.condition, self.half_turn = side, condition, bool(half_turn)
-        self.raw_condition, self.trained_on_recordings = bool(raw_condition), bool(trained_on_recordings)
+        self.side = side
+        self.condition = condition
+        self.half_turn = bool(half_turn)
+        self.raw_condition = bool(raw_condition)
+        self.trained_on_recordings = bool(trained_on_recordings)
         self.trained_with_condition_dropout = bool(trained_with_condition_dropout)
-        self.generated_stats, self.true_stats = (generated_mean_mm, generated_std_mm), (true_mean_mm, true_std_mm)
+        self.generated_stats = (generated_mean_mm, generated_std_mm)
+        self.true_stats = (true_mean_mm, true_std_mm)
         self.first_stage_model = AutoencoderKl(
             width=autoencoder_width,
             channel_multipliers=_parse_integers(autoencoder_multipliers),
@@ -78,17 +106,28 @@ class LatentDiffusion(nn.Module):
         )
         self.cond_stage_model: nn.Module = nn.PixelUnshuffle(_DOWNSAMPLING)
         if condition_encoder == "resnet":
-            self.cond_stage_model = ConditionEncoder(width=condition_channels, inputs=condition_inputs)
+            self.cond_stage_model = ConditionEncoder(
+                width=condition_channels, inputs=condition_inputs
+            )
         else:
             condition_channels = condition_inputs * _DOWNSAMPLING**2
-        self.model = nn.ModuleDict({"diffusion_model": LatentUnet(
-            inputs=LATENT_CHANNELS + condition_channels, width=width,
-            channel_multipliers=_parse_integers(channel_multipliers), blocks=blocks,
-            attention=_parse_integers(attention),
-            heads=heads, groups=groups,
-        )})  # fmt: skip
+        self.model = nn.ModuleDict(
+            {
+                "diffusion_model": LatentUnet(
+                    inputs=LATENT_CHANNELS + condition_channels,
+                    width=width,
+                    channel_multipliers=_parse_integers(channel_multipliers),
+                    blocks=blocks,
+                    attention=_parse_integers(attention),
+                    heads=heads,
+                    groups=groups,
+                )
+            }
+        )
         self.register_buffer("scale_factor", torch.tensor(1.0))
-        self.register_buffer("alphas_cumprod", torch.tensor(compute_alphas_cumprod().tolist()), persistent=False)
+        self.register_buffer(
+            "alphas_cumprod", torch.tensor(compute_alphas_cumprod().tolist()), persistent=False
+        )
 
     def forward(
         self,
@@ -99,14 +138,17 @@ class LatentDiffusion(nn.Module):
         noises: Tensor,
         part: TrainedPart = "both",
     ) -> LatentTrainingOutput:
-        """Training step: target and condition images, times (n,), conditioning flags (n,), noise (2, n, 4, ...).
+        """Training step: target and condition images, times (n,), conditioning flags (n,), noise
+        (2, n, 4, ...).
 
-        A target of 8 channels is the mean and log variance of its latents, which trains a denoiser faster. With `part`
-        only the autoencoder or only the denoiser is trained.
+        A target of 8 channels is the mean and log variance of its latents, which trains a denoiser
+        faster. With `part` only the autoencoder or only the denoiser is trained.
         """
         with torch.set_grad_enabled(torch.is_grad_enabled() and part != "denoiser"):
             is_encoded = target.shape[1] == 2 * LATENT_CHANNELS
-            mean, log_variance = target.chunk(2, dim=1) if is_encoded else self.first_stage_model.encode(target)
+            mean, log_variance = (
+                target.chunk(2, dim=1) if is_encoded else self.first_stage_model.encode(target)
+            )
             latents = sample_latents(mean, log_variance, noises[0])
             decoded = None if part == "denoiser" else self.first_stage_model.decode(latents)
         if self.training and part != "denoiser":
@@ -114,13 +156,18 @@ class LatentDiffusion(nn.Module):
         predicted = None
         if part != "autoencoder":
             alpha = self.alphas_cumprod[time][:, None, None, None]
-            noisy = alpha.sqrt() * self.scale_factor * latents.detach() + (1 - alpha).sqrt() * noises[1]
+            noisy = (
+                alpha.sqrt() * self.scale_factor * latents.detach() + (1 - alpha).sqrt() * noises[1]
+            )
             condition = self.cond_stage_model(source) * has_condition[:, None, None, None]
             predicted = self.predict_noise(noisy, time, condition)
         return LatentTrainingOutput(
-            reconstruction=decoded, mean=mean, log_variance=log_variance, predicted_noise=predicted,
+            reconstruction=decoded,
+            mean=mean,
+            log_variance=log_variance,
+            predicted_noise=predicted,
             true_noise=noises[1],
-        )  # fmt: skip
+        )
 
     def predict_noise(self, noisy: Tensor, time: Tensor, condition: Tensor) -> Tensor:
         """Predicted noise of latents at a time, given the encoded condition."""
@@ -147,7 +194,10 @@ def _parse_integers(text: str) -> tuple[int, ...]:
 
 
 class ConditionEncoder(nn.Module):
-    """Features (n, width, side / 8, side / 8) of images (n, inputs, side, side); published are 64 of 3 inputs."""
+    """Features (n, width, side / 8, side / 8) of images (n, inputs, side, side).
+
+    Published are 64 of 3 inputs.
+    """
 
     def __init__(self, *, width: int = 64, inputs: int = 3) -> None:
         super().__init__()
@@ -170,8 +220,12 @@ class _Resnet18(nn.Module):
         self.bn1 = nn.BatchNorm2d(width)
         self.layer1 = nn.Sequential(_Basic(width, width, 1), _Basic(width, width, 1))
         self.layer2 = nn.Sequential(_Basic(width, 2 * width, 2), _Basic(2 * width, 2 * width, 1))
-        self.layer3 = nn.Sequential(_Basic(2 * width, 4 * width, 2), _Basic(4 * width, 4 * width, 1))
-        self.layer4 = nn.Sequential(_Basic(4 * width, 8 * width, 2), _Basic(8 * width, 8 * width, 1))
+        self.layer3 = nn.Sequential(
+            _Basic(2 * width, 4 * width, 2), _Basic(4 * width, 4 * width, 1)
+        )
+        self.layer4 = nn.Sequential(
+            _Basic(4 * width, 8 * width, 2), _Basic(8 * width, 8 * width, 1)
+        )
 
     def forward(self, images: Tensor) -> Tensor:
         """Features at 1/32 of the side length."""
@@ -187,7 +241,9 @@ class _Basic(nn.Module):
         self.conv2 = nn.Conv2d(outputs, outputs, 3, 1, 1, bias=False)
         self.bn2 = nn.BatchNorm2d(outputs)
         if stride != 1 or inputs != outputs:
-            self.downsample = nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs))
+            self.downsample = nn.Sequential(
+                nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs)
+            )
 
     def forward(self, field: Tensor) -> Tensor:
         inner = self.bn2(self.conv2(functional.relu(self.bn1(self.conv1(field)))))

@@ -1,7 +1,8 @@
-"""The denoiser of latent diffusion with the published tensor names (Dhariwal and Nichol 2021, as used by LDM).
+"""The denoiser of latent diffusion with the published tensor names (Dhariwal and Nichol 2021, as
+used by LDM).
 
-Residual blocks that also resample, attention at chosen levels, and a time embedding that scales and shifts the
-normalised features of every block.
+Residual blocks that also resample, attention at chosen levels, and a time embedding that scales and
+shifts the normalised features of every block.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from torch.nn import functional
 class LatentUnet(nn.Module):
     """Predicted noise (n, outputs, rows, cols) of latents (n, inputs, rows, cols) at times (n,).
 
-    `channel_multipliers` sets the width of each level, `attention` the downsampling factors that have attention.
+    `channel_multipliers` sets the width of each level, `attention` the downsampling factors that
+    have attention.
     """
 
     def __init__(
@@ -33,16 +35,23 @@ class LatentUnet(nn.Module):
         groups: int = 32,
     ) -> None:
         super().__init__()
-        self.width, embedding_width = width, 4 * width
+        self.width = width
+        embedding_width = 4 * width
         self.time_embed = nn.Sequential(
-            nn.Linear(width, embedding_width), nn.SiLU(), nn.Linear(embedding_width, embedding_width)
+            nn.Linear(width, embedding_width),
+            nn.SiLU(),
+            nn.Linear(embedding_width, embedding_width),
         )
         layers = _LayerFactory(embedding_width, heads, groups)
         self.input_blocks = nn.ModuleList([_Steps(nn.Conv2d(inputs, width, 3, padding=1))])
-        channels, downsampling, skips = width, 1, [width]
+        channels = width
+        downsampling = 1
+        skips = [width]
         for level, factor in enumerate(channel_multipliers):
             for _ in range(blocks):
-                self.input_blocks.append(layers.make_steps(channels, factor * width, attends=downsampling in attention))
+                self.input_blocks.append(
+                    layers.make_steps(channels, factor * width, attends=downsampling in attention)
+                )
                 channels = factor * width
                 skips.append(channels)
             if level < len(channel_multipliers) - 1:
@@ -57,20 +66,25 @@ class LatentUnet(nn.Module):
         self.output_blocks = nn.ModuleList()
         for level, factor in reversed(list(enumerate(channel_multipliers))):
             for k in range(blocks + 1):
-                steps = layers.make_steps(channels + skips.pop(), factor * width, attends=downsampling in attention)
+                steps = layers.make_steps(
+                    channels + skips.pop(), factor * width, attends=downsampling in attention
+                )
                 channels = factor * width
                 if level and k == blocks:
                     steps.append(layers.make_block(channels, channels, "double"))
                     downsampling //= 2
                 self.output_blocks.append(steps)
         self.out = nn.Sequential(
-            nn.GroupNorm(groups, channels), nn.SiLU(), _zero_initialise(nn.Conv2d(width, outputs, 3, padding=1))
+            nn.GroupNorm(groups, channels),
+            nn.SiLU(),
+            _zero_initialise(nn.Conv2d(width, outputs, 3, padding=1)),
         )
 
     def forward(self, noisy: Tensor, time: Tensor) -> Tensor:
         """Predict the noise."""
         embedding = self.time_embed(embed_timesteps(time, self.width))
-        field, skips = noisy, list[Tensor]()
+        field = noisy
+        skips = list[Tensor]()
         for steps in self.input_blocks:
             field = steps(field, embedding)
             skips.append(field)
@@ -83,7 +97,9 @@ class LatentUnet(nn.Module):
 def embed_timesteps(time: Tensor, width: int) -> Tensor:
     """(n, width): cosines, then sines, of times (n,) at frequencies from 1 down to 1/10,000."""
     half = width // 2
-    angle = time[:, None].float() * torch.exp(-math.log(10_000.0) * torch.arange(half, device=time.device) / half)
+    angle = time[:, None].float() * torch.exp(
+        -math.log(10_000.0) * torch.arange(half, device=time.device) / half
+    )
     return torch.cat([torch.cos(angle), torch.sin(angle)], dim=1)
 
 
@@ -91,7 +107,9 @@ class _LayerFactory:
     """Makes blocks and attention layers with shared settings."""
 
     def __init__(self, embedding_width: int, heads: int, groups: int) -> None:
-        self._embedding_width, self._heads, self._groups = embedding_width, heads, groups
+        self._embedding_width = embedding_width
+        self._heads = heads
+        self._groups = groups
 
     def make_block(self, inputs: int, outputs: int, resampling: str = "") -> nn.Module:
         return _Block(inputs, outputs, self._embedding_width, self._groups, resampling)
@@ -100,7 +118,9 @@ class _LayerFactory:
         return _Attention(width, self._heads, self._groups)
 
     def make_steps(self, inputs: int, outputs: int, *, attends: bool) -> _Steps:
-        return _Steps(self.make_block(inputs, outputs), *([self.make_attention(outputs)] if attends else []))
+        return _Steps(
+            self.make_block(inputs, outputs), *([self.make_attention(outputs)] if attends else [])
+        )
 
 
 class _Steps(nn.Sequential):
@@ -113,7 +133,9 @@ class _Steps(nn.Sequential):
 
 
 class _Block(nn.Module):
-    def __init__(self, inputs: int, outputs: int, embedding_width: int, groups: int, resampling: str) -> None:
+    def __init__(
+        self, inputs: int, outputs: int, embedding_width: int, groups: int, resampling: str
+    ) -> None:
         super().__init__()
         self.in_layers = nn.Sequential(
             nn.GroupNorm(groups, inputs), nn.SiLU(), nn.Conv2d(inputs, outputs, 3, padding=1)
@@ -125,11 +147,14 @@ class _Block(nn.Module):
             nn.Identity(),
             _zero_initialise(nn.Conv2d(outputs, outputs, 3, padding=1)),
         )
-        self.skip_connection: nn.Module = nn.Identity() if inputs == outputs else nn.Conv2d(inputs, outputs, 1)
+        self.skip_connection: nn.Module = (
+            nn.Identity() if inputs == outputs else nn.Conv2d(inputs, outputs, 1)
+        )
         self._resampling = resampling
 
     def forward(self, field: Tensor, embedding: Tensor) -> Tensor:
-        inner, field = self._resample(self.in_layers[:-1](field)), self._resample(field)
+        inner = self._resample(self.in_layers[:-1](field))
+        field = self._resample(field)
         inner = self.in_layers[-1](inner)
         scale, shift = self.emb_layers(embedding)[:, :, None, None].chunk(2, dim=1)
         inner = self.out_layers[1:](self.out_layers[0](inner) * (1 + scale) + shift)
@@ -152,12 +177,23 @@ class _Attention(nn.Module):
         self.proj_out = _zero_initialise(nn.Conv1d(width, width, 1))
 
     def forward(self, field: Tensor) -> Tensor:
-        """Self-attention over all positions, added to the input; query, key and value are interleaved per head."""
+        """Self-attention over all positions, added to the input.
+
+        Query, key and value are interleaved per head.
+        """
         n, width = field.shape[:2]
         flat = field.reshape(n, width, -1)
-        parts = self.qkv(self.norm(flat)).reshape(n, self._heads, 3, width // self._heads, -1).transpose(-1, -2)
-        attended = functional.scaled_dot_product_attention(parts[:, :, 0], parts[:, :, 1], parts[:, :, 2])
-        return (flat + self.proj_out(attended.transpose(-1, -2).reshape(n, width, -1))).reshape(field.shape)
+        parts = (
+            self.qkv(self.norm(flat))
+            .reshape(n, self._heads, 3, width // self._heads, -1)
+            .transpose(-1, -2)
+        )
+        attended = functional.scaled_dot_product_attention(
+            parts[:, :, 0], parts[:, :, 1], parts[:, :, 2]
+        )
+        return (flat + self.proj_out(attended.transpose(-1, -2).reshape(n, width, -1))).reshape(
+            field.shape
+        )
 
 
 def _zero_initialise(layer: Any) -> Any:

@@ -1,4 +1,6 @@
-"""Builds networks from weights. A network is one module of this package and one line of `NETWORK_CLASSES`."""
+"""Builds networks from weights. A network is one module of this package and one line of
+`NETWORK_CLASSES`.
+"""
 
 from __future__ import annotations
 
@@ -37,18 +39,24 @@ NETWORK_CLASSES: dict[str, str] = {  # kind -> module:class; importing a module 
     "touch_pose": "pipeline.stages.networks.touch_pose:TouchPose",
     "vqvae": "pipeline.stages.networks.vqvae:VqVae",
 }
-ONNX_KINDS = frozenset({"compact_unet", "residual_denoiser", "touch_policy"})  # answered by OpenCV, without torch
+# answered by OpenCV, without torch
+ONNX_KINDS = frozenset({"compact_unet", "residual_denoiser", "touch_policy"})
 _MAX_BYTES = 2 << 30  # of cached networks; the largest takes 1.3 GB
 _MOST_COUNT = 1024  # of channels, levels, steps or pixels that a small network may state
 _loaded_networks: Memo[str, nn.Module] = Memo(
-    4, most_bytes=_MAX_BYTES, weigh=lambda net: sum(p.numel() * p.element_size() for p in net.parameters())
+    4,
+    most_bytes=_MAX_BYTES,
+    weigh=lambda net: sum(p.numel() * p.element_size() for p in net.parameters()),
 )
 _RESIDUAL = "residual_denoiser"
 _predictors: Memo[str, OnnxPredictor | FirstPassPredictor] = Memo(4)
 
 
 def build_network(kind: str, config: Mapping[str, Value]) -> nn.Module:
-    """A network of this kind with random parameters; raises ModelMissing for an unknown kind or wrong arguments."""
+    """A network of this kind with random parameters.
+
+    Raises ModelMissing for an unknown kind or wrong arguments.
+    """
     if kind not in NETWORK_CLASSES:
         raise ModelMissing(f"unknown network {kind!r}; known are {', '.join(NETWORK_CLASSES)}")
     module, _, name = NETWORK_CLASSES[kind].partition(":")
@@ -56,7 +64,8 @@ def build_network(kind: str, config: Mapping[str, Value]) -> nn.Module:
     unknown = sorted(config.keys() - inspect.signature(network_class).parameters.keys())
     if unknown:
         raise ModelMissing(
-            f"these weights have settings that a {kind!r} lacks ({', '.join(unknown)}): another version of the program "
+            f"these weights have settings that a {kind!r} lacks ({', '.join(unknown)}): another "
+            "version of the program "
             "wrote them; export or train them again"
         )
     try:
@@ -68,18 +77,22 @@ def build_network(kind: str, config: Mapping[str, Value]) -> nn.Module:
 def load_network(weights: Weights | NoWeights) -> nn.Module:
     """The network of these weights in eval mode, float32, on the CPU, without gradients.
 
-    It is cached; do not modify it. Raises ModelMissing where there are no weights or they do not fit their network.
+    It is cached; do not modify it. Raises ModelMissing where there are no weights or they do not
+    fit their network.
     """
     if isinstance(weights, NoWeights):
         raise ModelMissing(weights.why)
-    return _loaded_networks.get_or_make(weights.content_digest, lambda: _build_with_weights(weights))
+    return _loaded_networks.get_or_make(
+        weights.content_digest, lambda: _build_with_weights(weights)
+    )
 
 
 def load_predictor(weights: Weights | NoWeights) -> Any:
     """A predictor for these weights: an `OnnxPredictor` for `ONNX_KINDS`, else `load_network`.
 
-    Raises ModelMissing as `load_network` does. Weights without an ONNX file are exported first, which loads torch; a
-    residual denoiser, whose ONNX file is that of its first pass, is then `load_network`.
+    Raises ModelMissing as `load_network` does. Weights without an ONNX file are exported first,
+    which loads torch; a residual denoiser, whose ONNX file is that of its first pass, is then
+    `load_network`.
     """
     if isinstance(weights, NoWeights) or weights.kind not in ONNX_KINDS:
         return load_network(weights)
@@ -95,7 +108,10 @@ def release_networks(keep: Container[str] = ()) -> None:
 
 
 def export_weights(weights: Weights) -> bytes:
-    """An ONNX file of weights of `ONNX_KINDS`; raises ModelMissing where they do not fit their network."""
+    """An ONNX file of weights of `ONNX_KINDS`.
+
+    Raises ModelMissing where they do not fit their network.
+    """
     network: Any = load_network(weights)
     if weights.kind == _RESIDUAL:
         network = network.make_first_pass()
@@ -106,7 +122,9 @@ def _load_predictor(weights: Weights) -> OnnxPredictor | FirstPassPredictor:
     try:
         if weights.kind == _RESIDUAL:
             return FirstPassPredictor(weights, load_network)
-        return OnnxPredictor(weights.read_onnx() or _export_once(weights), fold=int(weights.config.get("fold", 2)))
+        return OnnxPredictor(
+            weights.read_onnx() or _export_once(weights), fold=int(weights.config.get("fold", 2))
+        )
     except ValueError as error:
         raise ModelMissing(f"the weights {weights.name!r} cannot be run: {error}") from error
 
@@ -117,9 +135,14 @@ class _ExportedNetwork:
 
 
 def _export_once(weights: Weights) -> bytes:
-    """An ONNX file of weights that come without one, made once and kept in the user's cache: torch takes seconds."""
+    """An ONNX file of weights that come without one, made once and kept in the user's cache:
+    torch takes seconds.
+    """
     made_of = weights.content_digest, importlib.metadata.version("torch")
-    code = "pipeline.stages.networks.onnx_predictor", *(path.partition(":")[0] for path in NETWORK_CLASSES.values())
+    code = (
+        "pipeline.stages.networks.onnx_predictor",
+        *(path.partition(":")[0] for path in NETWORK_CLASSES.values()),
+    )
 
     def export() -> _ExportedNetwork:
         return _ExportedNetwork(np.frombuffer(export_weights(weights), np.uint8))
@@ -142,19 +165,26 @@ def _build_with_weights(weights: Weights) -> nn.Module:
     tensors = dict(weights.tensors)
     shapes = [side for tensor in tensors.values() for side in tensor.shape]
     most = max(_MOST_COUNT, len(tensors), *shapes)
-    if any(abs(value) > most for value in weights.config.values() if isinstance(value, (int, float))):
-        raise ModelMissing(f"the weights {weights.name!r} state a network that their tensors cannot fill")
+    if any(
+        abs(value) > most for value in weights.config.values() if isinstance(value, (int, float))
+    ):
+        raise ModelMissing(
+            f"the weights {weights.name!r} state a network that their tensors cannot fill"
+        )
     with WithoutInitialisation():
         net = build_network(weights.kind, weights.config)
     expected: dict[str, Any] = net.state_dict()
     mismatched = expected.keys() ^ tensors.keys()
     mismatched |= {
-        name for name, tensor in expected.items() if name not in mismatched and tensor.shape != tensors[name].shape
+        name
+        for name, tensor in expected.items()
+        if name not in mismatched and tensor.shape != tensors[name].shape
     }
     if mismatched:
         examples = ", ".join(repr(name) for name in sorted(mismatched)[:2])
         raise ModelMissing(
-            f"the weights {weights.name!r} do not fit the network {weights.kind!r}: {len(mismatched)} tensors are "
+            f"the weights {weights.name!r} do not fit the network {weights.kind!r}: "
+            f"{len(mismatched)} tensors are "
             f"missing, unexpected or of another shape, such as {examples}"
         )
     _share_tensors(net, tensors)
@@ -170,13 +200,18 @@ def initialise_from(net: nn.Module, weights: Weights) -> int:
 
     expected: dict[str, Any] = net.state_dict()
     matching = [
-        name for name, tensor in weights.tensors.items() if name in expected and expected[name].shape == tensor.shape
+        name
+        for name, tensor in weights.tensors.items()
+        if name in expected and expected[name].shape == tensor.shape
     ]
     if not matching:
         raise ModelMissing(
-            f"the weights {weights.name!r} share no tensor with this network; choose other initial weights"
+            f"the weights {weights.name!r} share no tensor with this network; choose other "
+            "initial weights"
         )
-    net.load_state_dict({name: torch.from_numpy(weights.tensors[name].copy()) for name in matching}, strict=False)
+    net.load_state_dict(
+        {name: torch.from_numpy(weights.tensors[name].copy()) for name in matching}, strict=False
+    )
     return len(matching)
 
 
@@ -187,7 +222,8 @@ def _share_tensors(net: nn.Module, tensors: Mapping[str, Floats]) -> None:
     shared: dict[str, Any] = {}
     for name, tensor in net.state_dict().items():
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # "not writable": nothing writes to a loaded network
+            # "not writable": nothing writes to a loaded network
+            warnings.simplefilter("ignore", UserWarning)
             shared[name] = torch.from_numpy(tensors[name]).to(tensor.dtype)
     net.load_state_dict(shared, assign=True)
 

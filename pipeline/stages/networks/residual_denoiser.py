@@ -1,14 +1,17 @@
-"""A compact denoiser of residuals: what is added to a prior estimate, from a noisy residual and a condition.
+"""A compact denoiser of residuals: what is added to a prior estimate, from a noisy residual and a
+condition.
 
-A U-Net like `compact_unet` with a noise embedding: every block scales and shifts its normalised features by functions
-of log sigma. Values are in units of `unit_mm`; noisy = clean + sigma * noise, as in `samplers`. The network predicts
-the clean field, the noise, or v, a mixture of both (Salimans and Ho 2022); the output is always the clean field. At
-`sigma_max` the noisy field is replaced by 0, so that the first step and one-step inference use the condition alone.
+A U-Net like `compact_unet` with a noise embedding: every block scales and shifts its normalised
+features by functions of log sigma. Values are in units of `unit_mm`; noisy = clean + sigma * noise,
+as in `samplers`. The network predicts the clean field, the noise, or v, a mixture of both (Salimans
+and Ho 2022); the output is always the clean field. At `sigma_max` the noisy field is replaced by 0,
+so that the first step and one-step inference use the condition alone.
 
-The last channel is the expected error of the clean field. `error_factor_in_view` and `error_factor_outside` calibrate
-it inside and outside the source's contact, `error_exponent` is its power. `noise_correlation` is the correlation length
-of the noise (`smooth_noise`). `trained_on_recordings`: by recorded pairs, which know how the sensors lie to each other
-better than their descriptions, so that physics is no prior.
+The last channel is the expected error of the clean field. `error_factor_in_view` and
+`error_factor_outside` calibrate it inside and outside the source's contact, `error_exponent` is its
+power. `noise_correlation` is the correlation length of the noise (`smooth_noise`).
+`trained_on_recordings`: by recorded pairs, which know how the sensors lie to each other better than
+their descriptions, so that physics is no prior.
 """
 
 from __future__ import annotations
@@ -31,24 +34,40 @@ _EMBEDDING_WIDTH = 64  # width of the noise embedding
 
 
 class ResidualDenoiser(nn.Module):
-    """Clean field and log of its expected error (n, FIELD_CHANNELS + 1, rows, cols), from a noisy field."""
+    """Clean field and log of its expected error (n, FIELD_CHANNELS + 1, rows, cols), from a
+    noisy field.
+    """
 
     def __init__(
-        self, *, inputs: int, unit_mm: float, base_channels: int = 32, levels: int = 4, max_channels: int = 112,
-        fold: int = 2, prediction: PredictionTarget = "clean",
-        sigma_max: float = Constants.sigma_max, sigma_min: float = Constants.sigma_min,
+        self,
+        *,
+        inputs: int,
+        unit_mm: float,
+        base_channels: int = 32,
+        levels: int = 4,
+        max_channels: int = 112,
+        fold: int = 2,
+        prediction: PredictionTarget = "clean",
+        sigma_max: float = Constants.sigma_max,
+        sigma_min: float = Constants.sigma_min,
         noise_correlation: float = Constants.noise_correlation,
         error_factor_in_view: float = Constants.error_factor_in_view,
         error_factor_outside: float = Constants.error_factor_outside,
         error_exponent: float = Constants.error_exponent,
         trained_on_recordings: float = Constants.trained_on_recordings,
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__()
         if prediction not in ("clean", "v", "noise"):
             raise ValueError(f"prediction must be clean, v or noise, got {prediction!r}")
-        self.unit_mm, self.sigma_max, self.sigma_min, self.prediction = unit_mm, sigma_max, sigma_min, prediction
-        self.inputs, self.fold, self.noise_correlation = inputs, fold, noise_correlation
-        self.error_factors, self.error_exponent = (error_factor_in_view, error_factor_outside), error_exponent
+        self.unit_mm = unit_mm
+        self.sigma_max = sigma_max
+        self.sigma_min = sigma_min
+        self.prediction = prediction
+        self.inputs = inputs
+        self.fold = fold
+        self.noise_correlation = noise_correlation
+        self.error_factors = (error_factor_in_view, error_factor_outside)
+        self.error_exponent = error_exponent
         self.trained_on_recordings = trained_on_recordings
         widths = [min(base_channels * 2**level, max_channels) for level in range(levels)]
         self.noise_embedding = nn.Sequential(
@@ -66,10 +85,16 @@ class ResidualDenoiser(nn.Module):
         nn.init.zeros_(cast("Tensor", self.finish.bias))
 
     def forward(self, noisy: Tensor, sigma: Tensor, condition: Tensor) -> Tensor:
-        """Denoise a batch: noisy (n, FIELD_CHANNELS, rows, cols), sigma (n,), condition (n, inputs, rows, cols)."""
+        """Denoise a batch: noisy (n, FIELD_CHANNELS, rows, cols), sigma (n,), condition (n,
+        inputs, rows, cols).
+        """
         level = sigma.reshape(-1, 1, 1, 1)
-        scaled = torch.where(level < self.sigma_max, noisy / torch.sqrt(1.0 + level**2), torch.zeros_like(noisy))
-        output = self._network(torch.cat([scaled, condition], 1), self.noise_embedding(_embed_sigma(sigma))).float()
+        scaled = torch.where(
+            level < self.sigma_max, noisy / torch.sqrt(1.0 + level**2), torch.zeros_like(noisy)
+        )
+        output = self._network(
+            torch.cat([scaled, condition], 1), self.noise_embedding(_embed_sigma(sigma))
+        ).float()
         clean = output[:, :FIELD_CHANNELS]
         if self.prediction == "noise":
             clean = noisy - level * clean
@@ -79,20 +104,26 @@ class ResidualDenoiser(nn.Module):
 
     @torch.no_grad()
     def make_first_pass(self) -> nn.Module:
-        """The network at `sigma_max` as a function of the condition alone, for export (`first_pass`)."""
+        """The network at `sigma_max` as a function of the condition alone, for export
+        (`first_pass`).
+        """
         return _FirstPass(self).eval()
 
     def _network(self, inputs: Tensor, embedding: Tensor) -> Tensor:
         rows, cols = inputs.shape[-2:]
         padding = (0, -cols % self.fold, 0, -rows % self.fold)
         padded = functional.pad(inputs, padding, mode="replicate") if any(padding) else inputs
-        skips = [cast("Tensor", self.start(functional.pixel_unshuffle(padded, self.fold), embedding))]
+        skips = [
+            cast("Tensor", self.start(functional.pixel_unshuffle(padded, self.fold), embedding))
+        ]
         for down in self.down:
             skips.append(down(functional.max_pool2d(skips[-1], 2, ceil_mode=True), embedding))
         field = skips.pop()
         for thin, merge in zip(reversed(self.thin), reversed(self.merge), strict=True):
             skip = skips.pop()
-            field = functional.interpolate(thin(field), size=skip.shape[-2:], mode="bilinear", align_corners=False)
+            field = functional.interpolate(
+                thin(field), size=skip.shape[-2:], mode="bilinear", align_corners=False
+            )
             field = merge(skip + field, embedding)
         return functional.pixel_shuffle(self.finish(field), self.fold)[..., :rows, :cols]
 
@@ -111,7 +142,9 @@ class _Block(nn.Module):
         if not self.training and len(field) == 1:
             return self._forward_folded(field, 1.0 + scale[0], shift[0])
         normed = self.norm(self.filter(field))
-        return functional.relu(torch.addcmul(shift[..., None, None], normed, 1.0 + scale[..., None, None]))
+        return functional.relu(
+            torch.addcmul(shift[..., None, None], normed, 1.0 + scale[..., None, None])
+        )
 
     def _forward_folded(self, field: Tensor, scale: Tensor, shift: Tensor) -> Tensor:
         weight, bias = self._fold(scale, shift)
@@ -139,7 +172,8 @@ class _Block(nn.Module):
 class _Pair(nn.Module):
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
-        self.first, self.second = _Block(inputs, outputs), _Block(outputs, outputs)
+        self.first = _Block(inputs, outputs)
+        self.second = _Block(outputs, outputs)
 
     def forward(self, field: Tensor, embedding: Tensor) -> Tensor:
         return self.second(self.first(field, embedding), embedding)
@@ -152,25 +186,37 @@ def _embed_sigma(sigma: Tensor) -> Tensor:
 
 
 class _FirstPass(CompactUnet):
-    """A `ResidualDenoiser` at its largest noise, whose noisy field is 0: (1, inputs, rows, cols) to its output."""
+    """A `ResidualDenoiser` at its largest noise, whose noisy field is 0: (1, inputs, rows, cols)
+    to its output.
+    """
 
     def __init__(self, net: ResidualDenoiser) -> None:
         nn.Module.__init__(self)
         embedding = net.noise_embedding(_embed_sigma(torch.tensor([net.sigma_max])))
-        self.fold, self.inputs = net.fold, net.inputs
-        self.register_buffer("fold_kernel", make_fold_kernel(net.inputs, net.fold), persistent=False)
-        n_noisy, patch = FIELD_CHANNELS * net.fold**2, net.fold**2
+        self.fold = net.fold
+        self.inputs = net.inputs
+        self.register_buffer(
+            "fold_kernel", make_fold_kernel(net.inputs, net.fold), persistent=False
+        )
+        n_noisy = FIELD_CHANNELS * net.fold**2
+        patch = net.fold**2
         self.start = net.start.make_convolution(embedding, n_noisy)
         pairs = cast("list[_Pair]", list(net.down))
         self.down = nn.ModuleList(
-            nn.Sequential(pair.first.make_convolution(embedding), pair.second.make_convolution(embedding))
+            nn.Sequential(
+                pair.first.make_convolution(embedding), pair.second.make_convolution(embedding)
+            )
             for pair in pairs
         )
         self.thin = net.thin
-        self.merge = nn.ModuleList(block.make_convolution(embedding) for block in cast("list[_Block]", list(net.merge)))
+        self.merge = nn.ModuleList(
+            block.make_convolution(embedding) for block in cast("list[_Block]", list(net.merge))
+        )
         self.finish = nn.Conv2d(net.finish.in_channels, net.finish.out_channels, 3, padding=1)
         level = net.sigma_max
-        of_clean = {"clean": 1.0, "noise": -level, "v": -level / (1.0 + level**2) ** 0.5}[net.prediction]
+        of_clean = {"clean": 1.0, "noise": -level, "v": -level / (1.0 + level**2) ** 0.5}[
+            net.prediction
+        ]
         gain = torch.ones(net.finish.out_channels)
         gain[: FIELD_CHANNELS * patch] = of_clean
         self.finish.weight.copy_(net.finish.weight * gain[:, None, None, None])

@@ -1,9 +1,10 @@
 """Spatially correlated noise for diffusion, as smooth as the fields it is added to.
 
-White noise has little power at the long wavelengths where a membrane has nearly all of its power. Whether an object is
-present would be decided at noise levels hundreds of times the field, where the network sees nothing, and all samples
-would be equal. Noise with the spectrum of the fields hides large and small structures at the same level. Diffusion
-theory holds for any noise covariance, so the samplers are unchanged.
+White noise has little power at the long wavelengths where a membrane has nearly all of its power.
+Whether an object is present would be decided at noise levels hundreds of times the field, where the
+network sees nothing, and all samples would be equal. Noise with the spectrum of the fields hides
+large and small structures at the same level. Diffusion theory holds for any noise covariance, so
+the samplers are unchanged.
 """
 
 import math
@@ -19,7 +20,8 @@ _POWER = 1.5  # spectrum of an exponential covariance in the plane, as of fields
 def correlate_noise(white: Tensor, correlation_length: float) -> Tensor:
     """Turn standard normal numbers (..., rows, cols) into correlated ones with unit variance.
 
-    The correlation falls as exp(-distance / (correlation_length * rows)), periodic at the borders; 0 returns the input.
+    The correlation falls as exp(-distance / (correlation_length * rows)), periodic at the borders;
+    0 returns the input.
     """
     if correlation_length <= 0.0:
         return white

@@ -1,7 +1,8 @@
 """Input format of the paper's end-to-end networks: the change of a frame, resized to a square.
 
-The change is that of `SensorKind.compute_relative_change`: of a gel's image in shares of full brightness, or the
-displacement of a bubble's membrane toward the camera. It is normalised by the published mean and standard deviation.
+The change is that of `SensorKind.compute_relative_change`: of a gel's image in shares of full
+brightness, or the displacement of a bubble's membrane toward the camera. It is normalised by the
+published mean and standard deviation.
 """
 
 import numpy as np
@@ -27,13 +28,17 @@ def resize_from_square(square_change: Floats, shape: tuple[int, int]) -> Floats:
     import cv2
 
     changed = cv2.resize(
-        np.ascontiguousarray(square_change.transpose(1, 2, 0)), shape[::-1], interpolation=cv2.INTER_CUBIC
+        np.ascontiguousarray(square_change.transpose(1, 2, 0)),
+        shape[::-1],
+        interpolation=cv2.INTER_CUBIC,
     )
     return np.asarray(changed, np.float32).reshape(*shape, len(square_change))
 
 
 def normalise(square_change: Floats, kind: str) -> Floats:
-    """Squares (..., channels, side, side) with zero mean and unit standard deviation over the paper's data."""
+    """Squares (..., channels, side, side) with zero mean and unit standard deviation over the
+    paper's data.
+    """
     mean, std = _get_statistics(kind)
     return ((square_change - mean) / std).astype(np.float32)
 
@@ -60,10 +65,11 @@ def encode_image(square_change: Floats, kind: str) -> Floats:
 
 
 def decode_image(encoded: Floats, kind: str, *, map_twice: bool = False) -> Floats:
-    """Invert `encode_image`; an imprint is the mean of the channels, mapped to mm (paper, steps 1 and 2).
+    """Invert `encode_image`; an imprint is the mean of the channels, mapped to mm (paper, steps 1
+    and 2).
 
-    `map_twice` reproduces the released scripts, which map -1..1 to 0..1 twice: every imprint then lies in the upper
-    half of the range.
+    `map_twice` reproduces the released scripts, which map -1..1 to 0..1 twice: every imprint then
+    lies in the upper half of the range.
     """
     mapped = get_touch_format(kind).image_range
     if mapped is None:

@@ -1,4 +1,6 @@
-"""Build networks without random parameters, whose memory and time are wasted where weights follow."""
+"""Build networks without random parameters, whose memory and time are wasted where weights
+follow.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,10 +14,15 @@ class WithoutInitialisation(TorchFunctionMode):
     """Within the block, on this thread, initialisers leave tensors as they are allocated."""
 
     def __torch_function__(
-        self, func: Callable[..., Any], types: Any, args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None
+        self,
+        func: Callable[..., Any],
+        types: Any,
+        args: tuple[Any, ...] = (),
+        kwargs: dict[str, Any] | None = None,
     ) -> Any:
         """Skip initialisers, and call everything else."""
-        named, name = kwargs or {}, getattr(func, "__name__", "")
+        named = kwargs or {}
+        name = getattr(func, "__name__", "")
         if name not in _INITIALISERS:
             return func(*args, **named)
         tensor = args[0] if args else named["tensor"]

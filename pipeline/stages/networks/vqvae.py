@@ -1,12 +1,14 @@
 """The paper's baseline: a vector-quantised autoencoder from one sensor's change to another's.
 
-van den Oord et al. 2017, with the names and shapes of the released network (`encoder.*`, `codebook.embedding.weight`,
-`decoder.*`): two strided convolutions and two residual blocks down to a quarter of the side, each position replaced by
-the nearest codebook entry, and the mirrored decoder. The paper's is 256 wide with 16,385 codes.
+van den Oord et al. 2017, with the names and shapes of the released network (`encoder.*`,
+`codebook.embedding.weight`, `decoder.*`): two strided convolutions and two residual blocks down to
+a quarter of the side, each position replaced by the nearest codebook entry, and the mirrored
+decoder. The paper's is 256 wide with 16,385 codes.
 
-As published, each position sees 50 of 128 pixels and does not know where it is. Between sensors of different size,
-whose pixels do not correspond, it learns nothing and its codebook collapses. `reprojects_input`, `dilation` and
-`has_position_bias` fix that; they are off unless the weights were trained with them.
+As published, each position sees 50 of 128 pixels and does not know where it is. Between sensors of
+different size, whose pixels do not correspond, it learns nothing and its codebook collapses.
+`reprojects_input`, `dilation` and `has_position_bias` fix that; they are off unless the weights
+were trained with them.
 """
 
 from typing import NamedTuple
@@ -30,38 +32,60 @@ class VqVaeOutput(NamedTuple):
 
 
 class VqVae(nn.Module):
-    """Normalised squares (n, outputs, side, side) from those of another sensor (n, inputs, side, side).
+    """Normalised squares (n, outputs, side, side) from those of another sensor (n, inputs, side,
+    side).
 
-    `half_turn`: the output has to be rotated by 180 degrees for the target's camera, as in the paper's data.
-    `reprojects_input`: the input is resampled to the target's view (`image_condition.reproject_square`).
-    `dilation`: of the two middle residual blocks. `has_position_bias`: the decoder has a learned bias per position.
+    `half_turn`: the output has to be rotated by 180 degrees for the target's camera, as in the
+    paper's data. `reprojects_input`: the input is resampled to the target's view
+    (`image_condition.reproject_square`). `dilation`: of the two middle residual blocks.
+    `has_position_bias`: the decoder has a learned bias per position.
     """
 
     def __init__(
-        self, *, inputs: int = 3, outputs: int = 1, width: int = 256, codes: int = 16_385, half_turn: bool = False,
-        reprojects_input: bool = False, dilation: int = 1, has_position_bias: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        *,
+        inputs: int = 3,
+        outputs: int = 1,
+        width: int = 256,
+        codes: int = 16_385,
+        half_turn: bool = False,
+        reprojects_input: bool = False,
+        dilation: int = 1,
+        has_position_bias: bool = False,
+    ) -> None:
         super().__init__()
-        self.inputs, self.outputs = inputs, outputs
-        self.half_turn, self.reprojects_input = bool(half_turn), bool(reprojects_input)
+        self.inputs = inputs
+        self.outputs = outputs
+        self.half_turn = bool(half_turn)
+        self.reprojects_input = bool(reprojects_input)
         self.encoder = nn.Sequential(
-            nn.Conv2d(inputs, width, 4, 2, 1), nn.ReLU(inplace=True), nn.Conv2d(width, width, 4, 2, 1),
-            ResidualBlock(width), ResidualBlock(width, dilation),
-        )  # fmt: skip
+            nn.Conv2d(inputs, width, 4, 2, 1),
+            nn.ReLU(inplace=True),
+            nn.Conv2d(width, width, 4, 2, 1),
+            ResidualBlock(width),
+            ResidualBlock(width, dilation),
+        )
         self.codebook = Codebook(codes, width)
         self.decoder = nn.Sequential(
-            ResidualBlock(width, dilation), ResidualBlock(width), nn.ReLU(inplace=True), nn.ConvTranspose2d(width,
-            width, 4, 2, 1),
-            nn.ReLU(inplace=True), nn.ConvTranspose2d(width, outputs, 4, 2, 1),
-        )  # fmt: skip
-        self.position_bias = nn.Parameter(torch.zeros(1, width, SIDE // 4, SIDE // 4)) if has_position_bias else None
+            ResidualBlock(width, dilation),
+            ResidualBlock(width),
+            nn.ReLU(inplace=True),
+            nn.ConvTranspose2d(width, width, 4, 2, 1),
+            nn.ReLU(inplace=True),
+            nn.ConvTranspose2d(width, outputs, 4, 2, 1),
+        )
+        self.position_bias = (
+            nn.Parameter(torch.zeros(1, width, SIDE // 4, SIDE // 4)) if has_position_bias else None
+        )
 
     def forward(self, squares: Tensor) -> VqVaeOutput:
         """Translate the squares; gradients pass straight through the codebook."""
         encoded = self.encoder(squares)
         quantised = self.codebook(encoded)
         codes = encoded + (quantised - encoded).detach()
-        generated = self.decoder(codes if self.position_bias is None else codes + self.position_bias)
+        generated = self.decoder(
+            codes if self.position_bias is None else codes + self.position_bias
+        )
         return VqVaeOutput(generated=generated, encoded=encoded, quantised=quantised)
 
 
@@ -115,15 +139,24 @@ class Codebook(nn.Module):
 
     def _replace_unused(self, positions: Tensor, index: Tensor) -> None:
         unused = torch.bincount(index, minlength=self.embedding.num_embeddings) == 0
-        chosen = torch.randint(len(positions), (self.embedding.num_embeddings,), device=positions.device)
+        chosen = torch.randint(
+            len(positions), (self.embedding.num_embeddings,), device=positions.device
+        )
         with torch.no_grad():
-            self.embedding.weight.copy_(torch.where(unused[:, None], positions[chosen], self.embedding.weight))
+            self.embedding.weight.copy_(
+                torch.where(unused[:, None], positions[chosen], self.embedding.weight)
+            )
 
     def _is_new(self) -> bool:
-        return float(self.embedding.weight.detach().abs().max()) <= _INITIAL_RANGE / self.embedding.num_embeddings
+        return (
+            float(self.embedding.weight.detach().abs().max())
+            <= _INITIAL_RANGE / self.embedding.num_embeddings
+        )
 
     def _initialise(self, positions: Tensor) -> None:
-        chosen = torch.randint(len(positions), (self.embedding.num_embeddings,), device=positions.device)
+        chosen = torch.randint(
+            len(positions), (self.embedding.num_embeddings,), device=positions.device
+        )
         with torch.no_grad():
             self.embedding.weight.copy_(
                 positions[chosen] + 0.01 * positions.std() * torch.randn_like(positions[chosen])

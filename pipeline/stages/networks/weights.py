@@ -29,12 +29,20 @@ SUFFIX = ".safetensors"
 _WHAT = "the weights"
 _HEADER_KEY = "tactoscope weights"  # header key; its value is the version of the header
 _VERSION = "1"
-_ONNX = "onnx"  # name of the tensor of bytes that holds the ONNX file, compressed by zlib or as it is
+# name of the tensor of bytes that holds the ONNX file, compressed by zlib or as it is
+_ONNX = "onnx"
 _ZLIB = b"\x78"  # first byte of a zlib stream; no ONNX file begins with it
 _MAX_HEADER_BYTES = 16 << 20  # of a header; one of 2,000 tensors takes 0.2 MB
 _MAX_ONNX_BYTES = 1 << 28  # of an unpacked ONNX file; the largest that is shipped has 8 MB
 _FLOATS = {"F64": np.float64, "F32": np.float32, "F16": np.float16}
-_COUNTS = {"I64": np.int64, "I32": np.int32, "I16": np.int16, "I8": np.int8, "U8": np.uint8, "BOOL": np.bool_}
+_COUNTS = {
+    "I64": np.int64,
+    "I32": np.int32,
+    "I16": np.int16,
+    "I8": np.int8,
+    "U8": np.uint8,
+    "BOOL": np.bool_,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +53,9 @@ class OnnxOnDisk:
     stamp: tuple[int, int]  # of the file when it was opened
 
     def read(self) -> bytes:
-        """The ONNX file; raises FileProblem where the file of weights is gone, damaged or another one."""
+        """The ONNX file; raises FileProblem where the file of weights is gone, damaged or
+        another one.
+        """
         _require_same(self.path, self.stamp)
         return _unpack_onnx(bytes(_read_entries(self.path)[1][_ONNX]["data"]), self.path)
 
@@ -59,7 +69,9 @@ class TensorsOnDisk(Mapping[str, Floats]):
     stamp: tuple[int, int]  # of the file when it was opened
 
     def __getitem__(self, name: str) -> Floats:
-        """One tensor as float32; raises FileProblem where the file is gone, damaged or another one."""
+        """One tensor as float32; raises FileProblem where the file is gone, damaged or another
+        one.
+        """
         from safetensors import SafetensorError, safe_open
 
         if name not in self.names:
@@ -86,30 +98,41 @@ class Weights:
     kind: str  # of `network_factory.NETWORK_CLASSES`
     config: Mapping[str, Value] = field(metadata=UNDIGESTED)  # constructor arguments of the network
     tensors: Mapping[str, Floats] = field(metadata=UNDIGESTED)  # by name in the network
-    card: Mapping[str, str] = field(default_factory=dict, metadata=UNDIGESTED)  # entries of the model card
+    # entries of the model card
+    card: Mapping[str, str] = field(default_factory=dict, metadata=UNDIGESTED)
     onnx: bytes | OnnxOnDisk = field(
         default=b"", metadata=UNDIGESTED, repr=False
     )  # the network as an ONNX file; b"" if not exported
-    content_digest: str = field(init=False)  # of kind, config and tensors: all that results depend on
+    # of kind, config and tensors: all that results depend on
+    content_digest: str = field(init=False)
     n_parameters: int = field(init=False, metadata=UNDIGESTED)  # trained ones
 
     def __post_init__(self) -> None:
         """Freeze the tensors, count them and compute their digest once."""
         for tensor in self.tensors.values():
             freeze(tensor)
-        object.__setattr__(self, "n_parameters", sum(tensor.size for tensor in self.tensors.values()))
-        object.__setattr__(self, "content_digest", compute_digest((self.kind, dict(self.config), dict(self.tensors))))
+        object.__setattr__(
+            self, "n_parameters", sum(tensor.size for tensor in self.tensors.values())
+        )
+        object.__setattr__(
+            self,
+            "content_digest",
+            compute_digest((self.kind, dict(self.config), dict(self.tensors))),
+        )
 
     @property
     def trained_with_condition_dropout(self) -> bool:
-        """Whether guidance can act on a network that samples: in training, some examples lacked the condition.
+        """Whether guidance can act on a network that samples: in training, some examples lacked the
+        condition.
 
         `guidance.NO_CONDITION_DROPOUT` is the reason to show where it cannot.
         """
         return bool(self.config.get("trained_with_condition_dropout", True))
 
     def read_onnx(self) -> bytes:
-        """The ONNX file; b"" if not exported; raises FileProblem where it was read from a file that is gone."""
+        """The ONNX file; b"" if not exported; raises FileProblem where it was read from a file
+        that is gone.
+        """
         return self.onnx if isinstance(self.onnx, bytes) else self.onnx.read()
 
 
@@ -127,7 +150,8 @@ class NoWeights:
 
 
 def load_weights_of_package(path: Path) -> Weights:
-    """`load_weights` of a file that stays where it is: its numbers are read again when a network is built of them.
+    """`load_weights` of a file that stays where it is: its numbers are read again when a network is
+    built of them.
 
     A network that OpenCV answers needs none of them afterwards. Raises what `load_weights` does.
     """
@@ -152,14 +176,18 @@ def _require_same(path: Path, stamp: tuple[int, int]) -> None:
             return
     except OSError as error:
         raise FileProblem(f"{_WHAT} cannot be read again", path) from error
-    raise FileProblem(f"{_WHAT} have changed since they were opened; open the recording again", path)
+    raise FileProblem(
+        f"{_WHAT} have changed since they were opened; open the recording again", path
+    )
 
 
 def load_weights(path: Path) -> Weights:
-    """The weights of a Tactoscope file, as float32; raises FileProblem for a missing, damaged or foreign file.
+    """The weights of a Tactoscope file, as float32.
 
-    Its ONNX graph is left: OpenCV runs a graph as it is, and one from a stranger could end the process, or never end.
-    The network of the tensors is exported instead.
+    Raises FileProblem for a missing, damaged or foreign file.
+
+    Its ONNX graph is left: OpenCV runs a graph as it is, and one from a stranger could end the
+    process, or never end. The network of the tensors is exported instead.
     """
     return _load(path)[0]
 
@@ -170,28 +198,47 @@ def _load(path: Path) -> tuple[Weights, bool]:
     has_onnx = entries.pop(_ONNX, None) is not None
     tensors = _convert_entries(entries, path)
     if not is_tactoscope_file(metadata):
-        raise FileProblem("these weights do not name their network; use a file written by Tactoscope", path)
+        raise FileProblem(
+            "these weights do not name their network; use a file written by Tactoscope", path
+        )
     try:
-        said = {**metadata, **{key: json.loads(metadata.get(key, "null")) for key in ("config", "card")}}
+        said = {
+            **metadata,
+            **{key: json.loads(metadata.get(key, "null")) for key in ("config", "card")},
+        }
     except (ValueError, RecursionError) as error:
         raise FileProblem(f"{_WHAT} are damaged: their header cannot be read", path) from error
     header = convert(said, _Header, _WHAT, path)
     return (
-        Weights(name=path.stem, kind=header.kind, config=header.config, tensors=tensors, card=header.card), has_onnx
-    )  # fmt: skip
+        Weights(
+            name=path.stem,
+            kind=header.kind,
+            config=header.config,
+            tensors=tensors,
+            card=header.card,
+        ),
+        has_onnx,
+    )
 
 
 def _unpack_onnx(stored: bytes, path: Path) -> bytes:
-    """The ONNX file of a tensor of bytes; raises FileProblem for one that is damaged or unpacks to too much."""
+    """The ONNX file of a tensor of bytes.
+
+    Raises FileProblem for one that is damaged or unpacks to too much.
+    """
     if not stored.startswith(_ZLIB):
         return stored
     stream = zlib.decompressobj()
     try:
         onnx = stream.decompress(stored, _MAX_ONNX_BYTES)
     except zlib.error as error:
-        raise FileProblem(f"{_WHAT} are damaged: their ONNX graph cannot be unpacked", path) from error
+        raise FileProblem(
+            f"{_WHAT} are damaged: their ONNX graph cannot be unpacked", path
+        ) from error
     if not stream.eof:
-        raise FileProblem(f"{_WHAT} are damaged: their ONNX graph is truncated or unpacks to too many bytes", path)
+        raise FileProblem(
+            f"{_WHAT} are damaged: their ONNX graph is truncated or unpacks to too many bytes", path
+        )
     return onnx
 
 
@@ -207,7 +254,10 @@ def load_tensors(path: Path) -> tuple[dict[str, str], dict[str, Floats]]:
 
 
 def _read_entries(path: Path) -> tuple[dict[str, str], dict[str, Mapping[str, Any]]]:
-    """Header and raw tensors of a safetensors file: name -> dtype, shape, data; raises FileProblem."""
+    """Header and raw tensors of a safetensors file: name -> dtype, shape, data.
+
+    Raises FileProblem.
+    """
     from safetensors import SafetensorError, safe_open
 
     _refuse_torch_archive(path)
@@ -215,23 +265,32 @@ def _read_entries(path: Path) -> tuple[dict[str, str], dict[str, Mapping[str, An
         length = int.from_bytes(read_head(path)[:8], "little")
         if length > _MAX_HEADER_BYTES:
             raise ValueError(length)
-        with safe_open(path, framework="numpy"), path.open("rb") as file:  # checks the places of all tensors
+        # checks the places of all tensors
+        with safe_open(path, framework="numpy"), path.open("rb") as file:
             header = cast("dict[str, Any]", json.loads(file.read(8 + length)[8:]))
             metadata = cast("dict[str, Any]", header.pop("__metadata__", None) or {})
             require_budget(
-                4 * sum(math.prod(e["shape"]) for e in header.values()), _WHAT, path, most=MOST_NETWORK_BYTES
+                4 * sum(math.prod(e["shape"]) for e in header.values()),
+                _WHAT,
+                path,
+                most=MOST_NETWORK_BYTES,
             )
             for entry in header.values():
                 start, end = entry["data_offsets"]
                 file.seek(8 + length + start)
                 entry["data"] = file.read(end - start)
     except (SafetensorError, ValueError, RecursionError, OSError) as error:
-        raise FileProblem(f"cannot read {_WHAT}: the file is truncated, damaged or not safetensors", path) from error
+        raise FileProblem(
+            f"cannot read {_WHAT}: the file is truncated, damaged or not safetensors", path
+        ) from error
     return {str(k): str(v) for k, v in metadata.items()}, header
 
 
 def is_safetensors(path: Path) -> bool:
-    """Whether a file, whatever its name, begins with the length of a header and that header; raises FileProblem."""
+    """Whether a file, whatever its name, begins with the length of a header and that header.
+
+    Raises FileProblem.
+    """
     return read_head(path)[8:] == b"{"
 
 
@@ -245,27 +304,37 @@ def read_head(path: Path) -> bytes:
 def _refuse_torch_archive(path: Path) -> None:
     if read_head(path).startswith(SIGNATURE):
         raise FileProblem(
-            f"{_WHAT} are a PyTorch file, which this method does not read; choose one that does, such as "
+            f"{_WHAT} are a PyTorch file, which this method does not read; choose one that does, "
+            "such as "
             "depth=unet, depth=depth_anything, touch=latent or touch=vqvae",
             path,
         )
 
 
 def _convert_entries(entries: Mapping[str, Mapping[str, Any]], path: Path) -> dict[str, Floats]:
-    """The tensors as float32; raises FileProblem for unknown types and values that are not finite."""
+    """The tensors as float32; raises FileProblem for unknown types and values that are not
+    finite.
+    """
     tensors: dict[str, Floats] = {}
     for name, entry in entries.items():
         tensor = _as_float(entry)
         if tensor is None:
-            raise FileProblem(f"{_WHAT} hold {name!r} in the unsupported type {entry['dtype']}", path)
+            raise FileProblem(
+                f"{_WHAT} hold {name!r} in the unsupported type {entry['dtype']}", path
+            )
         if not np.isfinite(tensor).all():
-            raise FileProblem(f"{_WHAT} contain NaN or infinity in {name!r}; train or download them again", path)
+            raise FileProblem(
+                f"{_WHAT} contain NaN or infinity in {name!r}; train or download them again", path
+            )
         tensors[name] = tensor
     return tensors
 
 
 def save_weights(path: Path, weights: Weights, *, use_float16: bool = False) -> None:
-    """Write weights and their model card (.md); `use_float16` stores 16 bits. Raises FileProblem."""
+    """Write weights and their model card (.md).
+
+    `use_float16` stores 16 bits. Raises FileProblem.
+    """
     from safetensors.numpy import save as to_bytes
 
     with np.errstate(over="ignore"):  # overflow of 16 bits is reported below
@@ -275,33 +344,50 @@ def save_weights(path: Path, weights: Weights, *, use_float16: bool = False) -> 
         }
     if not all(np.isfinite(tensor).all() for tensor in stored.values()):
         raise FileProblem(
-            f"{_WHAT} hold values beyond the range of {16 if use_float16 else 32} bits; nothing is written", path
+            f"{_WHAT} hold values beyond the range of {16 if use_float16 else 32} bits; nothing "
+            "is written",
+            path,
         )
     if weights.onnx:
         stored[_ONNX] = np.frombuffer(zlib.compress(weights.read_onnx(), 9), np.uint8)
     header = {
-        _HEADER_KEY: _VERSION, "kind": weights.kind,
-        "config": json.dumps(dict(weights.config)), "card": json.dumps(dict(weights.card)),
-    }  # fmt: skip
+        _HEADER_KEY: _VERSION,
+        "kind": weights.kind,
+        "config": json.dumps(dict(weights.config)),
+        "card": json.dumps(dict(weights.card)),
+    }
     with open_atomic(path, _WHAT, load_weights) as file:
         file.write(to_bytes(stored, header))
-    write_text(path.with_suffix(".md"), _format_card(path.stem, weights), "the card of the weights", None)
+    write_text(
+        path.with_suffix(".md"), _format_card(path.stem, weights), "the card of the weights", None
+    )
 
 
 def _format_card(name: str, weights: Weights) -> str:
     """Model card: a Markdown table of network, parameters and card entries."""
     settings = ", ".join(f"{key} {value}" for key, value in weights.config.items())
-    card = {key: value for key, value in weights.card.items() if key != "recipe"}  # JSON, for programs
-    rows = {"network": f"{weights.kind} ({settings})", "parameters": f"{weights.n_parameters:,}", **card}
-    table = "".join(f"| {key} | {' '.join(str(value).split()).replace('|', '/')} |\n" for key, value in rows.items())
+    # JSON, for programs
+    card = {key: value for key, value in weights.card.items() if key != "recipe"}
+    rows = {
+        "network": f"{weights.kind} ({settings})",
+        "parameters": f"{weights.n_parameters:,}",
+        **card,
+    }
+    table = "".join(
+        f"| {key} | {' '.join(str(value).split()).replace('|', '/')} |\n"
+        for key, value in rows.items()
+    )
     return f"# {name}\n\n| | |\n|---|---|\n{table}"
 
 
 def _as_float(entry: Mapping[str, Any]) -> Floats | None:
     """A tensor of a file as float32 in its own memory; None for a type that numpy lacks."""
-    kind, raw = str(entry["dtype"]), bytes(entry["data"])
+    kind = str(entry["dtype"])
+    raw = bytes(entry["data"])
     if kind == "BF16":  # the upper half of a float32
-        wide: NDArray[Any] = (np.frombuffer(raw, np.uint16).astype(np.uint32) << 16).view(np.float32)
+        wide: NDArray[Any] = (np.frombuffer(raw, np.uint16).astype(np.uint32) << 16).view(
+            np.float32
+        )
     elif kind in _FLOATS or kind in _COUNTS:
         wide = np.frombuffer(raw, _FLOATS.get(kind) or _COUNTS[kind]).astype(np.float32)
     else:

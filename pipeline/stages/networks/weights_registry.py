@@ -18,10 +18,12 @@ from pipeline.stages.networks.weights import (
     stamp_file,
 )
 
-_SOURCE, _WHEEL = Path(__file__).parents[3] / "sample_data" / "weights", Path(__file__).parent / "shipped"
+_SOURCE = Path(__file__).parents[3] / "sample_data" / "weights"
+_WHEEL = Path(__file__).parent / "shipped"
 WEIGHTS_FOLDER = _SOURCE if _SOURCE.is_dir() else _WHEEL
 _MAX_BYTES = 2 << 30
-TARGET_KIND = "target kind"  # entry of a model card: kind of the sensor that touches are generated for
+# entry of a model card: kind of the sensor that touches are generated for
+TARGET_KIND = "target kind"
 _read: Memo[tuple[Any, ...], Weights] = Memo(
     8, most_bytes=_MAX_BYTES, weigh=lambda weights: 4 * weights.n_parameters
 )  # by file, modification time and size
@@ -32,7 +34,8 @@ def load_shipped(name: str) -> Weights | NoWeights:
     path = WEIGHTS_FOLDER / f"{name}{SUFFIX}"
     if not path.is_file():
         return NoWeights(
-            why=f"no weights {name!r} are shipped; train them with `tactoscope train` or choose a file with --weights"
+            why=f"no weights {name!r} are shipped; train them with `tactoscope train` or choose a "
+            "file with --weights"
         )
     return load_file(path, load_weights_of_package)
 
@@ -41,7 +44,11 @@ def load_file(path: Path, read: ReadWeights = load_weights) -> Weights | NoWeigh
     """The weights of a file, cached until the file changes."""
     try:
         try:
-            stamps = [stamp_file(file) for file in (path, get_description_path(path)) if file == path or file.is_file()]
+            stamps = [
+                stamp_file(file)
+                for file in (path, get_description_path(path))
+                if file == path or file.is_file()
+            ]
         except (OSError, ValueError):
             return read(path)  # raises the FileProblem
         key = (read.__module__, read.__qualname__, path, *stamps)
@@ -57,7 +64,8 @@ def load_for_task(
     read: ReadWeights = load_weights,
     target_kind: str = "",
 ) -> Weights | NoWeights:
-    """Weights trained for a task of `pipeline.lab.training` (or one of several): of `file`, or the shipped `name`.
+    """Weights trained for a task of `pipeline.lab.training` (or one of several): of `file`, or the
+    shipped `name`.
 
     Weights whose card names another kind of target sensor than `target_kind` are not used.
     """
@@ -69,9 +77,13 @@ def load_for_task(
             why=f"the weights {weights.name!r} were trained for {trained_for}, not {tasks[0]}; "
             "choose others with --weights"
         )
-    if isinstance(weights, Weights) and weights.card.get(TARGET_KIND, target_kind) != target_kind != "":
+    if (
+        isinstance(weights, Weights)
+        and weights.card.get(TARGET_KIND, target_kind) != target_kind != ""
+    ):
         return NoWeights(
-            why=f"the weights {weights.name!r} generate touches of a {weights.card[TARGET_KIND]}, not of a "
+            why=f"the weights {weights.name!r} generate touches of a {weights.card[TARGET_KIND]}, "
+            "not of a "
             f"{target_kind}; choose others with --weights"
         )
     return weights

@@ -16,9 +16,13 @@ from pipeline.stages.pose.registration.model import ObjectModel
 from pipeline.stages.pose.registration.scene import ContactScene
 from pipeline.stages.pose.registration.starts import InitialPose, list_starts
 
-NOTE = "icp: the result with the largest fitness, then the least rmse; pose ambiguity is not estimated"
+NOTE = (
+    "icp: the result with the largest fitness, then the least rmse; pose ambiguity is not estimated"
+)
 N_MODEL_POINTS = 20_000  # sampled on the object, as in benchmarks/pose.py
-_QUICK, _N_REFINED = 3, 6  # iterations from each start; starts that are iterated to the end
+# iterations from each start; starts that are iterated to the end
+_QUICK = 3
+_N_REFINED = 6
 _SETTLED = 1e-6  # Open3D's own relative change of fitness and rmse that ends its iterations
 
 
@@ -31,40 +35,61 @@ class _Icp:
     max_distance_mm: float
 
     def iterate(self, start: Doubles, n_iterations: int) -> PoseStep:
-        """Run `n_iterations` from a sensor_from_object; the scene points move, the object is fixed."""
+        """Run `n_iterations` from a sensor_from_object.
+
+        The scene points move, the object is fixed.
+        """
         import open3d
 
         registration = open3d.pipelines.registration
         found = registration.registration_icp(
-            self.source, self.target, self.max_distance_mm, rigid.invert(start),
+            self.source,
+            self.target,
+            self.max_distance_mm,
+            rigid.invert(start),
             registration.TransformationEstimationPointToPlane(),
             registration.ICPConvergenceCriteria(_SETTLED, _SETTLED, n_iterations),
-        )  # fmt: skip
+        )
         try:
-            pose = rigid.invert(rigid.validate_rigid(np.array(found.transformation), "the result of ICP"))
+            pose = rigid.invert(
+                rigid.validate_rigid(np.array(found.transformation), "the result of ICP")
+            )
         except CalibrationError:
             # An underdetermined system yields a matrix that is not rigid: the start is discarded.
             return PoseStep(sensor_from_object=freeze(start), rmse_mm=math.inf, fitness=0.0)
         return PoseStep(
-            sensor_from_object=freeze(pose), rmse_mm=float(found.inlier_rmse), fitness=float(found.fitness),
+            sensor_from_object=freeze(pose),
+            rmse_mm=float(found.inlier_rmse),
+            fitness=float(found.fitness),
             max_correspondence_mm=self.max_distance_mm,
-        )  # fmt: skip
+        )
 
 
 def register_icp(
-    scene: ContactScene, mesh: Mesh, model: ObjectModel, *, face: str, n_starts: int, n_iterations: int,
+    scene: ContactScene,
+    mesh: Mesh,
+    model: ObjectModel,
+    *,
+    face: str,
+    n_starts: int,
+    n_iterations: int,
     max_distance_mm: float,
-    seed: int, keep_steps: bool, progress: Progress = SILENT,
-) -> ObjectPose:  # fmt: skip
-    """ICP from the starts of our own search, a few iterations each, the best of them to convergence.
+    seed: int,
+    keep_steps: bool,
+    progress: Progress = SILENT,
+) -> ObjectPose:
+    """ICP from the starts of our own search, a few iterations each, the best of them to
+    convergence.
 
-    Points beyond `max_distance_mm` have no correspondence. The face of the object is set by the starts only.
+    Points beyond `max_distance_mm` have no correspondence. The face of the object is set by the
+    starts only.
     """
     import open3d
 
     points_mm, normals = sample_surface(mesh, N_MODEL_POINTS, seed)
     clouds = [
-        open3d.geometry.PointCloud(open3d.utility.Vector3dVector(np.array(p))) for p in (scene.points_mm, points_mm)
+        open3d.geometry.PointCloud(open3d.utility.Vector3dVector(np.array(p)))
+        for p in (scene.points_mm, points_mm)
     ]
     clouds[1].normals = open3d.utility.Vector3dVector(np.array(normals))
     icp = _Icp(source=clouds[0], target=clouds[1], max_distance_mm=max_distance_mm)
@@ -80,16 +105,22 @@ def register_icp(
     is_known = best.fitness > 0
     return ObjectPose(
         sensor_from_object=best.sensor_from_object if is_known else None,
-        rmse_mm=best.rmse_mm if is_known else math.nan, fitness=best.fitness,
-        scene_mm=freeze(scene.points_mm.astype(np.float32)), source_index=freeze(scene.pixel),
-        steps=tuple(history) if keep_steps else (), stop_reason=_describe_stop(len(history) - 1,
-        n_iterations) if is_known else "",
+        rmse_mm=best.rmse_mm if is_known else math.nan,
+        fitness=best.fitness,
+        scene_mm=freeze(scene.points_mm.astype(np.float32)),
+        source_index=freeze(scene.pixel),
+        steps=tuple(history) if keep_steps else (),
+        stop_reason=_describe_stop(len(history) - 1, n_iterations) if is_known else "",
         starts_tried=len(starts),
-        notes=(NOTE,) if is_known else ("icp: no start has points within the search distance of the object",),
-    )  # fmt: skip
+        notes=(NOTE,)
+        if is_known
+        else ("icp: no start has points within the search distance of the object",),
+    )
 
 
-def _find_best_history(icp: _Icp, starts: list[InitialPose], n_iterations: int, progress: Progress) -> list[PoseStep]:
+def _find_best_history(
+    icp: _Icp, starts: list[InitialPose], n_iterations: int, progress: Progress
+) -> list[PoseStep]:
     """A few iterations from each start, then single iterations from the best of them."""
     quick: list[PoseStep] = []
     for k, start in enumerate(starts):
@@ -97,7 +128,8 @@ def _find_best_history(icp: _Icp, starts: list[InitialPose], n_iterations: int, 
         quick.append(icp.iterate(start.sensor_from_object, _QUICK))
     progress.step(1.0 - 1.0 / (len(starts) + 1), "ICP from the best starts")
     histories = [
-        _iterate_to_end(icp, first_step, n_iterations) for first_step in sorted(quick, key=_rank_step)[:_N_REFINED]
+        _iterate_to_end(icp, first_step, n_iterations)
+        for first_step in sorted(quick, key=_rank_step)[:_N_REFINED]
     ]
     return min(histories, key=lambda steps: _rank_step(steps[-1]))
 
@@ -124,6 +156,8 @@ def _iterate_to_end(icp: _Icp, first_step: PoseStep, n_iterations: int) -> list[
     steps = [first_step]
     for _ in range(n_iterations):
         steps.append(icp.iterate(steps[-1].sensor_from_object, 1))
-        if abs(steps[-1].rmse_mm - steps[-2].rmse_mm) <= _SETTLED * max(steps[-2].rmse_mm, _SETTLED):
+        if abs(steps[-1].rmse_mm - steps[-2].rmse_mm) <= _SETTLED * max(
+            steps[-2].rmse_mm, _SETTLED
+        ):
             break
     return steps

@@ -1,8 +1,8 @@
 """Object pose by a network trained on a sensor's own touches: the paper's tactile metric.
 
-The network estimates translation and rotation in the plane of objects that it was trained on. A trained object is
-identified by its mesh; for any other mesh the network's class is used. Tilt is taken as 0, and the height is that of
-the contact point nearest to the camera.
+The network estimates translation and rotation in the plane of objects that it was trained on. A
+trained object is identified by its mesh; for any other mesh the network's class is used. Tilt is
+taken as 0, and the height is that of the contact point nearest to the camera.
 """
 
 from __future__ import annotations
@@ -34,10 +34,15 @@ if TYPE_CHECKING:
 
 _SAME_MM = 1e-3  # tolerance of vertices of the same mesh
 READS = ("touch", "touch_depth", "target", "mesh")
-NOTE = "pose by network: planar translation and rotation of a trained object; tilt 0, height from the contact"
+NOTE = (
+    "pose by network: planar translation and rotation of a trained object; tilt 0, height "
+    "from the contact"
+)
 
 
-def select_weights(_source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:
+def select_weights(
+    _source: SensorSpec, target: SensorSpec, file: Path | None
+) -> Weights | NoWeights:
     """The pose network of this target sensor."""
     return weights_registry.load_for_task("touch_pose", f"pose_{target.name}", file)
 
@@ -58,7 +63,8 @@ def predict_pose(
         return Skipped(output=skipped, reason=skipped.notes[0])
     reference = render_reference(target)
     square = normalise(
-        resize_to_square(target.sensor_kind.compute_relative_change(touch.image, reference)), target.kind
+        resize_to_square(target.sensor_kind.compute_relative_change(touch.image, reference)),
+        target.kind,
     )
     x, y, angle_rad = _predict_planar_pose(network, square, mesh)
     alignment_from_object = rigid.translation(x, y, 0.0) @ rigid.rotation((0.0, 0.0, angle_rad))
@@ -68,15 +74,21 @@ def predict_pose(
     progress.step(1.0, "predicted")
     return ObjectPose(
         sensor_from_object=freeze(rigid.translation(0.0, 0.0, nearest) @ at),
-        scene_mm=points, source_index=pixel, notes=(NOTE,),
-    )  # fmt: skip
+        scene_mm=points,
+        source_index=pixel,
+        notes=(NOTE,),
+    )
 
 
-def _predict_planar_pose(network: nn.Module, square: Floats, mesh: Mesh) -> tuple[float, float, float]:
+def _predict_planar_pose(
+    network: nn.Module, square: Floats, mesh: Mesh
+) -> tuple[float, float, float]:
     """(x mm, y mm, rotation rad) of the object origin in the alignment frame."""
     import torch
 
-    net, label, names = cast("Any", network), _find_label(mesh), shapes.list_labelled_shapes()
+    net = cast("Any", network)
+    label = _find_label(mesh)
+    names = shapes.list_labelled_shapes()
     one_hot = torch.zeros(1, net.n_objects)
     if label is not None and label < net.n_objects:
         one_hot[0, label] = 1.0
@@ -94,14 +106,18 @@ def _find_label(mesh: Mesh) -> int | None:
     """Class of the trained object with the same vertices; None if there is none."""
     for label, name in enumerate(shapes.list_labelled_shapes()):
         vertices_mm = shapes.make_shape(name).mesh.vertices_mm
-        if vertices_mm.shape == mesh.vertices_mm.shape and np.allclose(vertices_mm, mesh.vertices_mm, atol=_SAME_MM):
+        if vertices_mm.shape == mesh.vertices_mm.shape and np.allclose(
+            vertices_mm, mesh.vertices_mm, atol=_SAME_MM
+        ):
             return label
     return None
 
 
 def _sample_contact_points(touch_depth: DepthMap, params: PoseParams) -> tuple[Floats, Indices]:
     """Contact points (n, 3) in mm and their pixels, at most `max_points`."""
-    usable = np.flatnonzero(touch_depth.contact & np.isfinite(touch_depth.depth_mm)).astype(np.int32)
+    usable = np.flatnonzero(touch_depth.contact & np.isfinite(touch_depth.depth_mm)).astype(
+        np.int32
+    )
     chosen = usable[:: max(1, math.ceil(len(usable) / params.max_points))]
     points: Doubles = touch_depth.camera.back_project(touch_depth.depth_mm).reshape(-1, 3)[chosen]
     return freeze(points.astype(np.float32)), freeze(chosen)

@@ -1,8 +1,10 @@
-"""Object pose in the target sensor's frame by registration on signed distances (paper: ICP against the object's mesh).
+"""Object pose in the target sensor's frame by registration on signed distances (paper: ICP against
+the object's mesh).
 
-A contact is a one-sided, partial view of the object, so a single registration converges to some minimum. Here many
-starts are scored by contact and by free space, the best are registered on the object's signed distances, and pose
-ambiguity is reported: unobservable directions, and other poses that fit equally well.
+A contact is a one-sided, partial view of the object, so a single registration converges to some
+minimum. Here many starts are scored by contact and by free space, the best are registered on the
+object's signed distances, and pose ambiguity is reported: unobservable directions, and other poses
+that fit equally well.
 """
 
 from collections.abc import Sequence
@@ -45,42 +47,78 @@ class PoseParams:
         source="the paper's evaluation assumes it known",
     )
     n_starts: int = setting(
-        72, "Starts", unit="starts", low=1, high=1000, step=6, help="initial orientations of the search",
+        72,
+        "Starts",
+        unit="starts",
+        low=1,
+        high=1000,
+        step=6,
+        help="initial orientations of the search",
         source="rotations about the normals of the object's faces",
-    )  # fmt: skip
+    )
     n_iterations: int = setting(
-        30, "Iterations", unit="iterations", low=1, high=200, step=5,
+        30,
+        "Iterations",
+        unit="iterations",
+        low=1,
+        high=200,
+        step=5,
         help="limit of one registration, which stops earlier on convergence",
-        source="Gauss-Newton with the weights of Geman and McClure 1985; ICP: Chen and Medioni 1992",
-    )  # fmt: skip
+        source="Gauss-Newton with the weights of Geman and McClure 1985; ICP: Chen and Medioni "
+        "1992",
+    )
     max_distance_mm: float = setting(
-        2.0, "Search distance", unit="mm", low=0.05, high=20.0, step=0.1,
+        2.0,
+        "Search distance",
+        unit="mm",
+        low=0.05,
+        high=20.0,
+        step=0.1,
         help="points farther from the object are outliers",
         source="point to surface on signed distances; covariance: Bonnabel 2014",
-    )  # fmt: skip
+    )
     max_points: int = setting(
-        1500, "Points", unit="points", low=50, high=100_000, step=100, help="number of contact points used",
+        1500,
+        "Points",
+        unit="points",
+        low=50,
+        high=100_000,
+        step=100,
+        help="number of contact points used",
         source="sampled evenly from the contact",
-    )  # fmt: skip
+    )
     keep_steps: bool = setting(
-        False, "Keep iterations", help="keep the iterations for the step view; does not change the result",
+        False,
+        "Keep iterations",
+        help="keep the iterations for the step view; does not change the result",
         source="Tactoscope",
-    )  # fmt: skip
+    )
     seed: int = setting(
-        0, "Seed", low=0, high=2**31 - 1, step=1, help="seed of the sampled points",
+        0,
+        "Seed",
+        low=0,
+        high=2**31 - 1,
+        step=1,
+        help="seed of the sampled points",
         source="PCG64: O'Neill 2014, as numpy has it",
-    )  # fmt: skip
+    )
 
 
 def estimate_pose(
     touch_depth: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT
 ) -> ObjectPose:
-    """sensor_from_object (4, 4) in mm with covariance and pose ambiguity; None where it cannot be determined.
+    """sensor_from_object (4, 4) in mm with covariance and pose ambiguity.
+
+    None where it cannot be determined.
 
     Raises MeshProblem when the mesh has no surface, SettingProblem for an unknown face.
     """
     prepared = prepare_search(touch_depth, mesh, params, progress)
-    return prepared if isinstance(prepared, ObjectPose) else _search_pose(*prepared, params, progress, None)
+    return (
+        prepared
+        if isinstance(prepared, ObjectPose)
+        else _search_pose(*prepared, params, progress, None)
+    )
 
 
 def track_pose(
@@ -92,11 +130,13 @@ def track_pose(
     *,
     alternatives: Sequence[Doubles] = (),
 ) -> ObjectPose:
-    """Pose of the next touch of a sequence, tracked from the `previous` sensor_from_object (4, 4) where that fits.
+    """Pose of the next touch of a sequence, tracked from the `previous` sensor_from_object (4, 4)
+    where that fits.
 
-    `alternatives` are the poses that fitted the last touch equally well (`ObjectPose.alternatives`); they are tracked
-    too, so that a later touch can decide between them. Where the remaining misfit exceeds the depth error, the full
-    search runs. Of equally good poses the one nearest to `previous` is returned. Raises as `estimate_pose` does, and
+    `alternatives` are the poses that fitted the last touch equally well
+    (`ObjectPose.alternatives`); they are tracked too, so that a later touch can decide between
+    them. Where the remaining misfit exceeds the depth error, the full search runs. Of equally good
+    poses the one nearest to `previous` is returned. Raises as `estimate_pose` does, and
     CalibrationError when `previous` is not rigid.
     """
     prepared = prepare_search(touch_depth, mesh, params, progress)
@@ -108,9 +148,17 @@ def track_pose(
     )
     if minima:
         pose = _select_answer(
-            search, checked, minima, 0, ("tracked from the pose of the previous touch",), previous, progress
+            search,
+            checked,
+            minima,
+            0,
+            ("tracked from the pose of the previous touch",),
+            previous,
+            progress,
         )
-        return replace(pose, steps=search.prepend_history(np.array([previous, *alternatives]), pose.steps))
+        return replace(
+            pose, steps=search.prepend_history(np.array([previous, *alternatives]), pose.steps)
+        )
     return _search_pose(search, checked, params, progress, previous)
 
 
@@ -125,22 +173,35 @@ def estimate_or_track_pose(
     if previous is None or previous.sensor_from_object is None:
         return estimate_pose(touch_depth, mesh, params, progress)
     return track_pose(
-        touch_depth, mesh, params, previous.sensor_from_object, progress, alternatives=previous.alternatives
+        touch_depth,
+        mesh,
+        params,
+        previous.sensor_from_object,
+        progress,
+        alternatives=previous.alternatives,
     )
 
 
 def estimate_pose_planar(
     touch_depth: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT
 ) -> ObjectPose:
-    """Pose by the paper's released planar evaluation, for comparison; raises as `estimate_pose` does."""
+    """Pose by the paper's released planar evaluation, for comparison.
+
+    Raises as `estimate_pose` does.
+    """
     prepared = prepare_search(touch_depth, mesh, params, progress)
     if isinstance(prepared, ObjectPose):
         return prepared
     search, checked = prepared
     return estimate_planar_pose(
-        search.scene, checked, search.object.model, params.face, params.n_iterations, keep_steps=params.keep_steps,
+        search.scene,
+        checked,
+        search.object.model,
+        params.face,
+        params.n_iterations,
+        keep_steps=params.keep_steps,
         progress=progress,
-    )  # fmt: skip
+    )
 
 
 def estimate_pose_icp(
@@ -152,14 +213,23 @@ def estimate_pose_icp(
         return prepared
     search, checked = prepared
     return register_icp(
-        search.scene, checked, search.object.model, face=params.face, n_starts=params.n_starts,
-        n_iterations=params.n_iterations, max_distance_mm=params.max_distance_mm, seed=params.seed,
-        keep_steps=params.keep_steps, progress=progress,
-    )  # fmt: skip
+        search.scene,
+        checked,
+        search.object.model,
+        face=params.face,
+        n_starts=params.n_starts,
+        n_iterations=params.n_iterations,
+        max_distance_mm=params.max_distance_mm,
+        seed=params.seed,
+        keep_steps=params.keep_steps,
+        progress=progress,
+    )
 
 
 def skip_without_contact(touch_depth: DepthMap, mesh: Mesh | None, *_: object) -> ObjectPose | None:
-    """The unknown pose if there is no mesh or no contact, else None, whatever else a method reads."""
+    """The unknown pose if there is no mesh or no contact, else None, whatever else a method
+    reads.
+    """
     if not touch_depth.contact.any():
         return _make_unknown_pose(describe_no_contact(_NO_POSE, touch_depth.notes))
     return _make_unknown_pose(NO_MESH) if mesh is None else None
@@ -167,15 +237,20 @@ def skip_without_contact(touch_depth: DepthMap, mesh: Mesh | None, *_: object) -
 
 def prepare_search(
     touch_depth: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT
-) -> ObjectPose | tuple[PoseSearch, Mesh]:  # fmt: skip
+) -> ObjectPose | tuple[PoseSearch, Mesh]:
     """The prepared search and mesh, or the unknown pose where a search is impossible."""
     early = skip_without_contact(touch_depth, mesh)
     if early is not None or mesh is None:
         return early or _make_unknown_pose(NO_MESH)
     if params.face not in ("auto", *FACES):
-        raise SettingProblem(f"pose.face must be one of auto, {', '.join(FACES)}, got {params.face!r}")
+        raise SettingProblem(
+            f"pose.face must be one of auto, {', '.join(FACES)}, got {params.face!r}"
+        )
     scene = extract_scene(touch_depth, params.max_points, params.seed)
-    too_few = f"only {len(scene.points_mm)} contact points have a surface normal; a pose needs at least {_MIN_POINTS}"
+    too_few = (
+        f"only {len(scene.points_mm)} contact points have a surface normal; a pose needs "
+        f"at least {_MIN_POINTS}"
+    )
     if len(scene.points_mm) < _MIN_POINTS:
         return _make_unknown_pose(too_few, scene)
     points = CentredPoints.from_points(scene.points_mm)
@@ -186,14 +261,23 @@ def prepare_search(
     progress.step(0.0, "preparing the object")
     prepared = prepare_object(mesh, params.seed, SubProgress(progress, 0.0, 0.2))
     return PoseSearch(
-        scene=scene, points=points, object=prepared, outward=FACES.get(params.face),
-        max_distance_mm=params.max_distance_mm, n_iterations=params.n_iterations, keep_steps=params.keep_steps,
-    ), mesh  # fmt: skip
+        scene=scene,
+        points=points,
+        object=prepared,
+        outward=FACES.get(params.face),
+        max_distance_mm=params.max_distance_mm,
+        n_iterations=params.n_iterations,
+        keep_steps=params.keep_steps,
+    ), mesh
 
 
 def _search_pose(
-    search: PoseSearch, mesh: Mesh, params: PoseParams, progress: Progress, near_pose: Doubles | None
-) -> ObjectPose:  # fmt: skip
+    search: PoseSearch,
+    mesh: Mesh,
+    params: PoseParams,
+    progress: Progress,
+    near_pose: Doubles | None,
+) -> ObjectPose:
     """Pose by the full search from all starts."""
     progress.step(0.2, "scoring starts")
     starts = list_starts(search.scene, search.object.model, params.face, params.n_starts)
@@ -202,11 +286,14 @@ def _search_pose(
     minima = search.find_minima(search.find_promising(first_poses), SubProgress(progress, 0.3, 0.4))
     if not (minima and search.explains(minima[0])):
         progress.step(0.7, "scoring starts on edges and corners")
-        edge_starts = list_edge_starts(search.scene, search.object.model, params.face, params.n_starts)
+        edge_starts = list_edge_starts(
+            search.scene, search.object.model, params.face, params.n_starts
+        )
         edges = search.select_likeliest(edge_starts)
         more = search.find_minima(search.find_promising(edges), SubProgress(progress, 0.75, 0.25))
         first_poses = np.concatenate([first_poses, edges])
-        starts, minima = [*starts, *edge_starts], sorted([*minima, *more], key=lambda m: m.misfit_mm)
+        starts = [*starts, *edge_starts]
+        minima = sorted([*minima, *more], key=lambda m: m.misfit_mm)
     pose = _select_answer(search, mesh, minima, len(starts), (), near_pose, progress)
     return replace(pose, steps=search.prepend_history(first_poses, pose.steps))
 
@@ -220,7 +307,10 @@ def _select_answer(
     near_pose: Doubles | None,
     progress: Progress,
 ) -> ObjectPose:
-    """Pose of the best minimum with its ambiguity; of equally good ones the one nearest to `near_pose`."""
+    """Pose of the best minimum with its ambiguity.
+
+    Of equally good ones the one nearest to `near_pose`.
+    """
     best = select_pose(search, minima, progress)
     if best is None or best.minimum.fit.fitness < _MIN_FITNESS:
         return _make_unknown_pose(_explain_failure(mesh), search.scene)
@@ -228,32 +318,50 @@ def _select_answer(
         equal = (best.minimum.fit.sensor_from_object, *best.alternatives)
         nearest = min(equal, key=lambda pose: search.measure_distance_mm(near_pose, pose))
         other = None if nearest is equal[0] else search.polish(nearest, dense=True)
-        best = (select_pose(search, [other, *minima], progress) if other is not None else None) or best
+        best = (
+            select_pose(search, [other, *minima], progress) if other is not None else None
+        ) or best
     return _make_pose(search, best, n_tried, notes)
 
 
-def _make_pose(search: PoseSearch, best: SelectedPose, n_tried: int, notes: tuple[str, ...]) -> ObjectPose:
-    fit, known = best.minimum.fit, best.observability
+def _make_pose(
+    search: PoseSearch, best: SelectedPose, n_tried: int, notes: tuple[str, ...]
+) -> ObjectPose:
+    fit = best.minimum.fit
+    known = best.observability
     points, pixel = _freeze_scene(search.scene)
     return ObjectPose(
-        sensor_from_object=freeze(fit.sensor_from_object), covariance=freeze(known.covariance),
-        observable=freeze(known.observable), weak_directions=known.weak_directions, rmse_mm=fit.rmse_mm,
+        sensor_from_object=freeze(fit.sensor_from_object),
+        covariance=freeze(known.covariance),
+        observable=freeze(known.observable),
+        weak_directions=known.weak_directions,
+        rmse_mm=fit.rmse_mm,
         fitness=fit.fitness,
-        scene_mm=points, source_index=pixel, steps=fit.steps, stop_reason=fit.stop_reason, starts_tried=n_tried,
-        notes=(*best.notes, *search.object.grid.notes, *notes), alternatives=best.alternatives,
-    )  # fmt: skip
+        scene_mm=points,
+        source_index=pixel,
+        steps=fit.steps,
+        stop_reason=fit.stop_reason,
+        starts_tried=n_tried,
+        notes=(*best.notes, *search.object.grid.notes, *notes),
+        alternatives=best.alternatives,
+    )
 
 
 def _make_unknown_pose(why: str, scene: ContactScene | None = None) -> ObjectPose:
     points, pixel = _freeze_scene(scene)
     return ObjectPose(
         sensor_from_object=None,
-        scene_mm=points, source_index=pixel, notes=(why,),
-    )  # fmt: skip
+        scene_mm=points,
+        source_index=pixel,
+        notes=(why,),
+    )
 
 
 def _explain_failure(mesh: Mesh) -> str:
-    return f"the object ({_size_mm(mesh):.3g} mm long) does not fit the contact; check unit of the mesh and face"
+    return (
+        f"the object ({_size_mm(mesh):.3g} mm long) does not fit the contact; check unit of "
+        "the mesh and face"
+    )
 
 
 def _size_mm(mesh: Mesh) -> float:

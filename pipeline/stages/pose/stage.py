@@ -15,7 +15,9 @@ SIGNED_DISTANCES = Method(
     name="signed_distances",
     title="Signed distances",
     help="many starts, registered on the mesh's signed distances, scored by contact and free space",
-    run=skip_if_exact(signed_distances.skip_without_contact, signed_distances.estimate_or_track_pose),
+    run=skip_if_exact(
+        signed_distances.skip_without_contact, signed_distances.estimate_or_track_pose
+    ),
     params=signed_distances.PoseParams,
     reads=("touch_depth", "mesh", "previous"),
     version=7,
@@ -44,7 +46,9 @@ NETWORK = Method(
     title="Network",
     help="the paper's tactile metric: planar pose of trained objects, from the tactile image",
     run=fall_back_without_weights(
-        network.predict_pose, network.REGISTRATION_OF_TOUCH, "signed distances: no network for this target"
+        network.predict_pose,
+        network.REGISTRATION_OF_TOUCH,
+        "signed distances: no network for this target",
     ),
     params=signed_distances.PoseParams,
     reads=(*network.READS, "pose_weights"),
@@ -54,7 +58,9 @@ NETWORK = Method(
 
 def _compute_metrics(pose: ObjectPose, facts: GroundTruth) -> Mapping[str, float]:
     return (
-        {} if facts.target_truth is None else compute_pose_metrics(pose, facts.target_truth, facts.mesh, facts.symmetry)
+        {}
+        if facts.target_truth is None
+        else compute_pose_metrics(pose, facts.target_truth, facts.mesh, facts.symmetry)
     )
 
 

@@ -1,13 +1,14 @@
 # pyright: basic
-"""Compiled loops of the projection: pixel of each point, z-buffer, depth and contact of the drawn image.
+"""Compiled loops of the projection: pixel of each point, z-buffer, depth and contact of the drawn
+image.
 
-Pixel centres are at integer coordinates; a pixel owns the half-open square from -0.5 to +0.5. Points are flat (3 n)
-float32, images flat in row-major order. Related arguments are plain tuples (numba's cache does not survive the renaming
-of named tuples):
+Pixel centres are at integer coordinates; a pixel owns the half-open square from -0.5 to +0.5.
+Points are flat (3 n) float32, images flat in row-major order. Related arguments are plain tuples
+(numba's cache does not survive the renaming of named tuples):
 
-    lens   fx, fy, cx, cy, rows, cols, and the depth up to which a point is behind the lens
-    rest   the target's membrane at rest: x0, y0, 1 / step, z (ny, nx)
-    image  drawing buffers, the largest 1/z wins its pixel: 1/z, 0 = nothing; 1/z of the veil (omitted triangles, which
+    lens   fx, fy, cx, cy, rows, cols, and the depth up to which a point is behind the lens rest
+    the target's membrane at rest: x0, y0, 1 / step, z (ny, nx) image  drawing buffers, the largest
+    1/z wins its pixel: 1/z, 0 = nothing; 1/z of the veil (omitted triangles, which
            still hide what lies behind them); the point drawn, -1 = none
 """
 
@@ -23,24 +24,43 @@ MIN_INVERSE_Z = 1.0 / float(np.finfo(np.float32).max)  # 1/mm
 
 @inner_kernel()
 def project_to_pixel(x, y, z, lens):
-    """Pixel coordinates (u, v), 1/z and flat pixel (-1 = not in view) of a point; branch-free for vectorisation."""
+    """Pixel coordinates (u, v), 1/z and flat pixel (-1 = not in view) of a point.
+
+    Branch-free for vectorisation.
+    """
     fx, fy, cx, cy, rows, cols, behind = lens
     w = 1.0 / z
-    u, v = fx * x * w + cx, fy * y * w + cy
-    # Compared as floats: values beyond the integer range would wrap to another pixel. False for NaN.
-    ok = (z > behind) & (z < np.inf) & (u >= -0.5) & (u < cols - 0.5) & (v >= -0.5) & (v < rows - 0.5)
+    u = fx * x * w + cx
+    v = fy * y * w + cy
+    # Compared as floats: values beyond the integer range would wrap to another pixel. False for
+    # NaN.
+    ok = (
+        (z > behind)
+        & (z < np.inf)
+        & (u >= -0.5)
+        & (u < cols - 0.5)
+        & (v >= -0.5)
+        & (v < rows - 0.5)
+    )
     # Not floor(u + 0.5), which rounds 0.49999999999999994 up.
-    col, row = np.floor(u if ok else 0.0), np.floor(v if ok else 0.0)
-    col, row = (col if u - col < 0.5 else col + 1.0), (row if v - row < 0.5 else row + 1.0)
+    col = np.floor(u if ok else 0.0)
+    row = np.floor(v if ok else 0.0)
+    col = col if u - col < 0.5 else col + 1.0
+    row = row if v - row < 0.5 else row + 1.0
     return u, v, w, np.int32(row * cols + col) if ok else np.int32(-1)
 
 
 @kernel()
 def project_points(flat, lens, pixel):
-    """Write the flat pixel of each point into `pixel` (n,), -1 = not in view; returns the number of points in view."""
+    """Write the flat pixel of each point into `pixel` (n,), -1 = not in view.
+
+    Returns the number of points in view.
+    """
     inside = 0
     for i in range(pixel.shape[0]):
-        x, y, z = np.float64(flat[3 * i]), np.float64(flat[3 * i + 1]), np.float64(flat[3 * i + 2])
+        x = np.float64(flat[3 * i])
+        y = np.float64(flat[3 * i + 1])
+        z = np.float64(flat[3 * i + 2])
         _, _, _, pixel[i] = project_to_pixel(x, y, z, lens)
         inside += pixel[i] >= 0
     return inside
@@ -48,7 +68,8 @@ def project_points(flat, lens, pixel):
 
 @kernel()
 def fill_zbuffer(flat, order, pixel, depth, source):
-    """Fill the z-buffer: the smallest z wins its pixel, ties go to the smaller `order`, for any sequence of points.
+    """Fill the z-buffer: the smallest z wins its pixel, ties go to the smaller `order`, for any
+    sequence of points.
 
     `depth` is initially NaN and `source` -1; returns the number of pixels drawn.
     """
@@ -69,13 +90,18 @@ def fill_zbuffer(flat, order, pixel, depth, source):
 
 @kernel()
 def splat_points(flat, wanted, order, lens, image):
-    """Draw selected points among triangles: as `fill_zbuffer`, on 1/z; returns the number of points in view."""
+    """Draw selected points among triangles: as `fill_zbuffer`, on 1/z.
+
+    Returns the number of points in view.
+    """
     inverse_z, _, source = image
     inside = 0
     for i in range(wanted.shape[0]):
         if not wanted[i]:
             continue
-        x, y, z = np.float64(flat[3 * i]), np.float64(flat[3 * i + 1]), np.float64(flat[3 * i + 2])
+        x = np.float64(flat[3 * i])
+        y = np.float64(flat[3 * i + 1])
+        z = np.float64(flat[3 * i + 2])
         _, _, w, p = project_to_pixel(x, y, z, lens)
         inside += p >= 0
         if p >= 0 and (w > inverse_z[p] or (w == inverse_z[p] and order[i] < order[source[p]])):
@@ -86,10 +112,12 @@ def splat_points(flat, wanted, order, lens, image):
 
 @kernel()
 def mark_hidden_points(flat, depth, lens, tolerance, pixel):
-    """Set to -1 the pixel of every point that the image does not show there; returns the number of hidden points.
+    """Set to -1 the pixel of every point that the image does not show there.
 
-    A point is shown if it lies at most `tolerance` behind the depth of its pixel or, on a slope, of one of the eight
-    around it. Where nothing is drawn it was cut away, not hidden.
+    Returns the number of hidden points.
+
+    A point is shown if it lies at most `tolerance` behind the depth of its pixel or, on a slope, of
+    one of the eight around it. Where nothing is drawn it was cut away, not hidden.
     """
     _, _, _, _, rows, cols, _ = lens
     hidden = 0
@@ -101,7 +129,8 @@ def mark_hidden_points(flat, depth, lens, tolerance, pixel):
         shown = depth[p] >= limit
         drawn = shown or depth[p] < limit
         if not shown and drawn:
-            row, col = p // cols, p % cols
+            row = p // cols
+            col = p % cols
             for r in range(max(row - 1, 0), min(row + 2, rows)):
                 for c in range(max(col - 1, 0), min(col + 2, cols)):
                     shown |= depth[r * cols + c] >= limit
@@ -126,7 +155,9 @@ def mark_contact_points(flat, pixel, rest, contact):
         p = pixel[i]
         if p < 0 or contact[p]:
             continue
-        x, y, z = np.float64(flat[3 * i]), np.float64(flat[3 * i + 1]), np.float64(flat[3 * i + 2])
+        x = np.float64(flat[3 * i])
+        y = np.float64(flat[3 * i + 1])
+        z = np.float64(flat[3 * i + 2])
         if z <= sample_rest_surface(x, y, rest):
             contact[p] = True
 
@@ -135,18 +166,21 @@ def mark_contact_points(flat, pixel, rest, contact):
 def resolve_depth_and_contact(image, veiled, tolerance, rays, rest, depth, contact):
     """Depth of every drawn pixel from its 1/z, and whether that point reaches the membrane.
 
-    Pixels more than `tolerance` behind a veil, and depths beyond the float32 range (a rim extrapolated from points
-    close to the lens), are cleared. Returns the numbers of pixels drawn and of pixels hidden by a veil.
+    Pixels more than `tolerance` behind a veil, and depths beyond the float32 range (a rim
+    extrapolated from points close to the lens), are cleared. Returns the numbers of pixels drawn
+    and of pixels hidden by a veil.
     """
     inverse_z, veil, source = image
     ray_x, ray_y = rays
-    drawn, hidden = 0, 0
+    drawn = 0
+    hidden = 0
     cols = ray_x.shape[0]
     for row in range(ray_y.shape[0]):
         for col in range(cols):
             p = row * cols + col
             there = inverse_z[p] > MIN_INVERSE_Z
-            if veiled and there and 1.0 / inverse_z[p] - 1.0 / veil[p] > tolerance:  # 1 / 0 is infinitely far
+            # 1 / 0 is infinitely far
+            if veiled and there and 1.0 / inverse_z[p] - 1.0 / veil[p] > tolerance:
                 there = False
                 hidden += 1
             if not there:

@@ -9,9 +9,12 @@ from pipeline.stages.target_depth.rasterisation import Rasterisation
 _MANY = 0.05  # share of points outside the image from which on it is a warning
 
 
-def note_visibility(rasterisation: Rasterisation, n_inside: int, points_mm: Floats) -> tuple[str, ...]:
+def note_visibility(
+    rasterisation: Rasterisation, n_inside: int, points_mm: Floats
+) -> tuple[str, ...]:
     """How much of the touch is inside the target's image."""
-    n, n_outside = len(points_mm), len(points_mm) - n_inside
+    n = len(points_mm)
+    n_outside = len(points_mm) - n_inside
     if n_outside == n:
         behind = bool((points_mm[:, 2] <= MIN_DEPTH_MM).all())
         where = (
@@ -21,10 +24,15 @@ def note_visibility(rasterisation: Rasterisation, n_inside: int, points_mm: Floa
         )
         return (AlignmentWarning(f"the target depth is empty: the whole touch lies {where}"),)
     text = f"{n_outside:,} of {n:,} points fall outside the target's image"
-    notes: tuple[str, ...] = (StageWarning(text) if n_outside > _MANY * n else text,) if n_outside else ()
+    notes: tuple[str, ...] = (
+        (StageWarning(text) if n_outside > _MANY * n else text,) if n_outside else ()
+    )
     if not rasterisation.n_drawn_px:
         notes += (
-            StageWarning("the target depth is empty: no part of the touch could be drawn; check the depth limits"),
+            StageWarning(
+                "the target depth is empty: no part of the touch could be drawn; check the depth "
+                "limits"
+            ),
         )
     return notes
 
@@ -43,7 +51,9 @@ def note_omitted_triangles(
     from pipeline.stages.target_depth import triangle_batch_kernels as kernels
 
     counts = rasterisation.triangle_counts
-    jump, grazing, behind = (int(counts[k]) for k in (kernels.JUMP, kernels.GRAZING, kernels.BEHIND))
+    jump, grazing, behind = (
+        int(counts[k]) for k in (kernels.JUMP, kernels.GRAZING, kernels.BEHIND)
+    )
     notes: list[str] = []
     if jump:
         notes.append(f"{jump:,} triangles across depth jumps above {jump_mm:g} mm were omitted")
@@ -53,17 +63,22 @@ def note_omitted_triangles(
             if rasterisation.n_veiled_px
             else ""
         )
-        notes.append(f"{grazing:,} triangles seen at more than {grazing_deg:g} degrees were omitted{hiding}")
+        notes.append(
+            f"{grazing:,} triangles seen at more than {grazing_deg:g} degrees were omitted{hiding}"
+        )
     if behind:
         notes.append(f"{behind:,} triangles reach behind the target's camera and were omitted")
     if counts[kernels.OVERFULL]:
         text = (
-            f"the surface overlaps itself more than {kernels.MAX_LAYERS} times: {int(counts[kernels.OVERFULL]):,} "
+            f"the surface overlaps itself more than {kernels.MAX_LAYERS} times: "
+            f"{int(counts[kernels.OVERFULL]):,} "
             "triangles were omitted; check the depth and the alignment"
         )
         notes.append(StageWarning(text))
     if counts[kernels.FLIPPED] > counts[kernels.DRAWN]:
-        notes.append(StageWarning("the surface is seen from behind; check the rotation of the alignment"))
+        notes.append(
+            StageWarning("the surface is seen from behind; check the rotation of the alignment")
+        )
     if rasterisation.is_point_splat:
         notes.append("the touch is smaller than a target pixel: drawn as points")
     if n_hidden:
@@ -74,20 +89,29 @@ def note_omitted_triangles(
 def note_contact(
     target: SensorSpec, *, n_drawn: int, n_contact: int, gap_mm: float, deepest_mm: float
 ) -> tuple[str, ...]:
-    """Whether and how far the touch indents the target's membrane; `gap_mm` is the distance without contact."""
+    """Whether and how far the touch indents the target's membrane.
+
+    `gap_mm` is the distance without contact.
+    """
     if n_drawn == 0:
         return ()
     if n_contact == 0:
         text = (
-            f"the touch ends {gap_mm:.2g} mm before the target's membrane: there is no contact; correct the alignment"
+            f"the touch ends {gap_mm:.2g} mm before the target's membrane: there is no "
+            "contact; correct the alignment"
         )
         return (AlignmentWarning(text),)
     notes: list[str] = []
     if n_contact < n_drawn:
-        notes.append(f"{n_drawn - n_contact:,} of {n_drawn:,} pixels do not reach the target's membrane")
+        notes.append(
+            f"{n_drawn - n_contact:,} of {n_drawn:,} pixels do not reach the target's membrane"
+        )
     if deepest_mm > target.limits.indentation_max_mm:
         limit_mm = target.limits.indentation_max_mm
         notes.append(
-            StageWarning(f"pushed in by up to {deepest_mm:.2f} mm, beyond the {limit_mm:g} mm of {target.name}")
+            StageWarning(
+                f"pushed in by up to {deepest_mm:.2f} mm, beyond the {limit_mm:g} mm of "
+                f"{target.name}"
+            )
         )
     return tuple(notes)

@@ -1,9 +1,11 @@
-"""Confidence weighting: shrinks a network's correction toward physics, pixel by pixel, where its error is large.
+"""Confidence weighting: shrinks a network's correction toward physics, pixel by pixel, where its
+error is large.
 
-A correction as large as its expected error is taken by half, a much larger one almost completely. The expected error is
-trained on held-out touches and calibrated on others, separately inside and outside the source's view: on new objects a
-network is over-confident. Predicted errors can also be too uniform (small ones too
-large, large ones too small), so that weights carry an exponent besides the factors.
+A correction as large as its expected error is taken by half, a much larger one almost completely.
+The expected error is trained on held-out touches and calibrated on others, separately inside and
+outside the source's view: on new objects a network is over-confident. Predicted errors can also be
+too uniform (small ones too large, large ones too small), so that weights carry an exponent besides
+the factors.
 """
 
 from __future__ import annotations
@@ -61,36 +63,48 @@ def shrink_to_prior(
 ) -> ResidualSample:
     """Shrink a posterior mean toward physics; `in_view` is where the source sees.
 
-    `confidence_weighting` 0 keeps the full correction, 1 applies the whole Wiener gain. Contact is shrunk as the
-    membrane in view, and by the root of the share outside, where nothing else is known (overlap 0.473 instead of 0.460
-    without shrinking, on 160 touches outside the tables). Without `shrinks_contact` the prior's contact is kept in
-    view.
+    `confidence_weighting` 0 keeps the full correction, 1 applies the whole Wiener gain. Contact is
+    shrunk as the membrane in view, and by the root of the share outside, where nothing else is
+    known (overlap 0.473 instead of 0.460 without shrinking, on 160 touches outside the tables).
+    Without `shrinks_contact` the prior's contact is kept in view.
     """
-    mean, spread = sample.final.residual_mm, sample.expected_error_mm
+    mean = sample.final.residual_mm
+    spread = sample.expected_error_mm
     is_in_view = resample_to_grid(in_view, mean.shape) > _HALF
     share = 1.0 - confidence_weighting * (
         1.0 - compute_wiener_gain(mean, calibration.calibrate_error_mm(spread, is_in_view))
     )
     contact_share = np.where(
-        is_in_view, share if shrinks_contact else np.float32(1.0 - confidence_weighting), np.sqrt(share)
+        is_in_view,
+        share if shrinks_contact else np.float32(1.0 - confidence_weighting),
+        np.sqrt(share),
     )
 
     def shrink_state(state: DenoisingState) -> DenoisingState:
         residual = (share * state.residual_mm).astype(np.float32)
         return replace(
-            state, residual_mm=freeze(residual),
-            contact_correction=freeze((contact_share * state.contact_correction).astype(np.float32))
-        )  # fmt: skip
+            state,
+            residual_mm=freeze(residual),
+            contact_correction=freeze(
+                (contact_share * state.contact_correction).astype(np.float32)
+            ),
+        )
 
     return replace(
-        sample, final=shrink_state(sample.final), states=tuple(shrink_state(state) for state in sample.states)
+        sample,
+        final=shrink_state(sample.final),
+        states=tuple(shrink_state(state) for state in sample.states),
     )
 
 
 def compute_wiener_gain(correction_mm: Floats, error_mm: Floats) -> Floats:
-    """Share 0..1 (rows, cols) of a correction with this expected error: m^2 / (m^2 + s^2), smoothed."""
+    """Share 0..1 (rows, cols) of a correction with this expected error: m^2 / (m^2 + s^2),
+    smoothed.
+    """
     signal, noise = (_blur(np.square(f, dtype=np.float32)) for f in (correction_mm, error_mm))
-    return np.where(noise > 0.0, signal / np.maximum(signal + noise, np.float32(1e-12)), np.float32(1.0))
+    return np.where(
+        noise > 0.0, signal / np.maximum(signal + noise, np.float32(1e-12)), np.float32(1.0)
+    )
 
 
 def _blur(field: Floats) -> Floats:

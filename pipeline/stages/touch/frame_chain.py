@@ -1,7 +1,9 @@
-"""What methods from image to image read of depth and target depth: whether there is a touch to generate.
+"""What methods from image to image read of depth and target depth: whether there is a touch to
+generate.
 
-Such methods generate from the source's image, but they are trained on touches: of a change that is no touch they make
-one. So nothing is sampled where the source's depth has no contact, or where the touch misses the target.
+Such methods generate from the source's image, but they are trained on touches: of a change that is
+no touch they make one. So nothing is sampled where the source's depth has no contact, or where the
+touch misses the target.
 """
 
 from __future__ import annotations
@@ -37,13 +39,17 @@ Reads = TypeVarTuple("Reads")
 def guard_contact(
     run: Callable[[TactileFrame, Unpack[Reads], Params, Progress], _Answer],
 ) -> Callable[[TactileFrame, DepthMap, Unpack[Reads], Params, Progress], _Answer]:
-    """Return a function (*GUARDED_READS, weights, params, progress) that asks `run` only where there is contact.
+    """Return a function (*GUARDED_READS, weights, params, progress) that asks `run` only where
+    there is contact.
 
-    `run` takes the same without the depth; its target depth begins with the warnings of the depth. Weights of recorded
-    pairs know how their sensors lay to each other: for them the alignment rules nothing out.
+    `run` takes the same without the depth; its target depth begins with the warnings of the depth.
+    Weights of recorded pairs know how their sensors lay to each other: for them the alignment rules
+    nothing out.
     """
 
-    def run_in_contact(frame: TactileFrame, depth: DepthMap, *args: *tuple[*Reads, Params, Progress]) -> _Answer:
+    def run_in_contact(
+        frame: TactileFrame, depth: DepthMap, *args: *tuple[*Reads, Params, Progress]
+    ) -> _Answer:
         values: Any = args  # by position, as the graph passes them
         source, calibration, alignment, target, view, weights, params, progress = values
         check_frame(frame, source)
@@ -51,12 +57,17 @@ def guard_contact(
         reference_touch = physical_render.skip_without_contact(view, target)
         if reference_touch is not None and not depth.contact.any():
             return Skipped(output=reference_touch, reason=reference_touch.notes[0])
-        knows_alignment = isinstance(weights, Weights) and bool(weights.config.get("trained_on_recordings"))
+        knows_alignment = isinstance(weights, Weights) and bool(
+            weights.config.get("trained_on_recordings")
+        )
         if reference_touch is not None and not knows_alignment:
             why = next(
-                (n for n in view.notes if isinstance(n, AlignmentWarning)), "the touch does not reach the target"
+                (n for n in view.notes if isinstance(n, AlignmentWarning)),
+                "the touch does not reach the target",
             )
-            touch = replace(reference_touch, notes=(*select_warnings(view.notes), *reference_touch.notes))
+            touch = replace(
+                reference_touch, notes=(*select_warnings(view.notes), *reference_touch.notes)
+            )
             return Fallback(result=touch, reason=f"physics: {why}")
         ask: Callable[..., _Answer] = cast("Any", run)
         return ask(frame, source, calibration, alignment, target, view, weights, params, progress)
@@ -65,7 +76,10 @@ def guard_contact(
 
 
 def render_view(
-    view: TargetDepth, target: SensorSpec, params: physical_render.PhysicalRenderParams, progress: Progress = SILENT
+    view: TargetDepth,
+    target: SensorSpec,
+    params: physical_render.PhysicalRenderParams,
+    progress: Progress = SILENT,
 ) -> GeneratedTouch:
     """The physical render of a target depth, with the warnings that led to it."""
     touch = physical_render.render_touch(view, target, params, progress)

@@ -1,8 +1,10 @@
-"""Touch by latent diffusion, the paper's generator: touch to touch (T2T), and touch to depth to touch (T2D2).
+"""Touch by latent diffusion, the paper's generator: touch to touch (T2T), and touch to depth to
+touch (T2D2).
 
-Both sample the target's image from noise. T2T is conditioned on the source's image: as published in the source's own
-view, or resampled to the target's (`image_condition.build_reprojected_square`). T2D2 is conditioned on the target depth
-D_T'' and its mask M_T''. Images become mm in the paper's three steps.
+Both sample the target's image from noise. T2T is conditioned on the source's image: as published in
+the source's own view, or resampled to the target's (`image_condition.build_reprojected_square`).
+T2D2 is conditioned on the target depth D_T'' and its mask M_T''. Images become mm in the paper's
+three steps.
 """
 
 from __future__ import annotations
@@ -26,10 +28,21 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
 from pipeline.stages.depth.frame_checks import check_frame
 from pipeline.stages.networks import published_weights, weights_registry
-from pipeline.stages.networks.guidance import GUIDED_STEPS, MAX_WEIGHT, WEIGHTS, GuidedDenoiser, plan_guidance
+from pipeline.stages.networks.guidance import (
+    GUIDED_STEPS,
+    MAX_WEIGHT,
+    WEIGHTS,
+    GuidedDenoiser,
+    plan_guidance,
+)
 from pipeline.stages.networks.network_factory import reproducible_inference
 from pipeline.stages.networks.samplers import MAX_STEPS, Solver, make_timestep_schedule, sample
-from pipeline.stages.networks.square_images import decode_image, normalise, resize_from_square, resize_to_square
+from pipeline.stages.networks.square_images import (
+    decode_image,
+    normalise,
+    resize_from_square,
+    resize_to_square,
+)
 from pipeline.stages.networks.touch_formats import answer_for_known_kinds, get_touch_format
 from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.stages.touch import frame_chain, physical_render
@@ -42,7 +55,8 @@ if TYPE_CHECKING:
 
 _DRAFT_STEPS = 4
 OUTSIDE_VIEW = (
-    "what a bubble feels outside the source's view is sampled: on small new objects its error over all is three times "
+    "what a bubble feels outside the source's view is sampled: on small new objects its error "
+    "over all is three times "
     "that of physics; compare with touch=physics"
 )
 RawCondition = Literal["as trained", "yes", "no"]
@@ -54,44 +68,77 @@ class LatentParams:
     """Sampling settings; defaults are those of the paper."""
 
     steps: int = setting(
-        200, "Denoising steps", unit="steps", low=1, high=MAX_STEPS, step=1,
-        help="network passes from noise to the sample; guidance doubles them", pinned="Steps", sweep=GUIDED_STEPS,
+        200,
+        "Denoising steps",
+        unit="steps",
+        low=1,
+        high=MAX_STEPS,
+        step=1,
+        help="network passes from noise to the sample; guidance doubles them",
+        pinned="Steps",
+        sweep=GUIDED_STEPS,
         source="the paper: 200 steps; DDIM: Song et al. 2021",
-    )  # fmt: skip
+    )
     guidance: float = setting(
-        2.54, "Guidance scale", unit="x", low=0.0, high=MAX_WEIGHT, step=0.1,
-        help="strength of the condition; 1 is unguided and costs half", pinned="Guidance", sweep=WEIGHTS,
+        2.54,
+        "Guidance scale",
+        unit="x",
+        low=0.0,
+        high=MAX_WEIGHT,
+        step=0.1,
+        help="strength of the condition; 1 is unguided and costs half",
+        pinned="Guidance",
+        sweep=WEIGHTS,
         source="Ho and Salimans 2022",
-    )  # fmt: skip
+    )
     sampler: Solver = setting(
         "ddim",
         "Sampler",
         choices=Solver,
         help="solver of the denoising steps",
-        source="DDIM: Song et al. 2021; DPM-Solver++ 2M: Lu et al. 2022; corrected: after Zhao et al. 2023",
+        source="DDIM: Song et al. 2021; DPM-Solver++ 2M: Lu et al. 2022; corrected: after Zhao et "
+        "al. 2023",
     )
     seed: int = setting(
-        0, "Seed", low=0, high=2**31 - 1, step=1, help="random seed of the sample", source="torch.Generator",
-        pinned="Seed", sweep=tuple(range(8)),
-    )  # fmt: skip
+        0,
+        "Seed",
+        low=0,
+        high=2**31 - 1,
+        step=1,
+        help="random seed of the sample",
+        source="torch.Generator",
+        pinned="Seed",
+        sweep=tuple(range(8)),
+    )
     renormalise_depth: bool = setting(
-        True, "Match training statistics",
+        True,
+        "Match training statistics",
         help="rescale a bubble's imprint to mean and standard deviation of the training data",
         source="the paper, touch to touch, third step",
-    )  # fmt: skip
+    )
     raw_condition: RawCondition = setting(
-        "as trained", "Condition in greys", choices=RawCondition,
+        "as trained",
+        "Condition in greys",
+        choices=RawCondition,
         help="scale the input change to 0..255, as the published weights were trained",
         source="the released code and weights",
-    )  # fmt: skip
+    )
     double_mapping: bool = setting(
-        False, "Map to mm twice", help="as in the released scripts: imprints lie in the upper half of the range",
+        False,
+        "Map to mm twice",
+        help="as in the released scripts: imprints lie in the upper half of the range",
         source="the released code",
-    )  # fmt: skip
+    )
     threads: int = setting(
-        1, "Threads", unit="threads", low=1, high=64, step=1,
-        help="processor threads; large networks gain from more, which change the last digits", source="Tactoscope",
-    )  # fmt: skip
+        1,
+        "Threads",
+        unit="threads",
+        low=1,
+        high=64,
+        step=1,
+        help="processor threads; large networks gain from more, which change the last digits",
+        source="Tactoscope",
+    )
     draft: bool = False  # fewer steps than requested
 
 
@@ -101,35 +148,57 @@ def make_draft_params(params: LatentParams) -> LatentParams:
 
 
 @answer_for_known_kinds
-def select_weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:
+def select_weights(
+    source: SensorSpec, target: SensorSpec, file: Path | None
+) -> Weights | NoWeights:
     """The weights of touch to touch for this pair of sensors in this direction."""
     found = _load_weights(f"latent_{source.name}_to_{target.name}", target, file, is_t2d2=False)
     if isinstance(found, NoWeights) or found.config.get("condition") != "reprojected":
         return found
     if found.config.get("condition_inputs") != get_touch_format(source.kind).reprojected_channels:
-        return NoWeights(why=f"the weights {found.name!r} do not translate from a {source.kind}; choose others")
+        return NoWeights(
+            why=f"the weights {found.name!r} do not translate from a {source.kind}; choose others"
+        )
     return found
 
 
 @answer_for_known_kinds
-def select_t2d2_weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:  # noqa: ARG001 - any source
+def select_t2d2_weights(
+    source: SensorSpec,  # noqa: ARG001
+    target: SensorSpec,
+    file: Path | None,
+) -> Weights | NoWeights:
     """The weights of touch to depth to touch for this target, for any source."""
     return _load_weights(f"latent_t2d2_{target.name}", target, file, is_t2d2=True)
 
 
-def _load_weights(name: str, target: SensorSpec, file: Path | None, *, is_t2d2: bool) -> Weights | NoWeights:
-    task, read = published_weights.LATENT, published_weights.read_latent_diffusion
+def _load_weights(
+    name: str, target: SensorSpec, file: Path | None, *, is_t2d2: bool
+) -> Weights | NoWeights:
+    task = published_weights.LATENT
+    read = published_weights.read_latent_diffusion
     found = weights_registry.load_for_task(task, name, file, read, target.kind)
     if isinstance(found, NoWeights) or (found.config.get("condition") == "depth") == is_t2d2:
         return found
-    given, wanted = ("a source image", "a target depth") if is_t2d2 else ("a target depth", "a source image")
-    return NoWeights(why=f"the weights {found.name!r} generate a touch from {given}, not from {wanted}")
+    given, wanted = (
+        ("a source image", "a target depth") if is_t2d2 else ("a target depth", "a source image")
+    )
+    return NoWeights(
+        why=f"the weights {found.name!r} generate a touch from {given}, not from {wanted}"
+    )
 
 
 def build_image_square(
-    square_change: Floats, condition: str, source: SensorSpec, target: SensorSpec, alignment: Alignment
+    square_change: Floats,
+    condition: str,
+    source: SensorSpec,
+    target: SensorSpec,
+    alignment: Alignment,
 ) -> Floats:
-    """(channels, side, side) of the source's change as a square, for T2T; `condition` is that of the network."""
+    """(channels, side, side) of the source's change as a square, for T2T.
+
+    `condition` is that of the network.
+    """
     if condition == "reprojected":
         return build_reprojected_square(square_change, source, target, alignment)
     return np.broadcast_to(normalise(square_change, source.kind), (3, *square_change.shape[1:]))
@@ -148,38 +217,58 @@ def generate_touch(
 ) -> GeneratedTouch | Fallback[GeneratedTouch]:
     """Generate what `target` would record of a frame in contact; deterministic per seed.
 
-    A network that sees the source's own view generates the depths of the alignment that it was trained on. One step
-    shows them: where they are deeper than the source can be pressed, physics answers and nothing is sampled. Raises
-    ShapeError without a reference image.
+    A network that sees the source's own view generates the depths of the alignment that it was
+    trained on. One step shows them: where they are deeper than the source can be pressed, physics
+    answers and nothing is sampled. Raises ShapeError without a reference image.
     """
     check_frame(frame, source)
     assert frame.reference is not None  # checked
     net: Any = network
-    square = resize_to_square(source.sensor_kind.compute_relative_change(frame.image, frame.reference), net.side)
-    if params.raw_condition == "yes" or (params.raw_condition == "as trained" and net.raw_condition):
+    square = resize_to_square(
+        source.sensor_kind.compute_relative_change(frame.image, frame.reference), net.side
+    )
+    if params.raw_condition == "yes" or (
+        params.raw_condition == "as trained" and net.raw_condition
+    ):
         square = square * np.float32(source.sensor_kind.full_change)
     condition = build_image_square(square, net.condition, source, target, alignment)
     checks_depth = target.sensor_kind.is_depth and not getattr(net, "trained_on_recordings", False)
     if checks_depth:
-        first = _sample_touch(condition, target, net, replace(params, steps=1, guidance=1.0), SILENT)
+        first = _sample_touch(
+            condition, target, net, replace(params, steps=1, guidance=1.0), SILENT
+        )
         impossible = check_depth_limit(first, source, target, alignment)
         if impossible:
-            physical = frame_chain.render_view(view, target, physical_render.PhysicalRenderParams(), progress)
+            physical = frame_chain.render_view(
+                view, target, physical_render.PhysicalRenderParams(), progress
+            )
             return Fallback(result=physical, reason=f"physics: {impossible[0]}")
     touch = _sample_touch(condition, target, net, params, progress)
     limits = check_depth_limit(touch, source, target, alignment) if checks_depth else ()
-    warnings = (*depth.warn_of_mismatch(frame, source, calibration), *limits, *_warn_outside_view(target))
+    warnings = (
+        *depth.warn_of_mismatch(frame, source, calibration),
+        *limits,
+        *_warn_outside_view(target),
+    )
     return replace(touch, notes=(*warnings, NOTE.format("the source image"), *touch.notes))
 
 
 def generate_touch_from_depth(
-    view: TargetDepth, target: SensorSpec, network: nn.Module, params: LatentParams, progress: Progress = SILENT
+    view: TargetDepth,
+    target: SensorSpec,
+    network: nn.Module,
+    params: LatentParams,
+    progress: Progress = SILENT,
 ) -> GeneratedTouch:
     """Generate what `target` would record of a target depth; deterministic per seed."""
     net: Any = network
-    condition = build_depth_square(target.kind, view.indentation_mm, view.contact, view.in_view, net.side)
+    condition = build_depth_square(
+        target.kind, view.indentation_mm, view.contact, view.in_view, net.side
+    )
     touch = _sample_touch(condition, target, net, params, progress)
-    return replace(touch, notes=(*_warn_outside_view(target), NOTE.format("the target depth"), *touch.notes))
+    return replace(
+        touch, notes=(*_warn_outside_view(target), NOTE.format("the target depth"), *touch.notes)
+    )
 
 
 def _warn_outside_view(target: SensorSpec) -> tuple[UnseenObjectWarning, ...]:
@@ -204,7 +293,10 @@ def _sample_touch(
 def sample_image(
     net: Any, condition: Floats, params: LatentParams, progress: Progress = SILENT
 ) -> tuple[Floats, tuple[str, ...]]:
-    """Sample an image (3, side, side) in -1..1 for a condition (channels, side, side); also returns notes."""
+    """Sample an image (3, side, side) in -1..1 for a condition (channels, side, side).
+
+    Also returns notes.
+    """
     import torch
 
     from pipeline.stages.networks.latent_diffusion import LATENT_LIMIT, compute_alphas_cumprod
@@ -221,7 +313,8 @@ def sample_image(
     def make_denoiser(embedding: Tensor) -> Any:
         def denoise(noisy: Tensor, sigma: float) -> Tensor:
             n = len(embedding)
-            scaled_input = noisy / (1.0 + sigma * sigma) ** 0.5  # trained on variance-preserving noise
+            # trained on variance-preserving noise
+            scaled_input = noisy / (1.0 + sigma * sigma) ** 0.5
             return noisy - sigma * net.predict_noise(
                 scaled_input.expand(n, -1, -1, -1), torch.full((n,), time_of[sigma]), embedding
             )
@@ -229,7 +322,9 @@ def sample_image(
         return denoise
 
     with reproducible_inference(params.threads):
-        source_embedding = net.cond_stage_model(torch.from_numpy(np.array(condition, np.float32)[None]))
+        source_embedding = net.cond_stage_model(
+            torch.from_numpy(np.array(condition, np.float32)[None])
+        )
         rng = torch.Generator().manual_seed(params.seed)
         noise = torch.randn((1, 4, net.side // 8, net.side // 8), generator=rng)
         no_condition = torch.zeros_like(source_embedding)
@@ -251,11 +346,17 @@ def sample_image(
             max_degree=guidance_plan.max_degree,
             progress=progress,
         )
-        return net.decode_images(encoded.clean)[0].numpy(), (guidance_plan.note,) if guidance_plan.note else ()
+        return net.decode_images(encoded.clean)[0].numpy(), (
+            guidance_plan.note,
+        ) if guidance_plan.note else ()
 
 
-def _renormalise_depth(made_mm: Floats, generated: tuple[float, float], true: tuple[float, float]) -> Floats:
-    """Rescale an imprint from the statistics (mean, std in mm) of generated imprints to those of true ones."""
+def _renormalise_depth(
+    made_mm: Floats, generated: tuple[float, float], true: tuple[float, float]
+) -> Floats:
+    """Rescale an imprint from the statistics (mean, std in mm) of generated imprints to those of
+    true ones.
+    """
     if generated[1] <= 0.0 or true[1] <= 0.0:
         return made_mm
     return ((made_mm - generated[0]) * (true[1] / generated[1]) + true[0]).astype(np.float32)

@@ -1,9 +1,10 @@
 """Fit of an object's pose to the whole membrane of a bubble: analysis by synthesis.
 
-The contact alone leaves a pose open: it is small, and smooth where the membrane bends around an edge. The membrane
-around it is as exactly known from physics. So the mesh is pressed into the source, and the pose is moved until what the
-depth camera measured is explained: Gauss-Newton on block means with the weights of Geman and McClure 1985, its
-derivatives from presses on a coarser lattice.
+The contact alone leaves a pose open: it is small, and smooth where the membrane bends around an
+edge. The membrane around it is as exactly known from physics. So the mesh is pressed into the
+source, and the pose is moved until what the depth camera measured is explained: Gauss-Newton on
+block means with the weights of Geman and McClure 1985, its derivatives from presses on a coarser
+lattice.
 """
 
 from __future__ import annotations
@@ -23,8 +24,10 @@ from pipeline.sensors.spec import SensorSpec
 _BLOCK = 4.0  # pixels along a block: wider than the grain of the noise, finer than a membrane bends
 _TRIED_MM = 0.3  # motion for a derivative
 _LOOSE_MM = 3.0  # standard deviation of a motion before the fit
-_MAX_STEP_MM, _CONVERGED_MM = 1.5, 0.03
-_N_ROUNDS, _MAX_STEPS = 2, 4
+_MAX_STEP_MM = 1.5
+_CONVERGED_MM = 0.03
+_N_ROUNDS = 2
+_MAX_STEPS = 4
 _LEAST_NOISE_MM = 0.03  # of a block
 _OUTLIER_STDS = 3.0
 _SMOOTH = 3  # blocks over which independent noise averages out and a misfit does not
@@ -36,23 +39,37 @@ class MembraneFit:
 
     sensor_from_object: Doubles  # (4, 4) mm
     covariance: Doubles  # (6, 6) of (rotation rad, translation mm) about the point given
-    misfit: float  # smooth part of the residual, relative to what the noise leaves; about 1 = explained
+    # smooth part of the residual, relative to what the noise leaves; about 1 = explained
+    misfit: float
 
 
 def measure_residuals_mm(
     depth: DepthMap, mesh: Mesh, source: SensorSpec, poses: Sequence[Doubles]
-) -> tuple[float, ...]:  # fmt: skip
-    """Rms (mm) over blocks of what a press of the mesh at each pose (4, 4) leaves of the whole membrane unexplained."""
+) -> tuple[float, ...]:
+    """Rms (mm) over blocks of what a press of the mesh at each pose (4, 4) leaves of the whole
+    membrane unexplained.
+    """
     small = source.with_camera(source.camera.scale(1.0 / _BLOCK))
     measured, known = _average_blocks(_measure_displacement(depth), small)
-    residuals = [measured - small.rest_depth_mm + press_membrane(mesh, pose, small).depth_mm for pose in poses]
+    residuals = [
+        measured - small.rest_depth_mm + press_membrane(mesh, pose, small).depth_mm
+        for pose in poses
+    ]
     return tuple(float(np.sqrt(np.mean(residual[known] ** 2))) for residual in residuals)
 
 
 def fit_membrane(
-    depth: DepthMap, mesh: Mesh, source: SensorSpec, start: Doubles, about_mm: Doubles, radius_mm: float
+    depth: DepthMap,
+    mesh: Mesh,
+    source: SensorSpec,
+    start: Doubles,
+    about_mm: Doubles,
+    radius_mm: float,
 ) -> MembraneFit:
-    """Fit the pose near `start` to the measured membrane; motions are taken about a point and scaled by a radius."""
+    """Fit the pose near `start` to the measured membrane.
+
+    Motions are taken about a point and scaled by a radius.
+    """
     small = source.with_camera(source.camera.scale(1.0 / _BLOCK))
     measured, known = _average_blocks(_measure_displacement(depth), small)
 
@@ -60,12 +77,16 @@ def fit_membrane(
 
     def predict(pose: Doubles, sensor: SensorSpec = small) -> Floats:
         moved = sensor.rest_depth_mm - press_membrane(mesh, pose, sensor).depth_mm
-        return np.asarray(moved if sensor is small else _average_blocks(moved, small)[0], np.float32)[known]
+        return np.asarray(
+            moved if sensor is small else _average_blocks(moved, small)[0], np.float32
+        )[known]
 
     def move(pose: Doubles, motion_mm: Doubles) -> Doubles:
         return rigid.apply_screw(pose, motion_mm / to_mm, about_mm)
 
-    to_mm, pose, information = np.array([radius_mm] * 3 + [1.0] * 3), start, np.zeros((6, 6))
+    to_mm = np.array([radius_mm] * 3 + [1.0] * 3)
+    pose = start
+    information = np.zeros((6, 6))
     for _ in range(_N_ROUNDS):
         coarse = predict(pose)
         rest = measured - predict(pose, source) + coarse  # what the coarser lattice should predict
@@ -79,19 +100,31 @@ def fit_membrane(
     field = np.zeros(known.shape, np.float32)
     field[known] = np.clip(residual, -_OUTLIER_STDS * noise_mm, _OUTLIER_STDS * noise_mm)
     return MembraneFit(
-        sensor_from_object=freeze(pose), covariance=freeze(covariance), misfit=_measure_smooth_share(field, noise_mm)
+        sensor_from_object=freeze(pose),
+        covariance=freeze(covariance),
+        misfit=_measure_smooth_share(field, noise_mm),
     )
 
 
 def _minimise(
-    wanted: Floats, predict: Callable[[Doubles], Floats], move: Callable[[Doubles, Doubles], Doubles], pose: Doubles,
-    predicted: Floats, noise_mm: float,
-) -> tuple[Doubles, Doubles, float]:  # fmt: skip
+    wanted: Floats,
+    predict: Callable[[Doubles], Floats],
+    move: Callable[[Doubles, Doubles], Doubles],
+    pose: Doubles,
+    predicted: Floats,
+    noise_mm: float,
+) -> tuple[Doubles, Doubles, float]:
     """(pose, its information (6, 6) per mm^2, how far it moved in mm) of the least robust cost."""
-    slopes, information, damping, far_mm = np.zeros((0, 6)), np.eye(6), 1.0, 0.0
+    slopes = np.zeros((0, 6))
+    information = np.eye(6)
+    damping = 1.0
+    far_mm = 0.0
     for _ in range(_MAX_STEPS):
         if not len(slopes):
-            slopes = np.stack([predict(move(pose, _TRIED_MM * e)) - predicted for e in np.eye(6)], 1) / _TRIED_MM
+            slopes = (
+                np.stack([predict(move(pose, _TRIED_MM * e)) - predicted for e in np.eye(6)], 1)
+                / _TRIED_MM
+            )
         residual = wanted - predicted
         weights = _weigh(residual, noise_mm) / noise_mm**2
         information = np.einsum("ni,n,nj->ij", slopes, weights, slopes)
@@ -104,8 +137,12 @@ def _minimise(
         trial = move(pose, step)
         then = predict(trial)
         if _cost(wanted - then, noise_mm) < _cost(residual, noise_mm):
-            pose, predicted, damping, far_mm = trial, then, max(1.0, 0.1 * damping), far_mm + largest_mm
-            slopes = slopes[:0] if largest_mm > _TRIED_MM else slopes  # far from where they were taken
+            pose = trial
+            predicted = then
+            damping = max(1.0, 0.1 * damping)
+            far_mm = far_mm + largest_mm
+            # far from where they were taken
+            slopes = slopes[:0] if largest_mm > _TRIED_MM else slopes
         else:
             damping *= 30.0
     return pose, information, far_mm
@@ -122,8 +159,11 @@ def _average_blocks(field: np.ndarray, small: SensorSpec) -> tuple[Floats, np.nd
     """(mean, known) of blocks of pixels."""
     import cv2
 
-    finite, size = np.isfinite(field), small.camera.shape[::-1]
-    total = cv2.resize(np.where(finite, field, 0.0).astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    finite = np.isfinite(field)
+    size = small.camera.shape[::-1]
+    total = cv2.resize(
+        np.where(finite, field, 0.0).astype(np.float32), size, interpolation=cv2.INTER_AREA
+    )
     share = np.asarray(cv2.resize(finite.astype(np.float32), size, interpolation=cv2.INTER_AREA))
     return np.asarray(total / np.maximum(share, 1e-6), np.float32), share > 0.5
 
@@ -138,7 +178,9 @@ def _cost(residual: Floats, noise_mm: float) -> float:
 
 
 def _measure_smooth_share(field: Floats, noise_mm: float) -> float:
-    """Rms of a residual averaged over neighbouring blocks, relative to that of independent noise."""
+    """Rms of a residual averaged over neighbouring blocks, relative to that of independent
+    noise.
+    """
     import cv2
 
     smooth = np.asarray(cv2.blur(field, (_SMOOTH, _SMOOTH)))

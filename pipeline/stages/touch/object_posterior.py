@@ -1,8 +1,10 @@
-"""Posterior of an object's pose: equally likely poses that explain a touch, drawn around the registered ones.
+"""Posterior of an object's pose: equally likely poses that explain a touch, drawn around the
+registered ones.
 
-Determined motions vary as the registration's covariance says. Motions that the surface does not determine vary over
-all scales up to a half turn, and are weighted by what the object would touch, or fail to touch, there: the misfit that
-also ranks the registration's own poses, in units of its independent patches.
+Determined motions vary as the registration's covariance says. Motions that the surface does not
+determine vary over all scales up to a half turn, and are weighted by what the object would touch,
+or fail to touch, there: the misfit that also ranks the registration's own poses, in units of its
+independent patches.
 """
 
 from __future__ import annotations
@@ -20,10 +22,16 @@ from pipeline.stages.pose.registration.search import PoseSearch
 
 _N_TRIED = 48  # around each registered pose
 _MAX_MODES = 8  # registered poses that vary
-_LOOSE_MM, _LOOSE_RAD = 2.0, math.pi / 2  # largest standard deviations of an undetermined motion
+# largest standard deviations of an undetermined motion
+_LOOSE_MM = 2.0
+_LOOSE_RAD = math.pi / 2
 _LOG_SHARES = math.log(0.01), 0.0  # of those, the scales from which one is drawn
-_STD_FACTOR, _LEAST_MM = 1.5, 0.02  # of the registration's standard deviations, which leave out the depth's bias
-_JUDGE_CONTACT, _JUDGE_MODEL = 150, 1500  # points compared; a few milliseconds for all poses
+# of the registration's standard deviations, which leave out the depth's bias
+_STD_FACTOR = 1.5
+_LEAST_MM = 0.02
+# points compared; a few milliseconds for all poses
+_JUDGE_CONTACT = 150
+_JUDGE_MODEL = 1500
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,26 +43,40 @@ class PosePosterior:
 
 
 def sample_poses(search: PoseSearch, pose: ObjectPose, n: int, seed: int) -> PosePosterior:
-    """Draw `n` poses around a registered pose and its alternatives; the same seed gives the same bytes."""
+    """Draw `n` poses around a registered pose and its alternatives.
+
+    The same seed gives the same bytes.
+    """
     assert pose.sensor_from_object is not None
     assert pose.covariance is not None
     rng = np.random.default_rng(seed)
     modes = np.array([pose.sensor_from_object, *pose.alternatives[: _MAX_MODES - 1]])
     motions = _draw_motions(pose.covariance, search.points.radius_mm, rng, len(modes))
-    tried = np.concatenate([rigid.apply_screw(m, own, search.middle_mm) for m, own in zip(modes, motions, strict=True)])
+    tried = np.concatenate(
+        [rigid.apply_screw(m, own, search.middle_mm) for m, own in zip(modes, motions, strict=True)]
+    )
     judge = make_judge(
-        search.scene, search.object.grid, search.object.model, _JUDGE_CONTACT, _JUDGE_MODEL, search.max_distance_mm
+        search.scene,
+        search.object.grid,
+        search.object.model,
+        _JUDGE_CONTACT,
+        _JUDGE_MODEL,
+        search.max_distance_mm,
     )
     misfit_sq = judge.misfit_mm(tried) ** 2
     n_patches = max(1.0, search.scene.area_mm2 / (2.0 * math.pi * CORRELATION_MM**2))
-    worse_sq = np.maximum(misfit_sq - misfit_sq[0], 0.0)  # the registration has compared more points
+    # the registration has compared more points
+    worse_sq = np.maximum(misfit_sq - misfit_sq[0], 0.0)
     likelihood = np.exp(-0.5 * n_patches * worse_sq / max(float(misfit_sq[0]), LEAST_SPREAD_MM**2))
     share = np.cumsum(likelihood)
-    chosen = np.searchsorted(share, share[-1] * (np.arange(n) + 0.5) / n)  # systematic: every mode by its weight
+    # systematic: every mode by its weight
+    chosen = np.searchsorted(share, share[-1] * (np.arange(n) + 0.5) / n)
     return PosePosterior(modes=freeze(modes), samples=freeze(tried[chosen]))
 
 
-def _draw_motions(covariance: Doubles, radius_mm: float, rng: np.random.Generator, n_modes: int) -> Doubles:
+def _draw_motions(
+    covariance: Doubles, radius_mm: float, rng: np.random.Generator, n_modes: int
+) -> Doubles:
     """(modes, tried, 6) motions (rad, mm); the first of each mode is none."""
     to_mm = np.array([radius_mm] * 3 + [1.0] * 3)
     variances, axes = np.linalg.eigh(covariance * np.outer(to_mm, to_mm))

@@ -1,7 +1,8 @@
-"""Object touch: the object's mesh, registered on the source's depth, pressed into the target by the simulator.
+"""Object touch: the object's mesh, registered on the source's depth, pressed into the target by the
+simulator.
 
-What the target touches outside the source's view, or deeper, is then the object's own shape. Other poses that explain
-the source are pressed as well: their spread is the expected error of the touch.
+What the target touches outside the source's view, or deeper, is then the object's own shape. Other
+poses that explain the source are pressed as well: their spread is the expected error of the touch.
 """
 
 from __future__ import annotations
@@ -18,7 +19,13 @@ from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.params import setting
 from pipeline.core.progress import SILENT, Progress, SubProgress
-from pipeline.core.values.results import DepthMap, GeneratedTouch, ObjectPose, TouchStep, make_depth_map
+from pipeline.core.values.results import (
+    DepthMap,
+    GeneratedTouch,
+    ObjectPose,
+    TouchStep,
+    make_depth_map,
+)
 from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.physics.simulation.press import PressedSurface, press_membrane
 from pipeline.sensors.alignment import Alignment
@@ -30,14 +37,20 @@ from pipeline.stages.touch.membrane_fit import MembraneFit, fit_membrane, measur
 from pipeline.stages.touch.object_posterior import PosePosterior, sample_poses
 
 _DRAFT = 4.0  # times coarser: only the difference of a pose's touch from the best one's counts
-_EXPLAINED, _REFUSED = 1.45, 3.0  # misfits: of 24 true poses 1.2 to 1.4, of wrong ones from 1.5
-_CLEARLY = 0.85  # ratio of residuals that puts another pose first: a gel's depth has errors that a pose can explain
+# misfits: of 24 true poses 1.2 to 1.4, of wrong ones from 1.5
+_EXPLAINED = 1.45
+_REFUSED = 3.0
+# ratio of residuals that puts another pose first: a gel's depth has errors that a pose can explain
+_CLEARLY = 0.85
 _MAX_TIED = 7  # poses that fit a gel's contact equally well, compared by the whole gel
 _MAX_OTHER_STARTS = 3  # each costs as much as the first
 _UNSURE_SHARE = 0.3  # expected error over mean indentation from which on there is a warning
-# Calibrated on 40 touches of random solids, so that 90 % of the pixels in contact lie within the 90 % interval.
-_STD_FACTOR, _LEAST_STD = 1.5, 0.006  # of the poses' spread; least standard deviation over the largest indentation
-_MEAN_FROM_STD = math.sqrt(2.0 / math.pi)  # mean absolute value of a normal error of standard deviation 1
+# Calibrated on 40 touches of random solids, so that 90 % of the pixels in contact lie within the 90
+# % interval. of the poses' spread; least standard deviation over the largest indentation
+_STD_FACTOR = 1.5
+_LEAST_STD = 0.006
+# mean absolute value of a normal error of standard deviation 1
+_MEAN_FROM_STD = math.sqrt(2.0 / math.pi)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,28 +58,50 @@ class ObjectParams:
     """Settings of the posterior of the object's pose."""
 
     samples: int = setting(
-        7, "Poses", unit="poses", low=1, high=64, step=1,
+        7,
+        "Poses",
+        unit="poses",
+        low=1,
+        high=64,
+        step=1,
         help="poses drawn from those that explain the source; their spread is the expected error",
         source="Monte Carlo over the posterior of the pose",
-    )  # fmt: skip
+    )
     seed: int = setting(
-        0, "Seed", low=0, high=2**31 - 1, step=1, help="random seed of the poses", pinned="Seed",
+        0,
+        "Seed",
+        low=0,
+        high=2**31 - 1,
+        step=1,
+        help="random seed of the poses",
+        pinned="Seed",
         source="PCG64: O'Neill 2014 (numpy)",
-    )  # fmt: skip
+    )
     keep_states: bool = setting(
-        False, "Keep states", help="keep the touch of every pose for the step view; does not change the result",
-        source="Tactoscope"
-    )  # fmt: skip
+        False,
+        "Keep states",
+        help="keep the touch of every pose for the step view; does not change the result",
+        source="Tactoscope",
+    )
 
 
 def press_object(
-    depth: DepthMap, source: SensorSpec, alignment: Alignment, target: SensorSpec, mesh: Mesh | None,
-    previous: ObjectPose | None, params: ObjectParams, progress: Progress = SILENT,
-) -> GeneratedTouch | str:  # fmt: skip
-    """What `target` records of the object at the poses that explain the source's `depth`; the reason where none does.
+    depth: DepthMap,
+    source: SensorSpec,
+    alignment: Alignment,
+    target: SensorSpec,
+    mesh: Mesh | None,
+    previous: ObjectPose | None,
+    params: ObjectParams,
+    progress: Progress = SILENT,
+) -> GeneratedTouch | str:
+    """What `target` records of the object at the poses that explain the source's `depth`.
 
-    `previous` is the object's pose in the target frame on the frame before, from which it is tracked. Raises
-    MeshProblem when the mesh has no surface, SettingProblem for a target without a simulator.
+    The reason where none does.
+
+    `previous` is the object's pose in the target frame on the frame before, from which it is
+    tracked. Raises MeshProblem when the mesh has no surface, SettingProblem for a target without a
+    simulator.
     """
     how = PoseParams(seed=params.seed)
     prepared = prepare_search(depth, mesh, how, SubProgress(progress, 0.0, 0.2))
@@ -77,13 +112,15 @@ def press_object(
     pose = estimate_or_track_pose(depth, mesh, before, how, SubProgress(progress, 0.2, 0.3))
     if pose.sensor_from_object is None:
         return pose.notes[0]
-    bias_mm = 0.0 if depth.error is None else depth.error.rms_mm  # of a gel: the object's depth is off by as much
+    # of a gel: the object's depth is off by as much
+    bias_mm = 0.0 if depth.error is None else depth.error.rms_mm
     misfit = search.describe_misfit(pose.fitness, pose.rmse_mm)
     if depth.measured_depth_mm is not None:
         progress.step(0.5, "fitting the object to the whole membrane")
         fit = _fit_membrane(depth, source, search, mesh, pose)
         pose = replace(pose, sensor_from_object=fit.sensor_from_object, covariance=fit.covariance)
-        misfit, bias_mm = "", 0.0
+        misfit = ""
+        bias_mm = 0.0
         if fit.misfit > _REFUSED:
             misfit = f"the membrane is {fit.misfit:.1f} times as far off as noise explains"
     elif pose.alternatives:
@@ -96,12 +133,19 @@ def press_object(
     if misfit:
         return f"the mesh does not fit: {misfit}; check the mesh and its unit"
     posterior = sample_poses(search, pose, params.samples, params.seed)
-    touch = _press_poses(posterior, alignment.target_from_source, target, mesh, bias_mm, params, progress)
+    touch = _press_poses(
+        posterior, alignment.target_from_source, target, mesh, bias_mm, params, progress
+    )
     return replace(touch, notes=(*touch.notes, *select_warnings(pose.notes)))
 
 
-def _fit_membrane(depth: DepthMap, source: SensorSpec, search: PoseSearch, mesh: Mesh, pose: ObjectPose) -> MembraneFit:
-    """The fit from the registered pose; where it does not explain the membrane, the best from its alternatives too."""
+def _fit_membrane(
+    depth: DepthMap, source: SensorSpec, search: PoseSearch, mesh: Mesh, pose: ObjectPose
+) -> MembraneFit:
+    """The fit from the registered pose.
+
+    Where it does not explain the membrane, the best from its alternatives too.
+    """
     best: MembraneFit | None = None
     assert pose.sensor_from_object is not None
     for start in (pose.sensor_from_object, *_list_other_starts(search, pose)):
@@ -122,34 +166,64 @@ def _list_other_starts(search: PoseSearch, pose: ObjectPose) -> Iterator[Doubles
 
 
 def _press_poses(
-    posterior: PosePosterior, target_from_source: Doubles, target: SensorSpec, mesh: Mesh, bias_mm: float,
-    params: ObjectParams, progress: Progress,
-) -> GeneratedTouch:  # fmt: skip
-    """The touch of the best pose, with the spread of the others as its expected error, and each of them if kept."""
+    posterior: PosePosterior,
+    target_from_source: Doubles,
+    target: SensorSpec,
+    mesh: Mesh,
+    bias_mm: float,
+    params: ObjectParams,
+    progress: Progress,
+) -> GeneratedTouch:
+    """The touch of the best pose, with the spread of the others as its expected error, and each
+    of them if kept.
+    """
     progress.step(0.7, "pressing the object into the target")
     modes, samples = (target_from_source @ poses for poses in (posterior.modes, posterior.samples))
     best = press_membrane(mesh, modes[0], target)
     touch = _make_membrane(target, target.rest_depth_mm - best.depth_mm, best.contact)
-    first_mm, square = _press_draft(mesh, modes[0], target), np.zeros(target.camera.shape)
+    first_mm = _press_draft(mesh, modes[0], target)
+    square = np.zeros(target.camera.shape)
     for k, pose in enumerate(samples):
         progress.step(0.75 + 0.25 * k / len(samples), f"pose {k + 1} of {len(samples)}")
         square += (_press_draft(mesh, pose, target) - first_mm) ** 2 / len(samples)
-    std_mm = np.sqrt(_STD_FACTOR**2 * square + (_LEAST_STD * np.abs(touch.indentation_mm).max()) ** 2 + bias_mm**2)
+    std_mm = np.sqrt(
+        _STD_FACTOR**2 * square
+        + (_LEAST_STD * np.abs(touch.indentation_mm).max()) ** 2
+        + bias_mm**2
+    )
     error_mm: Floats = (_MEAN_FROM_STD * std_mm).astype(np.float32)
     shape = target.camera.shape
-    notes: list[str] = [f"{len(modes)} poses fit equally well" if len(modes) > 1 else "one pose fits"]
-    text = f"expected error {float(error_mm.mean()):.2g} mm, from {len(samples)} poses that explain the source"
+    notes: list[str] = [
+        f"{len(modes)} poses fit equally well" if len(modes) > 1 else "one pose fits"
+    ]
+    text = (
+        f"expected error {float(error_mm.mean()):.2g} mm, from {len(samples)} poses that "
+        "explain the source"
+    )
     is_unsure = error_mm.mean() > _UNSURE_SHARE * np.abs(touch.indentation_mm).mean()
-    notes.append(StageWarning(f"the source leaves the object's pose open: {text}") if is_unsure else text)
+    notes.append(
+        StageWarning(f"the source leaves the object's pose open: {text}") if is_unsure else text
+    )
     if not best.converged:
-        notes.append(StageWarning("the simulated press did not converge: expect a wrong touch; check the alignment"))
+        notes.append(
+            StageWarning(
+                "the simulated press did not converge: expect a wrong touch; check the alignment"
+            )
+        )
     return GeneratedTouch(
-        image=_render(target, touch), camera=target.camera, source_index=freeze(np.full(shape, -1, np.int32)),
-        in_view=freeze(np.ones(shape, np.bool_)), membrane=replace(touch, expected_error_mm=freeze(error_mm)),
+        image=_render(target, touch),
+        camera=target.camera,
+        source_index=freeze(np.full(shape, -1, np.int32)),
+        in_view=freeze(np.ones(shape, np.bool_)),
+        membrane=replace(touch, expected_error_mm=freeze(error_mm)),
         notes=tuple(notes),
-        steps=tuple(_make_sample(press_membrane(mesh, pose, target), target) for pose in (*samples[::-1], *modes[::-1]))
-        if params.keep_states else (),
-    )  # fmt: skip
+        steps=tuple(
+            _make_sample(press_membrane(mesh, pose, target), target)
+            for pose in (*samples[::-1], *modes[::-1])
+        )
+        if params.keep_states
+        else (),
+    )
 
 
 def _press_draft(mesh: Mesh, target_from_object: Doubles, target: SensorSpec) -> Floats:
@@ -167,12 +241,16 @@ def _make_sample(pressed: PressedSurface, target: SensorSpec) -> TouchStep:
 
 
 def _make_membrane(target: SensorSpec, indentation_mm: Doubles, contact: np.ndarray) -> DepthMap:
-    made = make_depth_map(target.rest_depth_mm, indentation_mm.astype(np.float32), contact, target.camera)
+    made = make_depth_map(
+        target.rest_depth_mm, indentation_mm.astype(np.float32), contact, target.camera
+    )
     return replace(made, is_generated=True)
 
 
 def _render(target: SensorSpec, membrane: DepthMap) -> np.ndarray:
-    return render_sensor_image(target, membrane.indentation_mm, membrane.depth_mm.astype(np.float64), None)
+    return render_sensor_image(
+        target, membrane.indentation_mm, membrane.depth_mm.astype(np.float64), None
+    )
 
 
 def _move_pose(pose: ObjectPose | None, by: Doubles) -> ObjectPose | None:
@@ -180,6 +258,7 @@ def _move_pose(pose: ObjectPose | None, by: Doubles) -> ObjectPose | None:
     if pose is None or pose.sensor_from_object is None:
         return None
     return replace(
-        pose, sensor_from_object=freeze(by @ pose.sensor_from_object),
+        pose,
+        sensor_from_object=freeze(by @ pose.sensor_from_object),
         alternatives=tuple(freeze(by @ other) for other in pose.alternatives),
-    )  # fmt: skip
+    )

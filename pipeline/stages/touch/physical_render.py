@@ -1,8 +1,8 @@
 """Physical render: the touch that the target sensor would record, by simulation.
 
-The target depth says where the object is, but only where the source measured it. A gel is pressed onto those points as
-an elastic layer and rendered by the sensor's optics; a bubble is a slack membrane over them, observed by its depth
-camera. Elsewhere the membrane is free.
+The target depth says where the object is, but only where the source measured it. A gel is pressed
+onto those points as an elastic layer and rendered by the sensor's optics; a bubble is a slack
+membrane over them, observed by its depth camera. Elsewhere the membrane is free.
 """
 
 from __future__ import annotations
@@ -27,7 +27,12 @@ from pipeline.core.errors import (
 from pipeline.core.geometry.camera import MIN_DEPTH_MM
 from pipeline.core.params import setting
 from pipeline.core.progress import SILENT, Progress
-from pipeline.core.values.results import GeneratedTouch, TargetDepth, make_depth_map, make_pixel_index
+from pipeline.core.values.results import (
+    GeneratedTouch,
+    TargetDepth,
+    make_depth_map,
+    make_pixel_index,
+)
 from pipeline.physics import bubble, bubble_camera, gel, lattice, optics
 from pipeline.physics.sensor_images import render_reference
 from pipeline.sensors.kinds import BubbleSensor, GelSensor, KindTable
@@ -36,15 +41,20 @@ from pipeline.sensors.spec import SensorSpec
 GelSurfaceMode = Literal["press", "follow"]
 
 _REFERENCE = "the target's reference image"
-_MISSED = f"{_REFERENCE}: by the alignment, the source's touch does not reach the target; correct the alignment"
+_MISSED = (
+    f"{_REFERENCE}: by the alignment, the source's touch does not reach the target; "
+    "correct the alignment"
+)
 
 _MAX_CLIPPED_SHARE = 0.02  # share of clipped pixels from which on there is a warning
-# Of 48 held-out grasps 13 mm deep physics is worse than the mean touch on 25; these limits mark all of them where the
-# source touches at all. On training objects 4 and 6 mm deep it is better wherever the contact leaves the view.
+# Of 48 held-out grasps 13 mm deep physics is worse than the mean touch on 25; these limits mark all
+# of them where the source touches at all. On training objects 4 and 6 mm deep it is better wherever
+# the contact leaves the view.
 _DEEP_MM = 8.0  # indentation of a bubble from which on what lies outside the source's view counts
-# Indentation over the radius of the contact from which on the object's flanks count: a free membrane of 45 to 60 mm
-# leaves such a contact at 40 degrees (indentation over radius times the log of both radii's ratio); most objects are
-# flatter. Chosen on a ball 4 mm deep; of 162 others 4 to 8 mm deep it marks 27 of 32 that lose to the mean touch.
+# Indentation over the radius of the contact from which on the object's flanks count: a free
+# membrane of 45 to 60 mm leaves such a contact at 40 degrees (indentation over radius times the log
+# of both radii's ratio); most objects are flatter. Chosen on a ball 4 mm deep; of 162 others 4 to 8
+# mm deep it marks 27 of 32 that lose to the mean touch.
 _NARROW_RATIO = 2.5
 
 
@@ -56,32 +66,55 @@ class PhysicalRenderParams:
         "press",
         "Gel surface",
         choices=GelSurfaceMode,
-        help="press: contact simulation, the gel may bridge dents; follow: the gel takes every depth value",
+        help="press: contact simulation, the gel may bridge dents; follow: the gel takes every "
+        "depth value",
         source="contact of a bonded layer: Johnson 1985, Polonsky and Keer 1999",
     )
     add_noise: bool = setting(
-        False, "Sensor noise", help="add the target sensor's noise to the image",
+        False,
+        "Sensor noise",
+        help="add the target sensor's noise to the image",
         source="sensor description",
-    )  # fmt: skip
+    )
     seed: int = setting(
-        0, "Seed", low=0, high=2**31 - 1, step=1, help="random seed of the noise",
-        source="PCG64: O'Neill 2014 (numpy)", sweep=tuple(range(8)),
-    )  # fmt: skip
+        0,
+        "Seed",
+        low=0,
+        high=2**31 - 1,
+        step=1,
+        help="random seed of the noise",
+        source="PCG64: O'Neill 2014 (numpy)",
+        sweep=tuple(range(8)),
+    )
     contact_gap_mm: float = setting(
-        0.1, "Contact gap", unit="mm", low=0.0, high=2.0, step=0.05,
+        0.1,
+        "Contact gap",
+        unit="mm",
+        low=0.0,
+        high=2.0,
+        step=0.05,
         help="gap below which a bubble's membrane counts as touching; bridges depth noise",
         source="obstacle problem: Kinderlehrer and Stampacchia 1980",
-    )  # fmt: skip
+    )
     tolerance_um: float = setting(
-        0.5, "Solver tolerance", unit="um", low=0.01, high=50.0, step=0.1, help="tolerance of the surface in contact",
+        0.5,
+        "Solver tolerance",
+        unit="um",
+        low=0.01,
+        high=50.0,
+        step=0.1,
+        help="tolerance of the surface in contact",
         source="truncated multigrid: Graeser and Kornhuber 2009",
-    )  # fmt: skip
+    )
 
 
 def render_touch(
     view: TargetDepth, target: SensorSpec, params: PhysicalRenderParams, progress: Progress = SILENT
 ) -> GeneratedTouch:
-    """Simulate what `target` would record of `view`; raises ShapeError for a view of another image size."""
+    """Simulate what `target` would record of `view`.
+
+    Raises ShapeError for a view of another image size.
+    """
     reference_touch = skip_without_contact(view, target)
     if reference_touch is not None:
         return reference_touch
@@ -94,25 +127,34 @@ def render_touch(
     render = TOUCH_RENDERERS.get(target.sensor_kind)
     if render is None:
         raise SettingProblem(
-            f"the physical render has no model of sensors of kind {target.kind!r} such as {target.name}"
+            f"the physical render has no model of sensors of kind {target.kind!r} such as "
+            f"{target.name}"
         )
     touch = render(view, depth_limited, target, params, [*gap_notes, *limit_notes])
     progress.step(1.0, "pressed")
     return touch
 
 
-def skip_without_contact(view: TargetDepth, target: SensorSpec, *_: object) -> GeneratedTouch | None:
-    """The reference touch if the view has no contact, else None, whatever else a method reads; cached per sensor."""
+def skip_without_contact(
+    view: TargetDepth, target: SensorSpec, *_: object
+) -> GeneratedTouch | None:
+    """The reference touch if the view has no contact, else None, whatever else a method reads.
+
+    Cached per sensor.
+    """
     if view.contact.shape != target.camera.shape:
         raise ShapeError(
-            f"the target view must have the shape {target.camera.shape} of {target.name}, got {view.contact.shape}"
+            f"the target view must have the shape {target.camera.shape} of {target.name}, got "
+            f"{view.contact.shape}"
         )
     if view.contact.any():
         return None
     touch = make_reference_touch(target)
     is_missed = any(isinstance(note, AlignmentWarning) for note in view.notes)
     notes = (_MISSED,) if is_missed else _describe_no_contact(target, view.notes)
-    return replace(touch, in_view=view.in_view, notes=touch.notes if notes == touch.notes else notes)
+    return replace(
+        touch, in_view=view.in_view, notes=touch.notes if notes == touch.notes else notes
+    )
 
 
 @derive_once
@@ -135,20 +177,33 @@ def make_reference_touch(target: SensorSpec) -> GeneratedTouch:
 def _describe_no_contact(target: SensorSpec, notes: tuple[str, ...]) -> tuple[str, ...]:
     """The note of a touch whose source has no contact; `notes` are those of the target depth."""
     farther = "; a bubble that reaches farther than the source may touch already"
-    return (describe_no_contact(_REFERENCE, notes, farther if target.sensor_kind.is_depth else " is exact"),)
+    return (
+        describe_no_contact(
+            _REFERENCE, notes, farther if target.sensor_kind.is_depth else " is exact"
+        ),
+    )
 
 
 def _drop_invalid_pixels(view: TargetDepth) -> tuple[TargetDepth, list[str]]:
-    """The view without invalid pixels: contact that is not indented, depth behind the camera, NaN."""
-    usable = view.contact & (view.indentation_mm >= 0) & (view.indentation_mm < np.inf)  # false for NaN as well
+    """The view without invalid pixels: contact that is not indented, depth behind the camera,
+    NaN.
+    """
+    # false for NaN as well
+    usable = view.contact & (view.indentation_mm >= 0) & (view.indentation_mm < np.inf)
     surface_depth = (view.depth_mm > MIN_DEPTH_MM) & (view.depth_mm < np.inf)
     n_lost = int(np.count_nonzero(view.contact) - np.count_nonzero(usable))
     if not n_lost and not (np.isfinite(view.depth_mm) & ~surface_depth).any():
         return view, []
     depth: Floats = np.where(surface_depth, view.depth_mm, np.float32(np.nan))
     indentation: Floats = np.where(usable, view.indentation_mm, np.float32(0.0))
-    notes = [f"{n_lost:,} contact pixels of the target depth have no valid depth and were left out"] if n_lost else []
-    return replace(view, contact=usable, depth_mm=freeze(depth), indentation_mm=freeze(indentation)), notes
+    notes = (
+        [f"{n_lost:,} contact pixels of the target depth have no valid depth and were left out"]
+        if n_lost
+        else []
+    )
+    return replace(
+        view, contact=usable, depth_mm=freeze(depth), indentation_mm=freeze(indentation)
+    ), notes
 
 
 def _limit_indentation(view: TargetDepth, target: SensorSpec) -> tuple[Floats, list[str]]:
@@ -159,14 +214,19 @@ def _limit_indentation(view: TargetDepth, target: SensorSpec) -> tuple[Floats, l
         return view.indentation_mm, []
     deepest = float(view.indentation_mm[too_deep].max())
     note = StageWarning(
-        f"{int(too_deep.sum())} of {int(view.contact.sum())} contact pixels lie up to {deepest:.2f} mm deep and were "
+        f"{int(too_deep.sum())} of {int(view.contact.sum())} contact pixels lie up to "
+        f"{deepest:.2f} mm deep and were "
         f"cut at the {limit:g} mm that {target.title} can be pressed"
     )
     return np.minimum(view.indentation_mm, np.float32(limit)), [note]
 
 
 def render_gel_touch(
-    view: TargetDepth, indentation_mm: Floats, target: SensorSpec, params: PhysicalRenderParams, notes: list[str]
+    view: TargetDepth,
+    indentation_mm: Floats,
+    target: SensorSpec,
+    params: PhysicalRenderParams,
+    notes: list[str],
 ) -> GeneratedTouch:
     """Simulate a gel pressed by the view, its image and membrane."""
     if target.gel is None:
@@ -178,7 +238,9 @@ def render_gel_touch(
     padded = np.pad(indentation_mm, margin, mode="edge")
     tolerance_mm = 1e-3 * params.tolerance_um
     if params.surface == "follow":
-        solution = gel.relax_gel(target.gel, target.pixel_mm, padded, mask, tolerance_mm=tolerance_mm)
+        solution = gel.relax_gel(
+            target.gel, target.pixel_mm, padded, mask, tolerance_mm=tolerance_mm
+        )
     elif params.surface == "press":
         solution = gel.press_gel(
             target.gel, target.pixel_mm, np.where(mask, padded, -np.inf), tolerance_mm=tolerance_mm
@@ -189,13 +251,19 @@ def render_gel_touch(
     inner = (slice(margin, margin + rows), slice(margin, margin + cols))
     surface: Floats = np.ascontiguousarray(solution.indentation_mm[inner])
     if not solution.converged:
-        text = f"the gel solver did not converge: the surface is only accurate to {1e3 * solution.residual_mm:.1f} um"
+        text = (
+            "the gel solver did not converge: the surface is only accurate to "
+            f"{1e3 * solution.residual_mm:.1f} um"
+        )
         notes.append(StageWarning(text))
     image: Image = optics.render(target, surface, seed=params.seed if params.add_noise else None)
     clipped = float(((image == 0) | (image == 255)).any(axis=2).mean())
     if clipped > _MAX_CLIPPED_SHARE:
         notes.append(
-            StageWarning(f"{clipped:.0%} of the image is clipped: its true brightness is outside the camera's range")
+            StageWarning(
+                f"{clipped:.0%} of the image is clipped: its true brightness is outside the "
+                "camera's range"
+            )
         )
     contact: Mask = np.ascontiguousarray(solution.contact[inner])
     if params.surface == "follow":
@@ -204,7 +272,11 @@ def render_gel_touch(
 
 
 def render_bubble_touch(
-    view: TargetDepth, indentation_mm: Floats, target: SensorSpec, params: PhysicalRenderParams, notes: list[str]
+    view: TargetDepth,
+    indentation_mm: Floats,
+    target: SensorSpec,
+    params: PhysicalRenderParams,
+    notes: list[str],
 ) -> GeneratedTouch:
     """Simulate a bubble pressed by the view, its depth image and membrane."""
     if target.bubble is None:
@@ -212,29 +284,42 @@ def render_bubble_touch(
     on = bubble.make_lattice(target.bubble)
     surface_depth = np.where(view.contact, target.rest_depth_mm - indentation_mm, view.depth_mm)
     ceiling = bubble_camera.compute_ceiling_from_depth(target, surface_depth, on)
-    solution = bubble.press_bubble(target.bubble, ceiling, on, tolerance_mm=1e-3 * params.tolerance_um)
+    solution = bubble.press_bubble(
+        target.bubble, ceiling, on, tolerance_mm=1e-3 * params.tolerance_um
+    )
     if not solution.converged:
         notes.append(
-            StageWarning("the bubble's air pressure did not converge: the shape outside the contact is inaccurate")
+            StageWarning(
+                "the bubble's air pressure did not converge: the shape outside the contact is "
+                "inaccurate"
+            )
         )
-    # Lattice cells end at the centres of the object's outermost pixels, so the membrane falls off half a pixel early:
-    # it is nowhere behind the measured surface.
+    # Lattice cells end at the centres of the object's outermost pixels, so the membrane falls off
+    # half a pixel early: it is nowhere behind the measured surface.
     depth = bubble_camera.compute_depth_from_deviation(target, solution.deviation_mm, on)
     depth = np.where(view.contact, np.minimum(depth, surface_depth), depth)
     touching = lattice.sample_mask_at_pixels(target.camera, solution.contact, on, depth)
-    # On a noisy surface the contact force acts on noise peaks only: pixels within the gap are added.
+    # On a noisy surface the contact force acts on noise peaks only: pixels within the gap are
+    # added.
     with np.errstate(invalid="ignore"):
         contact = touching | (view.contact & (surface_depth - depth <= params.contact_gap_mm))
-    notes.append(f"air pressure {target.bubble.pressure_kpa:.2f} -> {solution.pressure_kpa:.2f} kPa")
+    notes.append(
+        f"air pressure {target.bubble.pressure_kpa:.2f} -> {solution.pressure_kpa:.2f} kPa"
+    )
     notes.extend(warn_of_unseen_object(view, target))
-    image = bubble_camera.simulate_depth_frame(target, depth, params.seed if params.add_noise else None)
-    return _make_touch(view, target, image, (target.rest_depth_mm - depth).astype(np.float32), contact, notes)
+    image = bubble_camera.simulate_depth_frame(
+        target, depth, params.seed if params.add_noise else None
+    )
+    return _make_touch(
+        view, target, image, (target.rest_depth_mm - depth).astype(np.float32), contact, notes
+    )
 
 
 def warn_of_unseen_object(view: TargetDepth, target: SensorSpec) -> tuple[UnseenObjectWarning, ...]:
     """Warnings where a bubble touches more of the object than the source measured.
 
-    A deep touch that leaves the source's view goes on outside; behind a narrow contact the object is wider.
+    A deep touch that leaves the source's view goes on outside; behind a narrow contact the object
+    is wider.
     """
     deepest_mm = float(view.indentation_mm.max(initial=0.0))
     pressed = f"{target.title} is pressed in by {deepest_mm:.0f} mm"
@@ -242,7 +327,8 @@ def warn_of_unseen_object(view: TargetDepth, target: SensorSpec) -> tuple[Unseen
     if deepest_mm > _DEEP_MM and _reaches_edge(view.contact, view.in_view):
         warnings.append(
             OutsideViewWarning(
-                f"the touch leaves the source's view, and {pressed}: what it touches outside is missing, errors there "
+                f"the touch leaves the source's view, and {pressed}: what it touches outside is "
+                "missing, errors there "
                 "are several mm; use T2D2 or T2T"
             )
         )
@@ -250,7 +336,8 @@ def warn_of_unseen_object(view: TargetDepth, target: SensorSpec) -> tuple[Unseen
     if deepest_mm > _NARROW_RATIO * radius_mm:
         warnings.append(
             UnseenObjectWarning(
-                f"the contact is {2.0 * radius_mm:.1f} mm wide, and {pressed}: the object behind the contact is not "
+                f"the contact is {2.0 * radius_mm:.1f} mm wide, and {pressed}: the object behind "
+                "the contact is not "
                 "measured, errors in contact are up to several mm"
             )
         )
@@ -266,16 +353,32 @@ def _reaches_edge(contact: Mask, in_view: Mask) -> bool:
 
 
 def _make_touch(
-    view: TargetDepth, target: SensorSpec, image: Image | Floats, surface: Floats, contact: Mask, notes: list[str]
+    view: TargetDepth,
+    target: SensorSpec,
+    image: Image | Floats,
+    surface: Floats,
+    contact: Mask,
+    notes: list[str],
 ) -> GeneratedTouch:
-    source: Indices = np.where(view.source_index >= 0, make_pixel_index(contact.shape), np.int32(-1))
+    source: Indices = np.where(
+        view.source_index >= 0, make_pixel_index(contact.shape), np.int32(-1)
+    )
     membrane = make_depth_map(target.rest_depth_mm, surface, contact, target.camera)
     return GeneratedTouch(
-        image=image, camera=target.camera, source_index=freeze(source), in_view=view.in_view,
-        membrane=replace(membrane, error=view.error), notes=tuple(notes),
-    )  # fmt: skip
+        image=image,
+        camera=target.camera,
+        source_index=freeze(source),
+        in_view=view.in_view,
+        membrane=replace(membrane, error=view.error),
+        notes=tuple(notes),
+    )
 
 
-# (target depth, its indentation_mm within the sensor's limit, target, parameters, notes so far) -> touch
-RenderTouch = Callable[[TargetDepth, Floats, SensorSpec, PhysicalRenderParams, list[str]], GeneratedTouch]
-TOUCH_RENDERERS: KindTable[RenderTouch] = KindTable({GelSensor: render_gel_touch, BubbleSensor: render_bubble_touch})
+# (target depth, its indentation_mm within the sensor's limit, target, parameters, notes so far) ->
+# touch
+RenderTouch = Callable[
+    [TargetDepth, Floats, SensorSpec, PhysicalRenderParams, list[str]], GeneratedTouch
+]
+TOUCH_RENDERERS: KindTable[RenderTouch] = KindTable(
+    {GelSensor: render_gel_touch, BubbleSensor: render_bubble_touch}
+)

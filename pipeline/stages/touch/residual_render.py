@@ -17,7 +17,9 @@ from pipeline.stages.touch.residual_diffusion import DenoisingState, ResidualSam
 _HALF = 0.5
 NO_STEPS = "physics: no denoising step"
 NO_PRIOR_CONTACT = "physics: the render has no contact that the network could correct"
-NO_CHANGE = "physics: the network changes nothing; its corrections are smaller than their expected errors"
+NO_CHANGE = (
+    "physics: the network changes nothing; its corrections are smaller than their expected errors"
+)
 
 
 def render_correction(
@@ -25,9 +27,9 @@ def render_correction(
 ) -> GeneratedTouch:
     """`first` with a sample's correction, resampled from the working grid to the target's pixels.
 
-    The membrane is limited to the sensor's maximum indentation. `seed` sets the sensor noise, None = no noise. The
-    whole image is in view; `membrane.expected_error_mm` holds the uncertainty. Warnings of what physics
-    leaves out are dropped.
+    The membrane is limited to the sensor's maximum indentation. `seed` sets the sensor noise, None
+    = no noise. The whole image is in view; `membrane.expected_error_mm` holds the uncertainty.
+    Warnings of what physics leaves out are dropped.
     """
     prior_membrane = first.membrane
     assert prior_membrane is not None
@@ -43,7 +45,10 @@ def render_correction(
         image=image,
         membrane=replace(corrected, expected_error_mm=error_mm),
         in_view=freeze(np.ones(target.camera.shape, np.bool_)),
-        notes=(*(note for note in first.notes if not isinstance(note, OutsideViewWarning)), *sample.notes),
+        notes=(
+            *(note for note in first.notes if not isinstance(note, OutsideViewWarning)),
+            *sample.notes,
+        ),
         steps=tuple(steps),
     )
 
@@ -54,18 +59,29 @@ def _render_state(
     shape = target.camera.shape
     surface = first.indentation_mm + _resize(state.residual_mm, shape)
     surface = np.minimum(surface, np.float32(target.limits.indentation_max_mm)).astype(np.float32)
-    contact: Mask = first.contact.astype(np.float32) + _resize(state.contact_correction, shape) > _HALF
+    contact: Mask = (
+        first.contact.astype(np.float32) + _resize(state.contact_correction, shape) > _HALF
+    )
     depth: Floats = (target.rest_depth_mm - surface).astype(np.float32)
     corrected = replace(
-        first, indentation_mm=freeze(surface), depth_mm=freeze(depth), contact=freeze(contact), is_generated=True
+        first,
+        indentation_mm=freeze(surface),
+        depth_mm=freeze(depth),
+        contact=freeze(contact),
+        is_generated=True,
     )
     return render_sensor_image(target, surface, depth, seed), corrected
 
 
-def report_change(touch: GeneratedTouch, physical: GeneratedTouch) -> GeneratedTouch | Fallback[GeneratedTouch]:
-    """`touch` with a note of what the network changed; a fallback where image and contact equal those of physics.
+def report_change(
+    touch: GeneratedTouch, physical: GeneratedTouch
+) -> GeneratedTouch | Fallback[GeneratedTouch]:
+    """`touch` with a note of what the network changed.
 
-    The note holds the mean distance from physics in contact, or the number of pixels where only the contact differs.
+    A fallback where image and contact equal those of physics.
+
+    The note holds the mean distance from physics in contact, or the number of pixels where only the
+    contact differs.
     """
     assert touch.membrane is not None
     assert physical.membrane is not None
@@ -74,10 +90,15 @@ def report_change(touch: GeneratedTouch, physical: GeneratedTouch) -> GeneratedT
         if not n_contact_changes:
             notes = tuple(dict.fromkeys((*physical.notes, *touch.notes)))
             return Fallback(result=replace(physical, notes=notes), reason=NO_CHANGE)
-        return replace(touch, notes=(*touch.notes, ChangeNote(f"network changed contact by {n_contact_changes} px")))
+        return replace(
+            touch,
+            notes=(*touch.notes, ChangeNote(f"network changed contact by {n_contact_changes} px")),
+        )
     contact = touch.membrane.contact | physical.membrane.contact
     change_mm = np.abs(touch.membrane.indentation_mm - physical.membrane.indentation_mm)[contact]
-    note = ChangeNote(f"network changed {float(change_mm.mean()) if change_mm.size else 0.0:.2g} mm")
+    note = ChangeNote(
+        f"network changed {float(change_mm.mean()) if change_mm.size else 0.0:.2g} mm"
+    )
     return replace(touch, notes=(*touch.notes, note))
 
 
@@ -96,4 +117,6 @@ def _resize(field: Floats, shape: tuple[int, int]) -> Floats:
 
     if field.shape == shape:
         return np.asarray(field, np.float32)
-    return np.asarray(cv2.resize(np.array(field), shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
+    return np.asarray(
+        cv2.resize(np.array(field), shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32
+    )

@@ -38,7 +38,8 @@ T2D2 = Method(
     title="T2D2 diffusion",
     help="physical render plus a residual from a network trained on the target sensor",
     run=skip_if_exact(
-        physical_render.skip_without_contact, fall_back_without_weights(t2d2.generate_touch, fallback=PHYSICS)
+        physical_render.skip_without_contact,
+        fall_back_without_weights(t2d2.generate_touch, fallback=PHYSICS),
     ),
     params=T2D2Params,
     reads=(*PHYSICS.reads, "touch_weights"),
@@ -49,15 +50,28 @@ T2D2 = Method(
 
 
 def _press_object_or_fall_back(
-    view: TargetDepth, target: SensorSpec, depth: DepthMap, source: SensorSpec, alignment: Alignment, mesh: Mesh | None,
-    previous: ObjectPose | None, params: object_touch.ObjectParams, progress: Progress = SILENT,
-) -> GeneratedTouch | Skipped[GeneratedTouch] | Fallback[GeneratedTouch]:  # fmt: skip
-    """The object's touch; T2D2's, with the reason, where no pose of the object explains the source."""
-    touch = object_touch.press_object(depth, source, alignment, target, mesh, previous, params, progress)
+    view: TargetDepth,
+    target: SensorSpec,
+    depth: DepthMap,
+    source: SensorSpec,
+    alignment: Alignment,
+    mesh: Mesh | None,
+    previous: ObjectPose | None,
+    params: object_touch.ObjectParams,
+    progress: Progress = SILENT,
+) -> GeneratedTouch | Skipped[GeneratedTouch] | Fallback[GeneratedTouch]:
+    """The object's touch; T2D2's, with the reason, where no pose of the object explains the
+    source.
+    """
+    touch = object_touch.press_object(
+        depth, source, alignment, target, mesh, previous, params, progress
+    )
     if isinstance(touch, GeneratedTouch):
         return touch
     by_t2d2: Callable[..., Any] = T2D2.run
-    answer = by_t2d2(view, target, t2d2.select_weights(target, target, None), T2D2.params(), progress)
+    answer = by_t2d2(
+        view, target, t2d2.select_weights(target, target, None), T2D2.params(), progress
+    )
     if isinstance(answer, Fallback):
         return Fallback(result=answer.result, reason=f"physics: {touch}")
     return Fallback(result=answer, reason=f"T2D2: {touch}")
@@ -127,7 +141,11 @@ VQVAE = Method(
 
 
 def _compute_metrics(touch: GeneratedTouch, facts: GroundTruth) -> Mapping[str, float]:
-    return {} if facts.target_observation is None else compute_image_metrics(touch.image, facts.target_observation)
+    return (
+        {}
+        if facts.target_observation is None
+        else compute_image_metrics(touch.image, facts.target_observation)
+    )
 
 
 STAGE = Stage(

@@ -1,8 +1,9 @@
-"""T2D2, compact: the physical render of the target depth, plus the residual that a denoiser samples.
+"""T2D2, compact: the physical render of the target depth, plus the residual that a denoiser
+samples.
 
-What a bubble feels outside the source's contact cannot be computed by physics; it needs knowledge of objects. The
-network is trained on touches of the target sensor alone, without sensor pairs. With no step the result is the physical
-render, to the byte.
+What a bubble feels outside the source's contact cannot be computed by physics; it needs knowledge
+of objects. The network is trained on touches of the target sensor alone, without sensor pairs. With
+no step the result is the physical render, to the byte.
 """
 
 from __future__ import annotations
@@ -46,17 +47,30 @@ class T2D2Params(DiffusionParams):
     """Sampling settings, and how far an uncertain mean is shrunk toward the physical render."""
 
     confidence_weighting: float = setting(
-        1.0, "Confidence weighting", unit="share", low=0.0, high=1.0, step=0.1,
-        help="one step only: 1 shrinks uncertain corrections toward physics; 0 takes the network as it is",
+        1.0,
+        "Confidence weighting",
+        unit="share",
+        low=0.0,
+        high=1.0,
+        step=0.1,
+        help="one step only: 1 shrinks uncertain corrections toward physics; 0 takes the network "
+        "as it is",
         source="Wiener gain m^2 / (m^2 + s^2) of mean m and expected error s",
-    )  # fmt: skip
+    )
 
 
 @answer_for_known_kinds
-def select_weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:
-    """The weights of a target sensor kind; from a bubble to a gel physics is as near as a compact network."""
+def select_weights(
+    source: SensorSpec, target: SensorSpec, file: Path | None
+) -> Weights | NoWeights:
+    """The weights of a target sensor kind.
+
+    From a bubble to a gel physics is as near as a compact network.
+    """
     if file is None and source.sensor_kind.is_depth and not target.sensor_kind.is_depth:
-        return NoWeights(why="from a bubble to a gel a network changes less than the bubble's own error")
+        return NoWeights(
+            why="from a bubble to a gel a network changes less than the bubble's own error"
+        )
     shipped = get_touch_format(target.kind).t2d2_weights
     if file is None and not has_trained_pixel_size(target):
         return NoWeights(why=explain_misfit(target))
@@ -83,9 +97,14 @@ def generate_touch(
     params: T2D2Params,
     progress: Progress = SILENT,
 ) -> GeneratedTouch | Fallback[GeneratedTouch]:
-    """Generate what `target` would record of `view`; raises ShapeError for a view of another image size."""
+    """Generate what `target` would record of `view`.
+
+    Raises ShapeError for a view of another image size.
+    """
     rendering = SubProgress(progress, 0.0, 0.3) if params.steps else progress
-    physical = _render(view, target, PhysicalRenderParams(add_noise=params.add_noise, seed=params.seed), rendering)
+    physical = _render(
+        view, target, PhysicalRenderParams(add_noise=params.add_noise, seed=params.seed), rendering
+    )
     prior = physical.membrane
     if not params.steps:
         return Fallback(result=physical, reason=NO_STEPS)
@@ -101,17 +120,25 @@ def generate_touch(
     )
     if samples_contact:  # contact measured by the source gel is certain
         in_contact = np.where(
-            resample_to_grid(view.contact, make_working_sensor(target).camera.shape) > _HALF, 1.0, 0.0
+            resample_to_grid(view.contact, make_working_sensor(target).camera.shape) > _HALF,
+            1.0,
+            0.0,
         ).astype(np.float32)
         sample = replace(
             sample,
-            final=replace(sample.final, contact_correction=np.maximum(sample.final.contact_correction, in_contact)),
+            final=replace(
+                sample.final,
+                contact_correction=np.maximum(sample.final.contact_correction, in_contact),
+            ),
         )
-    outside = sample.expected_error_mm[resample_to_grid(view.in_view, sample.expected_error_mm.shape) < _HALF]
+    outside = sample.expected_error_mm[
+        resample_to_grid(view.in_view, sample.expected_error_mm.shape) < _HALF
+    ]
     error_mm = float((outside if outside.size else sample.expected_error_mm).mean())
     region = "outside the source's view" if outside.size else "in the whole image"
     if params.steps == 1:  # samples are not shrunk
-        # Gel contact is better by physics: overlap 0.696 instead of 0.692 on 78 touches outside the tables.
+        # Gel contact is better by physics: overlap 0.696 instead of 0.692 on 78 touches outside the
+        # tables.
         sample = shrink_to_prior(
             sample,
             view.in_view,
@@ -125,25 +152,35 @@ def generate_touch(
     return report_change(touch, physical)
 
 
-def _render(view: TargetDepth, target: SensorSpec, params: PhysicalRenderParams, progress: Progress) -> GeneratedTouch:
+def _render(
+    view: TargetDepth, target: SensorSpec, params: PhysicalRenderParams, progress: Progress
+) -> GeneratedTouch:
     """The physical render, cached: a dragged slider then costs network passes only."""
     key = compute_cached_digest(view), compute_cached_digest(target), params
-    return _rendered.get_or_make(key, lambda: physical_render.render_touch(view, target, params, progress))
+    return _rendered.get_or_make(
+        key, lambda: physical_render.render_touch(view, target, params, progress)
+    )
 
 
 _rendered: Memo[tuple[str, str, PhysicalRenderParams], GeneratedTouch] = Memo(1)
 
 
 def build_condition(view: TargetDepth, physical: DepthMap, target: SensorSpec) -> Floats:
-    """(CONDITION_CHANNELS, rows, cols) on the working grid; see `depth_condition.build_depth_condition`."""
+    """(CONDITION_CHANNELS, rows, cols) on the working grid.
+
+    See `depth_condition.build_depth_condition`.
+    """
     shape = make_working_sensor(target).camera.shape
     share = resample_to_grid(view.contact, shape)
-    indentation_mm = resample_to_grid(np.where(view.contact, view.indentation_mm, np.float32(0.0)), shape) / np.maximum(
-        share, 1e-6
-    )
+    indentation_mm = resample_to_grid(
+        np.where(view.contact, view.indentation_mm, np.float32(0.0)), shape
+    ) / np.maximum(share, 1e-6)
     in_contact = share > _HALF
     return build_depth_condition(
-        target.kind, np.where(in_contact, indentation_mm, 0.0).astype(np.float32), in_contact,
+        target.kind,
+        np.where(in_contact, indentation_mm, 0.0).astype(np.float32),
+        in_contact,
         resample_to_grid(view.in_view, shape) > _HALF,
-        resample_to_grid(physical.indentation_mm, shape), resample_to_grid(physical.contact, shape) > _HALF,
-    )  # fmt: skip
+        resample_to_grid(physical.indentation_mm, shape),
+        resample_to_grid(physical.contact, shape) > _HALF,
+    )

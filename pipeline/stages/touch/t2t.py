@@ -1,4 +1,6 @@
-"""T2T, compact: a bubble's touch directly from a gel's frame, trained on sensor pairs, without depth in between."""
+"""T2T, compact: a bubble's touch directly from a gel's frame, trained on sensor pairs, without
+depth in between.
+"""
 
 from __future__ import annotations
 
@@ -33,13 +35,20 @@ TASK = "touch_to_touch"
 
 
 @answer_for_known_kinds
-def select_weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:
+def select_weights(
+    source: SensorSpec, target: SensorSpec, file: Path | None
+) -> Weights | NoWeights:
     """The weights of a source and a target sensor: only trained pairs."""
     name = SHIPPED_WEIGHTS.get((source.name, target.kind))
     if file is None and (name is None or not t2d2.has_trained_pixel_size(target)):
-        return NoWeights(why=f"the shipped weights are not trained on pairs of {source.title} and {target.title}")
+        return NoWeights(
+            why=f"the shipped weights are not trained on pairs of {source.title} and {target.title}"
+        )
     if source.sensor_kind.is_depth or not target.sensor_kind.is_depth:
-        why = f"T2T translates from a gel to a bubble, not from a {source.kind} to a {target.kind}; choose another"
+        why = (
+            f"T2T translates from a gel to a bubble, not from a {source.kind} to a "
+            f"{target.kind}; choose another"
+        )
         return NoWeights(why=why)
     return weights_registry.load_for_task(TASK, name or "", file, target_kind=target.kind)
 
@@ -55,20 +64,28 @@ def generate_touch(
     params: DiffusionParams,
     progress: Progress = SILENT,
 ) -> GeneratedTouch | Fallback[GeneratedTouch]:
-    """Generate what `target` would record of the touch in `frame`; raises ShapeError for an invalid frame.
+    """Generate what `target` would record of the touch in `frame`.
 
-    The frame is in contact (`frame_chain.guard_contact`). No denoising step gives the physical render, and so does a
-    touch deeper than the source can be pressed.
+    Raises ShapeError for an invalid frame.
+
+    The frame is in contact (`frame_chain.guard_contact`). No denoising step gives the physical
+    render, and so does a touch deeper than the source can be pressed.
     """
 
     def answer_by_physics(reason: str) -> Fallback[GeneratedTouch]:
-        render_params = physical_render.PhysicalRenderParams(add_noise=params.add_noise, seed=params.seed)
-        return Fallback(result=frame_chain.render_view(view, target, render_params, progress), reason=reason)
+        render_params = physical_render.PhysicalRenderParams(
+            add_noise=params.add_noise, seed=params.seed
+        )
+        return Fallback(
+            result=frame_chain.render_view(view, target, render_params, progress), reason=reason
+        )
 
     if not params.steps:
         return answer_by_physics(NO_STEPS)
     condition = build_condition(frame, source, alignment, target)
-    sample = sample_residual(network, condition, params, progress, draw_last_noise=target.sensor_kind.is_depth)
+    sample = sample_residual(
+        network, condition, params, progress, draw_last_noise=target.sensor_kind.is_depth
+    )
     at_rest = replace(physical_render.make_reference_touch(target), notes=())
     touch = render_correction(at_rest, target, sample, params.seed if params.add_noise else None)
     is_recorded = bool(getattr(network, "trained_on_recordings", False))
@@ -79,13 +96,17 @@ def generate_touch(
     return replace(touch, notes=(*warnings, *touch.notes))
 
 
-def build_condition(frame: TactileFrame, source: SensorSpec, alignment: Alignment, target: SensorSpec) -> Floats:
+def build_condition(
+    frame: TactileFrame, source: SensorSpec, alignment: Alignment, target: SensorSpec
+) -> Floats:
     """(channels, rows, cols) on the working grid; see `image_condition.build_image_condition`."""
     camera = source.camera if frame.camera is None else frame.camera
     reference: Any = frame.reference
     if reference is None:
         reference = render_reference(source.with_camera(camera))
     if reference.shape != frame.image.shape:
-        raise ShapeError(f"the reference image must have the shape {frame.image.shape}, got {reference.shape}")
+        raise ShapeError(
+            f"the reference image must have the shape {frame.image.shape}, got {reference.shape}"
+        )
     change = source.sensor_kind.compute_change(frame.image, reference)
     return build_image_condition(change, camera, source, make_working_sensor(target), alignment)

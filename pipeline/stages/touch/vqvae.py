@@ -1,6 +1,7 @@
 """Touch by the paper's baseline, a VQ-VAE: the source's change at 128 x 128 in, the target's out.
 
-Shipped weights take the change resampled to the target's view, published ones the source's own view.
+Shipped weights take the change resampled to the target's view, published ones the source's own
+view.
 """
 
 from __future__ import annotations
@@ -22,7 +23,12 @@ from pipeline.stages.depth import photometric as depth
 from pipeline.stages.depth.frame_checks import check_frame
 from pipeline.stages.networks import published_weights, weights_registry
 from pipeline.stages.networks.network_factory import reproducible_inference
-from pipeline.stages.networks.square_images import denormalise, normalise, resize_from_square, resize_to_square
+from pipeline.stages.networks.square_images import (
+    denormalise,
+    normalise,
+    resize_from_square,
+    resize_to_square,
+)
 from pipeline.stages.networks.touch_formats import answer_for_known_kinds, get_touch_format
 from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.stages.touch.image_condition import reproject_square
@@ -32,23 +38,34 @@ if TYPE_CHECKING:
     from torch import nn
 
 NOT_USED = (
-    "the shipped VQ-VAE is farther off than physics on objects of no catalogue (docs/tables); choose it with "
+    "the shipped VQ-VAE is farther off than physics on objects of no catalogue (docs/tables); "
+    "choose it with "
     "--weights, or fine-tune it with `train vqvae --pairs`"
 )
 NOTE = "image only, from the source image: no depth or membrane is used"
 
 
 @answer_for_known_kinds
-def select_weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:
+def select_weights(
+    source: SensorSpec, target: SensorSpec, file: Path | None
+) -> Weights | NoWeights:
     """The weights of this pair of sensors in this direction, if a file is given; see `NOT_USED`."""
     if file is None:
         return NoWeights(why=NOT_USED)
-    found = weights_registry.load_for_task(published_weights.VQVAE, "", file, published_weights.read_vqvae)
+    found = weights_registry.load_for_task(
+        published_weights.VQVAE, "", file, published_weights.read_vqvae
+    )
     if isinstance(found, NoWeights):
         return found
-    channels = {"inputs": len(get_touch_format(source.kind).means), "outputs": len(get_touch_format(target.kind).means)}
+    channels = {
+        "inputs": len(get_touch_format(source.kind).means),
+        "outputs": len(get_touch_format(target.kind).means),
+    }
     if any(found.config.get(name) != n for name, n in channels.items()):
-        return NoWeights(why=f"the weights {found.name!r} do not translate from a {source.kind} to a {target.kind}")
+        return NoWeights(
+            why=f"the weights {found.name!r} do not translate from a {source.kind} to a "
+            f"{target.kind}"
+        )
     return found
 
 
@@ -63,19 +80,28 @@ def generate_touch(
     params: NoParams,  # noqa: ARG001 - no settings
     progress: Progress = SILENT,
 ) -> GeneratedTouch:
-    """Generate what `target` would record of a frame in contact, at 128 x 128 pixels; raises as `check_frame`."""
+    """Generate what `target` would record of a frame in contact, at 128 x 128 pixels.
+
+    Raises as `check_frame`.
+    """
     check_frame(frame, source)
     assert frame.reference is not None  # checked
-    square = resize_to_square(source.sensor_kind.compute_relative_change(frame.image, frame.reference))
+    square = resize_to_square(
+        source.sensor_kind.compute_relative_change(frame.image, frame.reference)
+    )
     reprojects = getattr(network, "reprojects_input", False)
     network_input = (
-        reproject_square(square, source, target, alignment) if reprojects else normalise(square, source.kind)
+        reproject_square(square, source, target, alignment)
+        if reprojects
+        else normalise(square, source.kind)
     )
     generated = denormalise(_run_network(network, network_input), target.kind)
     if getattr(network, "half_turn", False):
         generated = generated[:, ::-1, ::-1]
     progress.step(1.0, "generated")
-    touch = make_touch_from_change(target, resize_from_square(np.ascontiguousarray(generated), target.camera.shape))
+    touch = make_touch_from_change(
+        target, resize_from_square(np.ascontiguousarray(generated), target.camera.shape)
+    )
     return replace(
         touch,
         notes=(

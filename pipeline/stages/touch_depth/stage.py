@@ -1,7 +1,9 @@
-"""The stage *touch_depth*: depth of the generated touch in the target's frame; the pose is registered to it.
+"""The stage *touch_depth*: depth of the generated touch in the target's frame.
 
-A method that computes the membrane (physics) passes it on. Any generated image can also go through the target's depth
-method, which shows how much of a touch the image preserves.
+The pose is registered to it.
+
+A method that computes the membrane (physics) passes it on. Any generated image can also go through
+the target's depth method, which shows how much of a touch the image preserves.
 """
 
 from dataclasses import replace
@@ -30,7 +32,9 @@ def use_membrane(
 ) -> DepthMap | Fallback:
     """The membrane of the generated touch; estimated from its image where there is none."""
     if touch.membrane is None:
-        return Fallback(result=estimate_from_image(touch, target, DepthParams(), progress), reason=NO_MEMBRANE)
+        return Fallback(
+            result=estimate_from_image(touch, target, DepthParams(), progress), reason=NO_MEMBRANE
+        )
     return replace(touch.membrane, in_view=touch.in_view)
 
 
@@ -38,13 +42,18 @@ def skip_without_contact(touch: GeneratedTouch, *_: object) -> DepthMap | None:
     """The membrane at rest if the touch has no contact, else None, whatever else a method reads."""
     if touch.membrane is None or touch.membrane.contact.any():
         return None
-    return replace(touch.membrane, in_view=touch.in_view, notes=(describe_no_contact(_AT_REST, touch.notes),))
+    return replace(
+        touch.membrane, in_view=touch.in_view, notes=(describe_no_contact(_AT_REST, touch.notes),)
+    )
 
 
 def estimate_from_image(
     touch: GeneratedTouch, target: SensorSpec, params: DepthParams, progress: Progress = SILENT
 ) -> DepthMap:
-    """Depth of the generated image by the target's depth method and reference image; raises as the depth stage does."""
+    """Depth of the generated image by the target's depth method and reference image.
+
+    Raises as the depth stage does.
+    """
     frame = _make_frame(touch, target)
     touch_depth = depth.estimate_depth(frame, target, None, params, progress)
     return replace(touch_depth, in_view=touch.in_view)
@@ -52,7 +61,9 @@ def estimate_from_image(
 
 def _make_frame(touch: GeneratedTouch, target: SensorSpec) -> TactileFrame:
     reference = render_reference(target)
-    return TactileFrame(sensor=target.name, image=touch.image, reference=reference, origin="generated touch")
+    return TactileFrame(
+        sensor=target.name, image=touch.image, reference=reference, origin="generated touch"
+    )
 
 
 MEMBRANE = Method(

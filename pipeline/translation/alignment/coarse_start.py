@@ -9,11 +9,16 @@ from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.geometry import rigid
 from pipeline.core.progress import Progress
 from pipeline.sensors.alignment import Alignment, compose_motion
-from pipeline.translation.alignment.normal_equations import ResidualNoise, compute_cost, compute_touch_distances
+from pipeline.translation.alignment.normal_equations import (
+    ResidualNoise,
+    compute_cost,
+    compute_touch_distances,
+)
 from pipeline.translation.alignment.residuals import Evidence, collect_evidence, thin_points
 from pipeline.translation.alignment.touches import AlignmentTouch
 
-COMPARISON_NOISE = ResidualNoise(surface_mm=0.2, outline_mm=0.4)  # fixed, so that costs of different alignments compare
+# fixed, so that costs of different alignments compare
+COMPARISON_NOISE = ResidualNoise(surface_mm=0.2, outline_mm=0.4)
 COMPARISON_SCALE = ResidualNoise(surface_mm=1.0, outline_mm=2.0)
 _SHIFTS_MM = np.arange(-4.0, 4.5, 1.0)
 _TURNS_DEG = np.arange(-8.0, 8.5, 4.0)
@@ -27,10 +32,12 @@ _APART_MM = 1.5  # starts nearer than this, and within one rotation step, conver
 def list_initial_alignments(
     touches: Sequence[Evidence], start: Doubles, pivot_mm: Doubles, many: int, progress: Progress
 ) -> list[Doubles]:
-    """Return motions (4, 4) to apply after `start`: the identity first, then the `many` best distinct ones of a grid.
+    """Return motions (4, 4) to apply after `start`: the identity first, then the `many` best
+    distinct ones of a grid.
 
-    The grid spans 4 mm and 8 deg in the plane normal to the source's optical axis; after each translation the surfaces
-    are brought together along that axis, because a wrong translation mostly shifts depth.
+    The grid spans 4 mm and 8 deg in the plane normal to the source's optical axis; after each
+    translation the surfaces are brought together along that axis, because a wrong translation
+    mostly shifts depth.
     """
     few = [thin_points(t, _POINTS) for t in touches[:: max(1, -(-len(touches) // _TOUCHES))]]
     x, y, normal = start[:3, :3].T
@@ -40,7 +47,15 @@ def list_initial_alignments(
             progress.step(0.0, "searching for an initial alignment")
         motion = compose_motion(pivot_mm, np.deg2rad(turn) * normal, right * x + down * y)
         motion = rigid.translation(*(_lift_mm(few, motion @ start) * normal)) @ motion
-        ranked.append((compute_cost(few, motion @ start, COMPARISON_NOISE, COMPARISON_SCALE), n, right, down, motion))
+        ranked.append(
+            (
+                compute_cost(few, motion @ start, COMPARISON_NOISE, COMPARISON_SCALE),
+                n,
+                right,
+                down,
+                motion,
+            )
+        )
     chosen: list[tuple[float, float]] = []
     found = [np.eye(4)]
     for _, _, right, down, motion in sorted(ranked, key=lambda entry: entry[:2]):
@@ -60,24 +75,33 @@ def _grid() -> Iterator[tuple[float, float, float]]:
 
 
 def _lift_mm(touches: Sequence[Evidence], target_from_source: Doubles) -> float:
-    """Return the translation (mm) along the source's axis that closes the gap between the surfaces."""
+    """Return the translation (mm) along the source's axis that closes the gap between the
+    surfaces.
+    """
     normal = target_from_source[:3, 2]
     surfaces = [one.surface for one in compute_touch_distances(touches, target_from_source)]
     found = [s.mm / (s.jacobian @ normal) for s in surfaces if s.mm.size]
     return -float(np.median(np.concatenate(found))) if found else 0.0
 
 
-def estimate_alignment(touches: Sequence[AlignmentTouch], described: Alignment, progress: Progress) -> Alignment:
-    """Return the alignment that a grid search finds without an initial one, stored on the target's side.
+def estimate_alignment(
+    touches: Sequence[AlignmentTouch], described: Alignment, progress: Progress
+) -> Alignment:
+    """Return the alignment that a grid search finds without an initial one, stored on the target's
+    side.
 
-    The optical axes are taken as parallel. At each rotation about them the contacts are laid over each other, then
-    translated by up to 8 mm; the cost is that of the refinement. Touches have contact on both sensors.
+    The optical axes are taken as parallel. At each rotation about them the contacts are laid over
+    each other, then translated by up to 8 mm; the cost is that of the refinement. Touches have
+    contact on both sensors.
     """
     few = [thin_points(collect_evidence(t), _POINTS) for t in touches]
     sources = np.array([e.surface_mm.mean(axis=0) for e in few])
-    targets = np.array([
-        np.nanmean(e.camera.back_project(e.depth_mm), axis=(0, 1)) + e.instance_shift_mm for e in few
-    ])  # fmt: skip
+    targets = np.array(
+        [
+            np.nanmean(e.camera.back_project(e.depth_mm), axis=(0, 1)) + e.instance_shift_mm
+            for e in few
+        ]
+    )
     best = (np.inf, np.eye(4))
     for k, turn in enumerate(_ALL_TURNS_RAD):
         progress.step(k / len(_ALL_TURNS_RAD), "searching for an initial orientation")
@@ -87,7 +111,11 @@ def estimate_alignment(touches: Sequence[AlignmentTouch], described: Alignment, 
             moved = rigid.translation(shift[0] + right, shift[1] + down, shift[2]) @ around
             moved = rigid.translation(0.0, 0.0, _lift_mm(few, moved)) @ moved
             best = min(
-                best, (compute_cost(few, moved, COMPARISON_NOISE, COMPARISON_SCALE), moved), key=lambda one: one[0]
+                best,
+                (compute_cost(few, moved, COMPARISON_NOISE, COMPARISON_SCALE), moved),
+                key=lambda one: one[0],
             )
     onward = best[1] @ rigid.invert(described.alignment_from_source)
-    return Alignment(alignment_from_source=described.alignment_from_source, target_from_alignment=freeze(onward))
+    return Alignment(
+        alignment_from_source=described.alignment_from_source, target_from_alignment=freeze(onward)
+    )

@@ -1,4 +1,7 @@
-"""Refine an alignment to many touches at once; report undetermined directions and the fit on held-out touches."""
+"""Refine an alignment to many touches at once.
+
+Report undetermined directions and the fit on held-out touches.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -12,7 +15,11 @@ from pipeline.core.geometry.screws import describe_motions
 from pipeline.core.progress import SILENT, Progress
 from pipeline.sensors.alignment import Alignment, AlignmentPart, compose_motion, correct_alignment
 from pipeline.stages.depth.photometric import DepthParams
-from pipeline.translation.alignment.coarse_start import COMPARISON_NOISE, COMPARISON_SCALE, list_initial_alignments
+from pipeline.translation.alignment.coarse_start import (
+    COMPARISON_NOISE,
+    COMPARISON_SCALE,
+    list_initial_alignments,
+)
 from pipeline.translation.alignment.normal_equations import (
     TOLERANCE_DEG,
     TOLERANCE_MM,
@@ -29,10 +36,12 @@ from pipeline.translation.alignment.residuals import Evidence, collect_evidence,
 from pipeline.translation.alignment.touches import AlignmentTouch, load_paired_touches
 from pipeline.translation.translate import Translation
 
-_START = ResidualNoise(surface_mm=2.0, outline_mm=4.0)  # first loss scales: as far as a start may be off
+# first loss scales: as far as a start may be off
+_START = ResidualNoise(surface_mm=2.0, outline_mm=4.0)
 _START_NEAR = ResidualNoise(surface_mm=0.5, outline_mm=1.0)  # from a start that is roughly right
 _ROUGH_POINTS = 120  # of each kind and touch, for the rough part
-_NARROWING = 0.75  # factor on the scale per iteration; wide first, so that a distant start is not rejected as outliers
+# factor on the scale per iteration; wide first, so that a distant start is not rejected as outliers
+_NARROWING = 0.75
 _LOSS_SCALE = 3.0  # final loss scale in standard deviations
 _ROUNDS = 60
 _CONVERGENCE = 0.002  # of a tolerance, convergence: 0.4 um, 0.002 deg
@@ -61,7 +70,8 @@ class Refinement:
     alignment: Alignment
     motion: Doubles  # (4, 4) mm, target frame: applied after the old T_S->T
     pivot_mm: Doubles  # (3,) target frame
-    std: Doubles  # (6,) predicted standard deviations (deg about the pivot, mm); 0 along frozen directions
+    # (6,) predicted standard deviations (deg about the pivot, mm); 0 along frozen directions
+    std: Doubles
     weak_directions: tuple[str, ...]  # undetermined directions in words; left unchanged
     used_fit: tuple[AlignmentFit, AlignmentFit]  # before, after
     held_out_fit: tuple[AlignmentFit, AlignmentFit] | None
@@ -81,13 +91,16 @@ def refine_alignment(
 ) -> Refinement:
     """Fit one rigid correction of T_S->T to all `touches` by least squares, stored in `into`.
 
-    Damped Gauss-Newton with a Geman-McClure loss that narrows from millimetres to three standard deviations; see
-    `residuals` for what is compared. Directions whose predicted std exceeds `tolerance` times 0.2 mm or 1 deg are
-    frozen and named. `held_out` touches are only evaluated, before and after. Raises SettingProblem when no touch has
-    contact on both sensors, or for a tolerance that is not positive.
+    Damped Gauss-Newton with a Geman-McClure loss that narrows from millimetres to three standard
+    deviations; see `residuals` for what is compared. Directions whose predicted std exceeds
+    `tolerance` times 0.2 mm or 1 deg are frozen and named. `held_out` touches are only evaluated,
+    before and after. Raises SettingProblem when no touch has contact on both sensors, or for a
+    tolerance that is not positive.
     """
     if not 0.0 < tolerance < np.inf:
-        raise SettingProblem(f"the tolerance of a refinement must be positive and finite, got {tolerance:g}")
+        raise SettingProblem(
+            f"the tolerance of a refinement must be positive and finite, got {tolerance:g}"
+        )
     kept = [collect_evidence(t) for t in touches if t.has_contact_on_both]
     kept = [e for e in kept if len(e.surface_mm) and len(e.outline_mm)]
     if not kept:
@@ -97,14 +110,18 @@ def refine_alignment(
     pivot = np.mean([rigid.apply(start, e.surface_mm).mean(axis=0) for e in kept], axis=0)
     solver = _Solver(kept, start, pivot, progress)
     rough = _Solver([thin_points(e, _ROUGH_POINTS) for e in kept], start, pivot, progress)
-    motion = rough.solve_from_starts(list_initial_alignments(kept, start, pivot, _N_STARTS, progress))
+    motion = rough.solve_from_starts(
+        list_initial_alignments(kept, start, pivot, _N_STARTS, progress)
+    )
     motion, converged = solver.solve(motion, np.eye(6), _START_NEAR)
     information = solver.build_final_equations(motion).information
     free, lost = _split_determined(information, tolerance)
     if lost.shape[1]:
         motion, converged = solver.solve_within(motion, free)
     certain = free.T @ solver.build_final_equations(motion).information @ free
-    spread = np.sqrt(np.diag(free @ np.linalg.inv(certain) @ free.T)) if free.shape[1] else np.zeros(6)
+    spread = (
+        np.sqrt(np.diag(free @ np.linalg.inv(certain) @ free.T)) if free.shape[1] else np.zeros(6)
+    )
     after = motion @ start
     progress.step(1.0, "refined")
     return Refinement(
@@ -115,7 +132,10 @@ def refine_alignment(
         weak_directions=tuple(
             words
             for words, _ in describe_motions(
-                lost, pivot, float(_RADIUS_MM), lambda v: bool(tolerance**2 * (v @ information @ v) < v @ v)
+                lost,
+                pivot,
+                float(_RADIUS_MM),
+                lambda v: bool(tolerance**2 * (v @ information @ v) < v @ v),
             )
         ),
         used_fit=(measure_fit(kept, start), measure_fit(kept, after)),
@@ -124,7 +144,9 @@ def refine_alignment(
         converged=converged,
         notes=()
         if converged
-        else (f"not converged after {solver.iterations} iterations; start from a closer alignment",),
+        else (
+            f"not converged after {solver.iterations} iterations; start from a closer alignment",
+        ),
     )
 
 
@@ -140,22 +162,30 @@ def refine_on_recording(
     tolerance: float = 1.0,
     progress: Progress = SILENT,
 ) -> Refinement:
-    """Refine on those frames of a recording that have contact on both sensors, but for a share `hold_out`.
+    """Refine on those frames of a recording that have contact on both sensors, but for a share
+    `hold_out`.
 
-    It starts from `start`, else the translation's alignment; depth is as in `load_paired_touch`. Raises SettingProblem
-    without such frames.
+    It starts from `start`, else the translation's alignment; depth is as in `load_paired_touch`.
+    Raises SettingProblem without such frames.
     """
     touches = load_paired_touches(translation, frames, params, exact=exact, progress=progress)
     used, held_out = hold_out_touches(touches, hold_out)
     return refine_alignment(
-        used, start or translation.alignment, held_out=held_out, into=into, tolerance=tolerance, progress=progress
+        used,
+        start or translation.alignment,
+        held_out=held_out,
+        into=into,
+        tolerance=tolerance,
+        progress=progress,
     )
 
 
 def hold_out_touches(
     touches: Sequence[AlignmentTouch], share: float
 ) -> tuple[list[AlignmentTouch], list[AlignmentTouch]]:
-    """(the touches to fit, those held out): evenly spread over the recording, one at least to fit."""
+    """(the touches to fit, those held out): evenly spread over the recording, one at least to
+    fit.
+    """
     n = min(round(share * len(touches)), len(touches) - 1)
     held_out = {int((k + 0.5) * len(touches) / n) for k in range(n)}
     return (
@@ -165,15 +195,22 @@ def hold_out_touches(
 
 
 def measure_fit(touches: Sequence[Evidence], target_from_source: Doubles) -> AlignmentFit:
-    """Return the disagreement of `touches` under this T_S->T; NaN where no point had something to compare with."""
+    """Return the disagreement of `touches` under this T_S->T.
+
+    NaN where no point had something to compare with.
+    """
     distances = compute_touch_distances(touches, target_from_source)
     noise = estimate_noise(distances)
     surface = np.concatenate([s.surface.mm for s in distances])
     outline = np.concatenate(
-        [s.outline.mm
-         - estimate_growth_mm(s.outline.mm, noise.outline_mm * _LOSS_SCALE, noise.outline_mm, s.outline.n_points)[0]
-         for s in distances]
-    )  # fmt: skip
+        [
+            s.outline.mm
+            - estimate_growth_mm(
+                s.outline.mm, noise.outline_mm * _LOSS_SCALE, noise.outline_mm, s.outline.n_points
+            )[0]
+            for s in distances
+        ]
+    )
     asked = sum(s.surface.n_points + s.outline.n_points for s in distances)
     return AlignmentFit(
         surface_mm=float(np.median(np.abs(surface))) if surface.size else float("nan"),
@@ -186,15 +223,21 @@ def measure_fit(touches: Sequence[Evidence], target_from_source: Doubles) -> Ali
 class _Solver:
     """Damped Gauss-Newton from one start."""
 
-    def __init__(self, touches: Sequence[Evidence], start: Doubles, pivot_mm: Doubles, progress: Progress) -> None:
-        self._touches, self._start, self._pivot, self._progress = touches, start, pivot_mm, progress
+    def __init__(
+        self, touches: Sequence[Evidence], start: Doubles, pivot_mm: Doubles, progress: Progress
+    ) -> None:
+        self._touches = touches
+        self._start = start
+        self._pivot = pivot_mm
+        self._progress = progress
         self.iterations = 0
 
     def solve_from_starts(self, beginnings: Sequence[Doubles]) -> Doubles:
         """Return the solution of least cost over several starts."""
         found = [self.solve(b, np.eye(6))[0] for b in beginnings]
         costs = [
-            compute_cost(self._touches, motion @ self._start, COMPARISON_NOISE, COMPARISON_SCALE) for motion in found
+            compute_cost(self._touches, motion @ self._start, COMPARISON_NOISE, COMPARISON_SCALE)
+            for motion in found
         ]
         return found[int(np.argmin(costs))]
 
@@ -206,11 +249,17 @@ class _Solver:
         turn, shift = np.split(free @ (free.T @ step) * TOLERANCE_UNITS, 2)
         return self.solve(compose_motion(self._pivot, turn, shift), free, _START_NEAR)
 
-    def solve(self, motion: Doubles, free: Doubles, scale: ResidualNoise = _START) -> tuple[Doubles, bool]:
-        """Return the best motion (4, 4) from this one within the span of `free` (6, k), and whether it converged."""
+    def solve(
+        self, motion: Doubles, free: Doubles, scale: ResidualNoise = _START
+    ) -> tuple[Doubles, bool]:
+        """Return the best motion (4, 4) from this one within the span of `free` (6, k), and
+        whether it converged.
+        """
         damping = 1e-3
         for done in range(_ROUNDS):
-            self._progress.step(done / _ROUNDS, f"iteration {done + 1}: outlines to {scale.outline_mm:.2f} mm")
+            self._progress.step(
+                done / _ROUNDS, f"iteration {done + 1}: outlines to {scale.outline_mm:.2f} mm"
+            )
             self.iterations += 1
             distances = compute_touch_distances(self._touches, motion @ self._start)
             noise = estimate_noise(distances)
@@ -223,14 +272,18 @@ class _Solver:
             motion, damping, length = self._step(motion, here, noise, wide, free, damping)
             if length < _CONVERGENCE and narrow:
                 return motion, True
-            scale = ResidualNoise(surface_mm=scale.surface_mm * _NARROWING, outline_mm=scale.outline_mm * _NARROWING)
+            scale = ResidualNoise(
+                surface_mm=scale.surface_mm * _NARROWING, outline_mm=scale.outline_mm * _NARROWING
+            )
         return motion, False
 
     def build_final_equations(self, motion: Doubles) -> NormalEquations:
         """Return the final quadratic model, with the remaining noise."""
         distances = compute_touch_distances(self._touches, motion @ self._start)
         noise = estimate_noise(distances)
-        narrow = ResidualNoise(surface_mm=_LOSS_SCALE * noise.surface_mm, outline_mm=_LOSS_SCALE * noise.outline_mm)
+        narrow = ResidualNoise(
+            surface_mm=_LOSS_SCALE * noise.surface_mm, outline_mm=_LOSS_SCALE * noise.outline_mm
+        )
         return accumulate_sums(distances, self._touches, self._pivot, noise, narrow)
 
     def _as_step(self, motion: Doubles) -> Doubles:
@@ -247,8 +300,12 @@ class _Solver:
         free: Doubles,
         damping: float,
     ) -> tuple[Doubles, float, float]:
-        """Return the next motion, damping, and the step length in tolerances; length 0 when no step improves."""
-        information, gradient = free.T @ here.information @ free, free.T @ here.gradient
+        """Return the next motion, damping, and the step length in tolerances.
+
+        Length 0 when no step improves.
+        """
+        information = free.T @ here.information @ free
+        gradient = free.T @ here.gradient
         load = np.maximum(np.diag(information), 1e-6 * np.trace(information) + 1e-12)
         for _ in range(_TRIES):
             step = -free @ np.linalg.solve(information + damping * np.diag(load), gradient)
@@ -257,7 +314,11 @@ class _Solver:
             turn, shift = np.split(step * TOLERANCE_UNITS, 2)
             moved = compose_motion(self._pivot, turn, shift) @ motion
             there = accumulate_sums(
-                compute_touch_distances(self._touches, moved @ self._start), self._touches, self._pivot, noise, scale
+                compute_touch_distances(self._touches, moved @ self._start),
+                self._touches,
+                self._pivot,
+                noise,
+                scale,
             )
             if there.cost <= here.cost:
                 return moved, max(damping / 3.0, 1e-6), length

@@ -1,12 +1,12 @@
 """Residuals of a paired touch under an alignment: two kinds of distances without bias.
 
-*Surface.* Where both membranes touch the object they lie on the same rigid surface, whatever their stiffness. So a
-contact point of the source, transferred, lies on the target's measured surface: its distance along that surface's
-normal, only where the target is in contact too.
+*Surface.* Where both membranes touch the object they lie on the same rigid surface, whatever their
+stiffness. So a contact point of the source, transferred, lies on the target's measured surface: its
+distance along that surface's normal, only where the target is in contact too.
 
-*Outline.* A softer sensor has more contact, so outlines differ; but they grow on all sides. So each touch may have its
-own growth, with a weak prior at 0, and the residual is the signed distance beyond it: the outline's place, not its
-size.
+*Outline.* A softer sensor has more contact, so outlines differ; but they grow on all sides. So each
+touch may have its own growth, with a weak prior at 0, and the residual is the signed distance
+beyond it: the outline's place, not its size.
 """
 
 from dataclasses import dataclass, replace
@@ -33,11 +33,13 @@ class Evidence:
     index: int
     surface_mm: Doubles  # (n, 3) contact points, frame of the described source
     outline_mm: Doubles  # (m, 3) points between a contact pixel and a free one
-    instance_shift_mm: Doubles  # (3,) offset of the target instance's camera against the described one
+    # (3,) offset of the target instance's camera against the described one
+    instance_shift_mm: Doubles
     camera: Camera  # of the target
     depth_mm: Doubles  # (rows, cols) of the target in its own camera; NaN outside its contact
     normal: Doubles  # (rows, cols, 3) unit, of the target's surface
-    outside_px: Doubles  # (rows, cols) signed distance to the target's contact outline, negative inside
+    # (rows, cols) signed distance to the target's contact outline, negative inside
+    outside_px: Doubles
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,40 +72,61 @@ def collect_evidence(touch: AlignmentTouch) -> Evidence:
 
 def thin_points(touch: Evidence, points: int) -> Evidence:
     """Return the evidence with at most about `points` points of each kind."""
-    surface, outline = (p[:: max(1, len(p) // points)] for p in (touch.surface_mm, touch.outline_mm))
+    surface, outline = (
+        p[:: max(1, len(p) // points)] for p in (touch.surface_mm, touch.outline_mm)
+    )
     return replace(touch, surface_mm=surface, outline_mm=outline)
 
 
 def compute_surface_distances(touch: Evidence, points_mm: Doubles) -> Distances:
-    """Distances of contact points (n, 3) in the target's camera frame to the target's surface along its normal."""
+    """Distances of contact points (n, 3) in the target's camera frame to the target's surface
+    along its normal.
+    """
     x, y, visible = touch.camera.project(points_mm)
     visible &= points_mm[:, 2] > MIN_DEPTH_MM
     inside = np.zeros(visible.shape, np.bool_)
     inside[visible] = sample_bilinear(touch.outside_px, x[visible], y[visible]) < -_INSIDE_PX
     p = points_mm[inside]
     depth = sample_bilinear(touch.depth_mm, x[inside], y[inside])
-    row, col = np.rint(y[inside]).astype(np.intp), np.rint(x[inside]).astype(np.intp)
+    row = np.rint(y[inside]).astype(np.intp)
+    col = np.rint(x[inside]).astype(np.intp)
     normal = touch.normal[row, col]
     weights = np.isfinite(depth) & np.isfinite(normal).all(axis=1)
-    p, depth, normal = p[weights], depth[weights], normal[weights]
+    p = p[weights]
+    depth = depth[weights]
+    normal = normal[weights]
     # On the ray through p the surface is at p * depth / p_z: the gap lies along the ray.
     gap = (p * (1.0 - depth / p[:, 2])[:, None] * normal).sum(axis=1)
     return Distances(mm=gap, jacobian=normal, points_mm=p, n_points=len(points_mm))
 
 
 def compute_outline_distances(touch: Evidence, points_mm: Doubles) -> Distances:
-    """Distances (mm) of outline points (m, 3) in the target's camera frame to the target's outline in its image."""
+    """Distances (mm) of outline points (m, 3) in the target's camera frame to the target's
+    outline in its image.
+    """
     camera = touch.camera
     x, y, visible = camera.project(points_mm)
     margin = _BORDER_PX
-    visible &= (x > margin) & (x < camera.cols - 1 - margin) & (y > margin) & (y < camera.rows - 1 - margin)
-    p, x, y = points_mm[visible], x[visible], y[visible]
-    field, h = touch.outside_px, 0.5
+    visible &= (
+        (x > margin)
+        & (x < camera.cols - 1 - margin)
+        & (y > margin)
+        & (y < camera.rows - 1 - margin)
+    )
+    p = points_mm[visible]
+    x = x[visible]
+    y = y[visible]
+    field = touch.outside_px
+    h = 0.5
     slope_x = sample_bilinear(field, x + h, y) - sample_bilinear(field, x - h, y)
     slope_y = sample_bilinear(field, x, y + h) - sample_bilinear(field, x, y - h)
-    # u = fx X/Z + cx: a motion of p in mm moves its pixel by fx/Z, less Z's share; in mm at the touch's distance.
+    # u = fx X/Z + cx: a motion of p in mm moves its pixel by fx/Z, less Z's share; in mm at the
+    # touch's distance.
     ratio = camera.fy_px / camera.fx_px
-    jacobian = np.stack([slope_x, slope_y * ratio, -(slope_x * p[:, 0] + slope_y * ratio * p[:, 1]) / p[:, 2]], axis=-1)
+    jacobian = np.stack(
+        [slope_x, slope_y * ratio, -(slope_x * p[:, 0] + slope_y * ratio * p[:, 1]) / p[:, 2]],
+        axis=-1,
+    )
     return Distances(
         mm=sample_bilinear(field, x, y) * p[:, 2] / camera.fx_px,
         jacobian=jacobian,
@@ -113,14 +136,23 @@ def compute_outline_distances(touch: Evidence, points_mm: Doubles) -> Distances:
 
 
 def sample_bilinear(field: Doubles, x_px: Doubles, y_px: Doubles) -> Doubles:
-    """Sample a field (rows, cols) bilinearly (k,), clamped at its border; NaN where a corner is NaN."""
+    """Sample a field (rows, cols) bilinearly (k,), clamped at its border.
+
+    NaN where a corner is NaN.
+    """
     rows, cols = field.shape
-    x, y = np.clip(x_px, 0.0, cols - 1.0), np.clip(y_px, 0.0, rows - 1.0)
-    col, row = np.minimum(x.astype(np.intp), cols - 2), np.minimum(y.astype(np.intp), rows - 2)
-    a, b = x - col, y - row
-    flat, first = field.ravel(), row * cols + col
+    x = np.clip(x_px, 0.0, cols - 1.0)
+    y = np.clip(y_px, 0.0, rows - 1.0)
+    col = np.minimum(x.astype(np.intp), cols - 2)
+    row = np.minimum(y.astype(np.intp), rows - 2)
+    a = x - col
+    b = y - row
+    flat = field.ravel()
+    first = row * cols + col
     top = flat[first] * (1.0 - a) + flat[first + 1] * a
-    return np.asarray(top * (1.0 - b) + (flat[first + cols] * (1.0 - a) + flat[first + cols + 1] * a) * b)
+    return np.asarray(
+        top * (1.0 - b) + (flat[first + cols] * (1.0 - a) + flat[first + cols + 1] * a) * b
+    )
 
 
 def _surface_points(depth: DepthMap) -> Doubles:
@@ -135,27 +167,44 @@ def _surface_points(depth: DepthMap) -> Doubles:
 
 
 def _outline_points(depth: DepthMap) -> Doubles:
-    """Return points half way between a contact pixel and its free neighbour, at the contact pixel's depth."""
+    """Return points half way between a contact pixel and its free neighbour, at the contact
+    pixel's depth.
+    """
     contact = depth.contact
     rows, cols = contact.shape
     found: list[Doubles] = []
     for axis in (0, 1):
-        first, second = (contact[:-1], contact[1:]) if axis == 0 else (contact[:, :-1], contact[:, 1:])
+        first, second = (
+            (contact[:-1], contact[1:]) if axis == 0 else (contact[:, :-1], contact[:, 1:])
+        )
         row, col = np.nonzero(first != second)
-        inner_row, inner_col = (row + ~contact[row, col], col) if axis == 0 else (row, col + ~contact[row, col])
+        inner_row, inner_col = (
+            (row + ~contact[row, col], col) if axis == 0 else (row, col + ~contact[row, col])
+        )
         y, x = (row + 0.5, col + 0.0) if axis == 0 else (row + 0.0, col + 0.5)
         z = depth.depth_mm[inner_row, inner_col]
         found.append(np.stack([x, y, z], axis=-1).astype(np.float64))
     x, y, z = np.concatenate(found).T
     margin = _BORDER_PX
-    kept = (x > margin) & (x < cols - 1 - margin) & (y > margin) & (y < rows - 1 - margin) & (z > MIN_DEPTH_MM)
-    x, y, z = x[kept], y[kept], z[kept]
+    kept = (
+        (x > margin)
+        & (x < cols - 1 - margin)
+        & (y > margin)
+        & (y < rows - 1 - margin)
+        & (z > MIN_DEPTH_MM)
+    )
+    x = x[kept]
+    y = y[kept]
+    z = z[kept]
     every = max(1, int(np.ceil(x.size / OUTLINE_POINTS)))
     return depth.camera.back_project_at(x[::every], y[::every], z[::every])
 
 
 def _normals(depth_mm: Doubles, camera: Camera) -> Doubles:
-    """Return unit normals (rows, cols, 3), z > 0, of the smoothed surface; NaN where it is unknown."""
+    """Return unit normals (rows, cols, 3), z > 0, of the smoothed surface.
+
+    NaN where it is unknown.
+    """
     import cv2
 
     known = np.isfinite(depth_mm)
@@ -172,12 +221,18 @@ def _normals(depth_mm: Doubles, camera: Camera) -> Doubles:
 
 
 def _outside_px(contact: Mask) -> Doubles:
-    """Return the signed distance (rows, cols) in pixels to the contact's outline; one sign if all pixels are alike."""
+    """Return the signed distance (rows, cols) in pixels to the contact's outline.
+
+    One sign if all pixels are alike.
+    """
     import cv2
 
     def to(mask: Mask) -> Doubles:
         if mask.all():
             return np.full(mask.shape, float(max(mask.shape)))
-        return np.asarray(cv2.distanceTransform(mask.view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float64)
+        return np.asarray(
+            cv2.distanceTransform(mask.view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE),
+            np.float64,
+        )
 
     return np.where(contact, 0.5 - to(contact), to(~contact) - 0.5)

@@ -1,4 +1,6 @@
-"""How well a touch transferred by an alignment agrees with the target's observation of it, and how sensitively."""
+"""How well a touch transferred by an alignment agrees with the target's observation of it, and
+how sensitively.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,9 +12,17 @@ from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.results import TargetDepth
 from pipeline.sensors.alignment import AXES, Alignment, Axis
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
-from pipeline.stages.target_depth.surface_projection import ProjectionParams, SurfaceProjectionParams, project_cloud
+from pipeline.stages.target_depth.surface_projection import (
+    ProjectionParams,
+    SurfaceProjectionParams,
+    project_cloud,
+)
 from pipeline.translation.alignment.nudge import axis_unit, nudge
-from pipeline.translation.alignment.target_observation import TargetObservation, compute_distance_px, find_edge
+from pipeline.translation.alignment.target_observation import (
+    TargetObservation,
+    compute_distance_px,
+    find_edge,
+)
 from pipeline.translation.alignment.touches import AlignmentTouch, find_pivot
 
 
@@ -21,10 +31,12 @@ class AlignmentScore:
     """Agreement within the source's field of view; None where there is nothing to compare."""
 
     iou: float  # of the contact masks; 1 where both are empty
-    edge_px: float | None  # mean distance of the outlines, both ways, in pixels of the target's full image
+    # mean distance of the outlines, both ways, in pixels of the target's full image
+    edge_px: float | None
     depth_mm: float | None  # median |difference| of depth where both are in contact
     depth_rms_mm: float | None
-    bias_mm: float | None  # median of transferred - observed; positive = too far from the target's camera
+    # median of transferred - observed; positive = too far from the target's camera
+    bias_mm: float | None
     overlap_px: int  # pixels of the scored grid in contact on both sides
 
 
@@ -50,11 +62,17 @@ def score_alignment(view: TargetDepth, observation: TargetObservation) -> Alignm
 
 
 def score_preview(
-    touch: AlignmentTouch, alignment: Alignment, observation: TargetObservation, params: ProjectionParams | None = None
+    touch: AlignmentTouch,
+    alignment: Alignment,
+    observation: TargetObservation,
+    params: ProjectionParams | None = None,
 ) -> tuple[TargetDepth, AlignmentScore]:
     """Render the touch under the alignment on the observation's grid, and score it."""
-    aligned, drawn = touch.apply_instance_shifts(alignment), params or SurfaceProjectionParams()
-    cloud = back_project_depth(touch.source, aligned, BackProjectionParams(stride=_stride(touch, observation)))
+    aligned = touch.apply_instance_shifts(alignment)
+    drawn = params or SurfaceProjectionParams()
+    cloud = back_project_depth(
+        touch.source, aligned, BackProjectionParams(stride=_stride(touch, observation))
+    )
     view = project_cloud(cloud, observation.spec, drawn)
     return view, score_alignment(view, observation)
 
@@ -93,8 +111,11 @@ def median_score(found: Sequence[AlignmentScore]) -> AlignmentScore | None:
 
 
 def _stride(touch: AlignmentTouch, observation: TargetObservation) -> int:
-    """Return a stride of source pixels: at most the observation's factor, no sparser than its pixels."""
-    camera, depth = touch.source.camera, touch.source.depth_mm[::16, ::16]
+    """Return a stride of source pixels: at most the observation's factor, no sparser than its
+    pixels.
+    """
+    camera = touch.source.camera
+    depth = touch.source.depth_mm[::16, ::16]
     seen = depth[np.isfinite(depth)]
     if observation.factor == 1 or not seen.size:
         return 1
@@ -104,7 +125,8 @@ def _stride(touch: AlignmentTouch, observation: TargetObservation) -> int:
 
 def _edge_px(view: TargetDepth, observation: TargetObservation) -> float | None:
     inside = _inside(view.in_view)
-    drawn, there = find_edge(view.contact) & inside, observation.edge & inside
+    drawn = find_edge(view.contact) & inside
+    there = observation.edge & inside
     if not drawn.any() or not there.any():
         return None
     onward = float(observation.edge_distance_px[drawn].mean())
@@ -125,10 +147,14 @@ _STEP_PX = 0.5  # masks change by whole pixels: smaller motions show nothing
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScoreChange:
-    """Change of one figure of the score along one axis, per 0.1 mm or 0.1 deg; None where unknown."""
+    """Change of one figure of the score along one axis, per 0.1 mm or 0.1 deg.
+
+    None where unknown.
+    """
 
     slope: float | None  # signed, toward the axis' positive direction
-    magnitude: float | None  # mean |change| to both sides: how much the axis matters, also at the optimum
+    # mean |change| to both sides: how much the axis matters, also at the optimum
+    magnitude: float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,8 +180,8 @@ def compute_sensitivities(
 ) -> tuple[Sensitivity, ...]:
     """Estimate the six axes by differences of thirteen previews on the grid of `observation`.
 
-    Moves by about half a pixel of that grid and states the change per 0.1 mm or 0.1 deg. Rotations are about `pivot`
-    (3,) mm in the target frame, by default the contact's centroid.
+    Moves by about half a pixel of that grid and states the change per 0.1 mm or 0.1 deg. Rotations
+    are about `pivot` (3,) mm in the target frame, by default the contact's centroid.
     """
     about = find_pivot(touch, alignment) if pivot is None else pivot
     here = score_preview(touch, alignment, observation, params)[1]
@@ -166,7 +192,9 @@ def compute_sensitivities(
         progress.step(done / len(AXES), f"moving along {axis}")
         step = turn_deg if axis_unit(axis) == "deg" else shift_mm
         down, up = (
-            score_preview(touch, nudge(alignment, axis, amount, pivot_mm=about), observation, params)[1]
+            score_preview(
+                touch, nudge(alignment, axis, amount, pivot_mm=about), observation, params
+            )[1]
             for amount in (-step, step)
         )
         score.append(
@@ -182,7 +210,9 @@ def compute_sensitivities(
     return tuple(score)
 
 
-def _change(down: AlignmentScore, here: AlignmentScore, up: AlignmentScore, name: str, step: float) -> ScoreChange:
+def _change(
+    down: AlignmentScore, here: AlignmentScore, up: AlignmentScore, name: str, step: float
+) -> ScoreChange:
     a, b, c = (getattr(s, name) for s in (down, here, up))
     per = UNIT_STEP / step
     slope = None if a is None or c is None else 0.5 * (c - a) * per

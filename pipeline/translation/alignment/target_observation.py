@@ -1,4 +1,6 @@
-"""Prepare the target's side of a touch once: while a handle is dragged only the source's side is computed."""
+"""Prepare the target's side of a touch once: while a handle is dragged only the source's side is
+computed.
+"""
 
 from dataclasses import dataclass
 
@@ -24,15 +26,18 @@ class TargetObservation:
     depth_mm: Floats  # (rows, cols) target frame; NaN outside the contact
     edge: Mask  # (rows, cols) outermost pixels of the contact
     edge_distance_px: (
-        Floats  # (rows, cols) distance to the nearest of them, in pixels of this grid; 0 everywhere if none
+        # (rows, cols) distance to the nearest of them, in pixels of this grid; 0 everywhere if none
+        Floats
     )
 
 
 def observe_target(target: DepthMap, spec: SensorSpec, *, factor: int = 1) -> TargetObservation:
-    """Reduce the target's depth map of a touch for `score`; `factor` 1 is full size, `PREVIEW_FACTOR` for dragging.
+    """Reduce the target's depth map of a touch for `score`.
 
-    The grid is that of the depth map's own camera. A pixel of a smaller grid is in contact where half of its area is.
-    Raises SettingProblem for a factor below 1.
+    `factor` 1 is full size, `PREVIEW_FACTOR` for dragging.
+
+    The grid is that of the depth map's own camera. A pixel of a smaller grid is in contact where
+    half of its area is. Raises SettingProblem for a factor below 1.
     """
     if factor < 1:
         raise SettingProblem(f"a preview takes every n-th pixel, with n at least 1, got {factor}")
@@ -52,24 +57,34 @@ def observe_target(target: DepthMap, spec: SensorSpec, *, factor: int = 1) -> Ta
 
 
 def choose_preview_factor(spec: SensorSpec) -> int:
-    """Return the factor for dragging: `PREVIEW_FACTOR`, less where the image would get too small."""
+    """Return the factor for dragging: `PREVIEW_FACTOR`, less where the image would get too
+    small.
+    """
     return max(1, min(PREVIEW_FACTOR, min(spec.camera.shape) // _MIN_ROWS))
 
 
 def find_edge(mask: Mask) -> Mask:
-    """Return the pixels of a mask with a neighbour outside it; the border of the image is no edge."""
+    """Return the pixels of a mask with a neighbour outside it.
+
+    The border of the image is no edge.
+    """
     import cv2
 
     return mask & (cv2.erode(mask.view(np.uint8), np.ones((3, 3), np.uint8)) == 0)
 
 
 def compute_distance_px(edge: Mask) -> Floats:
-    """Return each pixel's distance (rows, cols) to the nearest of `edge`; 0 everywhere where there is none."""
+    """Return each pixel's distance (rows, cols) to the nearest of `edge`.
+
+    0 everywhere where there is none.
+    """
     import cv2
 
     if not edge.any():
         return np.zeros(edge.shape, np.float32)
-    return np.asarray(cv2.distanceTransform((~edge).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5), np.float32)
+    return np.asarray(
+        cv2.distanceTransform((~edge).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5), np.float32
+    )
 
 
 def _resample(target: DepthMap, camera: Camera) -> tuple[Mask, Floats]:
@@ -86,5 +101,7 @@ def _resample(target: DepthMap, camera: Camera) -> tuple[Mask, Floats]:
         for a in (target.contact, usable, depth_mm)
     )
     contact = contact_share >= 0.5
-    mean = np.divide(depth_mm, share, out=np.full(share.shape, np.nan, np.float32), where=contact & (share > 0))
+    mean = np.divide(
+        depth_mm, share, out=np.full(share.shape, np.nan, np.float32), where=contact & (share > 0)
+    )
     return contact, mean

@@ -43,17 +43,21 @@ class AlignmentTouch:
 def find_pivot(touch: AlignmentTouch, alignment: Alignment) -> Doubles:
     """Return the contact's centroid (3,) in the described target frame: the pivot of rotations."""
     return compute_pivot_mm(
-        touch.source, shift_alignment_along_z(alignment, source_shift_mm=touch.source_shift_mm, target_shift_mm=0.0)
+        touch.source,
+        shift_alignment_along_z(
+            alignment, source_shift_mm=touch.source_shift_mm, target_shift_mm=0.0
+        ),
     )
 
 
 def load_paired_touch(
     translation: Translation, index: int, params: DepthParams | None = None, *, exact: bool = False
 ) -> AlignmentTouch:
-    """Load frame `index` of both sensors through the depth stage, or (`exact`) from the recording's ground truth.
+    """Load frame `index` of both sensors through the depth stage, or (`exact`) from the recording's
+    ground truth.
 
-    Raises SettingProblem when the target did not record, or when ground truth is requested and unknown; FileProblem for
-    a damaged frame.
+    Raises SettingProblem when the target did not record, or when ground truth is requested and
+    unknown; FileProblem for a damaged frame.
     """
     params = params or DepthParams()
     other = translation.read_target_observation(translation.check_index(index))
@@ -65,10 +69,17 @@ def load_paired_touch(
     frame, (target_frame, target_truth) = translation.stream.frame(index), other
     maps: list[DepthMap] = []
     for seen, spec, truth, look_up in (
-        (frame, translation.source, translation.read_source_truth(index) if exact else None, translation.calibration),
+        (
+            frame,
+            translation.source,
+            translation.read_source_truth(index) if exact else None,
+            translation.calibration,
+        ),
         (target_frame, translation.target, target_truth, None),
     ):
-        maps.append(_make_exact(seen, spec, truth) if exact else _measure(seen, spec, look_up, params))
+        maps.append(
+            _make_exact(seen, spec, truth) if exact else _measure(seen, spec, look_up, params)
+        )
     return AlignmentTouch(
         index=index,
         source=maps[0],
@@ -86,7 +97,9 @@ def load_paired_touches(
     exact: bool = False,
     progress: Progress = SILENT,
 ) -> tuple[AlignmentTouch, ...]:
-    """Load the frames with contact on both sensors, in order; raises like `load_paired_touch`, and where there is none.
+    """Load the frames with contact on both sensors, in order.
+
+    Raises like `load_paired_touch`, and where there is none.
 
     Frames at whose time the target recorded none are left out, unless all are.
     """
@@ -106,14 +119,17 @@ def load_paired_touches(
     return tuple(touches)
 
 
-def _measure(frame: TactileFrame, spec: SensorSpec, look_up: Calibration | None, params: DepthParams) -> DepthMap:
+def _measure(
+    frame: TactileFrame, spec: SensorSpec, look_up: Calibration | None, params: DepthParams
+) -> DepthMap:
     return estimate_depth(frame, spec, look_up, params)
 
 
 def _make_exact(frame: TactileFrame, spec: SensorSpec, truth: Truth | None) -> DepthMap:
     if truth is None or truth.indentation_mm is None or truth.contact is None:
         raise SettingProblem(
-            f"the ground truth of frame {frame.index} of {spec.name} is not known; use the depth stage"
+            f"the ground truth of frame {frame.index} of {spec.name} is not known; use the depth "
+            "stage"
         )
     camera = frame.camera or spec.camera
     rest = spec.rest_depth_mm if camera == spec.camera else spec.membrane.rest_depth_mm(camera)

@@ -1,4 +1,5 @@
-"""Export one file of a translation, as the window shows it: image, points, arrays, table, video or viewer file.
+"""Export one file of a translation, as the window shows it: image, points, arrays, table, video or
+viewer file.
 
 The window and the command line both call `export_file`, so that they write the same bytes.
 """
@@ -37,16 +38,19 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 DEFAULT_VIDEO_RATE_HZ = 10.0  # of a video, where the recording has no timestamps
 _CACHE_BYTES = 32 * 1024 * 1024
-_UNDATED: Mapping[str, Mapping[str, None]] = {  # no dates in the files: the same content gives the same bytes
-    "png": {"Software": None}, "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
-}  # fmt: skip
+# no dates in the files: the same content gives the same bytes
+_UNDATED: Mapping[str, Mapping[str, None]] = {
+    "png": {"Software": None},
+    "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportOutcome:
     """What the reader of a written file should know."""
 
-    fallbacks: tuple[str, ...]  # stages that another method or the recording's truth answered, and why
+    # stages that another method or the recording's truth answered, and why
+    fallbacks: tuple[str, ...]
     problems: tuple[str, ...]  # frames that could not be read and are left out, and why
 
 
@@ -61,12 +65,22 @@ def export_file(asked: ExportRequest, progress: Progress = SILENT) -> ExportOutc
         if asked.path.suffix.lower() != ".csv":
             raise FileProblem("a section is written as a table, .csv", asked.path)
     if write is None:
-        raise FileProblem(f"nothing is written as this kind of file; known are {', '.join(_WRITERS)}", asked.path)
+        raise FileProblem(
+            f"nothing is written as this kind of file; known are {', '.join(_WRITERS)}", asked.path
+        )
     request = asked.request
-    inputs = (request.recording, request.reference, request.calibration, request.mesh, request.alignment)
+    inputs = (
+        request.recording,
+        request.reference,
+        request.calibration,
+        request.mesh,
+        request.alignment,
+    )
     require_separate(asked.path, [*filter(None, inputs), *(file for _, file in request.weights)])
     check_folder_for(asked.path)
-    with open_translation(request, settings=asked.stage_settings, cache_bytes=_CACHE_BYTES) as translation:
+    with open_translation(
+        request, settings=asked.stage_settings, cache_bytes=_CACHE_BYTES
+    ) as translation:
         for pane in asked.pane.split(",") if asked.section else [asked.pane]:
             if pane not in (SHEET, SOURCE, *translation.stages):
                 known = ", ".join((SHEET, SOURCE, *translation.stages))
@@ -81,7 +95,9 @@ class _Work:
     """Open resources of one export."""
 
     def __init__(self, asked: ExportRequest, translation: Translation, progress: Progress) -> None:
-        self.asked, self.translation, self.progress = asked, translation, progress
+        self.asked = asked
+        self.translation = translation
+        self.progress = progress
         self.display = asked.display_params
         self.replaced = {translation.truth_label} if translation.truth_label else set[str]()
         self.problems: dict[int, FileProblem] = {}
@@ -92,7 +108,10 @@ class _Work:
         return parse_frames(self.asked.frames, self.translation.n_frames)
 
     def make_each(self, make: Callable[[int], T]) -> Iterator[T]:
-        """Yield what `make` returns for each requested frame; those that cannot be read are noted and left out."""
+        """Yield what `make` returns for each requested frame.
+
+        Those that cannot be read are noted and left out.
+        """
         indices = self.frame_indices
         for done, index in enumerate(indices):
             self.progress.step(done / len(indices), f"frame {index}")
@@ -105,7 +124,9 @@ class _Work:
         if len(self.problems) == len(indices):
             raise self.problems[indices[0]]
 
-    def evaluate_frame(self, index: int, *, every: bool = False) -> tuple[TactileFrame, dict[str, StageResult]]:
+    def evaluate_frame(
+        self, index: int, *, every: bool = False
+    ) -> tuple[TactileFrame, dict[str, StageResult]]:
         """Return a frame and its stages up to the requested one, or `every` one."""
         stages = self.translation.stages
         if self.asked.pane in stages and not every:
@@ -114,10 +135,14 @@ class _Work:
             stages = ()
         frame = self.translation.stream.frame(self.translation.check_index(index))
         results = self.translation.evaluate(frame, stages, self.progress) if stages else {}
-        self.replaced |= {f"{name}: {result.fallback}" for name, result in results.items() if result.fallback}
+        self.replaced |= {
+            f"{name}: {result.fallback}" for name, result in results.items() if result.fallback
+        }
         return frame, results
 
-    def compute_all_metrics(self, results: Mapping[str, StageResult], index: int) -> Mapping[str, float]:
+    def compute_all_metrics(
+        self, results: Mapping[str, StageResult], index: int
+    ) -> Mapping[str, float]:
         """Return the metrics of a frame, with its force."""
         force = measure_force(results, index, self.translation)
         return {**self.translation.compute_metrics(results, index), **force}
@@ -140,9 +165,13 @@ class _Work:
             raise SettingProblem("a sheet is no cloud of points; name one pane of it with --pane")
         return self._pane(*self.evaluate_frame(index))
 
-    def _pane(self, frame: TactileFrame, results: Mapping[str, StageResult]) -> pane_figures.RenderedPane:
+    def _pane(
+        self, frame: TactileFrame, results: Mapping[str, StageResult]
+    ) -> pane_figures.RenderedPane:
         asked = self.asked
-        return pane_figures.render_pane(asked.pane, frame, results, self.translation, self.display, asked.content)
+        return pane_figures.render_pane(
+            asked.pane, frame, results, self.translation, self.display, asked.content
+        )
 
 
 def _picture(work: _Work) -> None:
@@ -156,15 +185,19 @@ def _points(work: _Work) -> None:
     shown = work.render_pane(work.translation.check_index(work.asked.frame))
     if not len(shown.points_mm):
         raise SettingProblem(
-            f"{work.asked.pane} of frame {work.asked.frame} has no point: nothing touches there; choose another frame"
+            f"{work.asked.pane} of frame {work.asked.frame} has no point: nothing touches there; "
+            "choose another frame"
         )
     head = (
-        f"ply\nformat binary_little_endian 1.0\ncomment {shown.title}, mm, {shown.preview.frame_name}\n"
-        f"element vertex {len(shown.points_mm)}\nproperty float x\nproperty float y\nproperty float z\n"
+        f"ply\nformat binary_little_endian 1.0\ncomment {shown.title}, mm, "
+        f"{shown.preview.frame_name}\n"
+        f"element vertex {len(shown.points_mm)}\nproperty float x\nproperty float y\nproperty "
+        "float z\n"
         "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n"
     )
     rows: Any = np.empty(len(shown.points_mm), dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3)])
-    rows["xyz"], rows["rgb"] = shown.points_mm, shown.rgb
+    rows["xyz"] = shown.points_mm
+    rows["rgb"] = shown.rgb
     with open_atomic(work.asked.path, "the points", None) as file:
         file.write(head.encode("ascii", "replace"))
         file.write(rows.tobytes())
@@ -173,12 +206,19 @@ def _points(work: _Work) -> None:
 def _arrays(work: _Work) -> None:
     frame, results = work.evaluate_frame(work.translation.check_index(work.asked.frame))
     pane = work.asked.pane
-    wanted = results if pane == SHEET else {name: result for name, result in results.items() if name == pane}
+    wanted = (
+        results
+        if pane == SHEET
+        else {name: result for name, result in results.items() if name == pane}
+    )
     write_arrays(work.asked.path, collect_stage_arrays(frame, wanted))
 
 
 def _table(work: _Work) -> None:
-    """Write force and all metrics against truth, one row per frame; up to the requested stage, if it is one."""
+    """Write force and all metrics against truth, one row per frame.
+
+    Up to the requested stage, if it is one.
+    """
 
     def make_row(index: int) -> tuple[int, float, Mapping[str, float]]:
         frame, results = work.evaluate_frame(index, every=work.asked.pane == SOURCE)
@@ -200,20 +240,32 @@ def _table(work: _Work) -> None:
 def _section(work: _Work) -> None:
     """Write the heights of all panes along a line, as the window's tab copies them."""
     x0, y0, x1, y1 = work.asked.section
-    line, translation = cross_section.SectionLine(begin_mm=(x0, y0), end_mm=(x1, y1)), work.translation
+    line = cross_section.SectionLine(begin_mm=(x0, y0), end_mm=(x1, y1))
+    translation = work.translation
     if not (np.isfinite(work.asked.section).all() and line.length_mm > 0):
-        raise SettingProblem(f"a section needs a line that is longer than nothing, got {x0}, {y0} to {x1}, {y1} mm")
+        raise SettingProblem(
+            f"a section needs a line that is longer than nothing, got {x0}, {y0} to {x1}, {y1} mm"
+        )
     index = translation.check_index(work.asked.frame)
     frame, results = work.evaluate_frame(index, every=True)
-    wanted = (SOURCE, *translation.stages) if work.asked.pane == SHEET else work.asked.pane.split(",")
+    wanted = (
+        (SOURCE, *translation.stages) if work.asked.pane == SHEET else work.asked.pane.split(",")
+    )
     shown = [
-        (name, pane_figures.render_pane(name, frame, results, translation, work.display).preview,
-         None if name == SOURCE else results[name].output)
+        (
+            name,
+            pane_figures.render_pane(name, frame, results, translation, work.display).preview,
+            None if name == SOURCE else results[name].output,
+        )
         for name in wanted
-    ]  # fmt: skip
-    fields = cross_section.collect_height_maps(translation, translation.read_ground_truth(index), shown)
+    ]
+    fields = cross_section.collect_height_maps(
+        translation, translation.read_ground_truth(index), shown
+    )
     if not fields:
-        raise SettingProblem(f"{work.asked.pane} of frame {index} has no heights to be cut; name another pane")
+        raise SettingProblem(
+            f"{work.asked.pane} of frame {index} has no heights to be cut; name another pane"
+        )
     with open_atomic(work.asked.path, "the section", None) as file:
         file.write(cross_section.format_csv(cross_section.cut_section(line, fields)).encode())
 
@@ -225,7 +277,9 @@ def _video(work: _Work) -> None:
 
 
 def _sample_stages(work: _Work) -> Iterator[StageSample]:
-    """Yield source and stages of every requested frame, or the requested pane, with points in the target's frame."""
+    """Yield source and stages of every requested frame, or the requested pane, with points in
+    the target's frame.
+    """
     translation = work.translation
     panes = (SOURCE, *translation.stages) if work.asked.pane == SHEET else (work.asked.pane,)
 
@@ -236,17 +290,29 @@ def _sample_stages(work: _Work) -> Iterator[StageSample]:
     for frame, results, metrics in work.make_each(evaluate):
         target_from_source = translation.alignment.target_from_source
         for name in panes:
-            shown = pane_figures.render_pane(name, frame, results, translation, work.display, work.asked.content)
+            shown = pane_figures.render_pane(
+                name, frame, results, translation, work.display, work.asked.content
+            )
             is_source = name == SOURCE or translation.catalogue.stage(name).sensor_role == "source"
             value = None if name == SOURCE else results[name].output
-            points_mm = rigid.apply(target_from_source, shown.points_mm) if is_source else shown.points_mm
+            points_mm = (
+                rigid.apply(target_from_source, shown.points_mm) if is_source else shown.points_mm
+            )
             yield StageSample(
-                name=name, frame=frame.index, pixels=shown.preview.pixels, points_mm=points_mm.astype(np.float32),
-                rgb=shown.rgb, depth_mm=getattr(value, "depth_mm", None),
-                time_s=frame.time_s if np.isfinite(frame.time_s) else frame.index / DEFAULT_VIDEO_RATE_HZ,
+                name=name,
+                frame=frame.index,
+                pixels=shown.preview.pixels,
+                points_mm=points_mm.astype(np.float32),
+                rgb=shown.rgb,
+                depth_mm=getattr(value, "depth_mm", None),
+                time_s=frame.time_s
+                if np.isfinite(frame.time_s)
+                else frame.index / DEFAULT_VIDEO_RATE_HZ,
                 target_from_object=getattr(value, "sensor_from_object", None),
-                metrics={key: number for key, number in metrics.items() if key.startswith(f"{name}.")},
-            )  # fmt: skip
+                metrics={
+                    key: number for key, number in metrics.items() if key.startswith(f"{name}.")
+                },
+            )
 
 
 def _rgb(drawn: Figure) -> Any:
@@ -264,7 +330,9 @@ def _rate_hz(translation: Translation, indices: Sequence[int]) -> float:
             times.append(translation.stream.frame(index).time_s)
     steps = np.diff(times)
     steps = steps[np.isfinite(steps) & (steps > 0)]
-    return float(np.clip(1.0 / np.median(steps), 1.0, 120.0)) if steps.size else DEFAULT_VIDEO_RATE_HZ
+    return (
+        float(np.clip(1.0 / np.median(steps), 1.0, 120.0)) if steps.size else DEFAULT_VIDEO_RATE_HZ
+    )
 
 
 def _number(value: float) -> str:
@@ -272,8 +340,15 @@ def _number(value: float) -> str:
 
 
 _WRITERS: Mapping[str, Callable[[_Work], None]] = {
-    ".png": _picture, ".pdf": _picture, ".ply": _points, ".npz": _arrays, ".csv": _table,
-    ".mp4": _video, ".avi": _video,
-    ".rrd": lambda work: viewer_files.write_rrd(work.asked.path, _sample_stages(work), work.translation.mesh),
+    ".png": _picture,
+    ".pdf": _picture,
+    ".ply": _points,
+    ".npz": _arrays,
+    ".csv": _table,
+    ".mp4": _video,
+    ".avi": _video,
+    ".rrd": lambda work: viewer_files.write_rrd(
+        work.asked.path, _sample_stages(work), work.translation.mesh
+    ),
     ".mcap": lambda work: viewer_files.write_mcap(work.asked.path, _sample_stages(work)),
-}  # fmt: skip
+}

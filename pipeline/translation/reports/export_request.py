@@ -1,4 +1,6 @@
-"""Export request: everything that one exported file depends on, so that it can be written as a command too."""
+"""Export request: everything that one exported file depends on, so that it can be written as a
+command too.
+"""
 
 import os
 import shlex
@@ -13,15 +15,23 @@ from pipeline.sensors.alignment import Offsets
 from pipeline.translation.translate import Request
 from pipeline.views.display_params import DisplayParams
 
-SHEET, SOURCE = "sheet", "source"  # panes that are no stages: all of them side by side, and the source frame
+# panes that are no stages: all of them side by side, and the source frame
+SHEET = "sheet"
+SOURCE = "source"
 PaneContent = Literal["computed", "truth", "difference"]
 _DISPLAY = "display."
 _OPTIONS = {  # field of a request -> option of the command line
-    "source": "--sensor", "stream": "--stream", "reference": "--reference",
-    "reference_frames": "--reference-frames", "calibration": "--calibration",
-    "route": "--route", "mesh": "--mesh", "mesh_unit": "--mesh-unit", "depth_unit": "--depth-unit",
+    "source": "--sensor",
+    "stream": "--stream",
+    "reference": "--reference",
+    "reference_frames": "--reference-frames",
+    "calibration": "--calibration",
+    "route": "--route",
+    "mesh": "--mesh",
+    "mesh_unit": "--mesh-unit",
+    "depth_unit": "--depth-unit",
     "alignment": "--alignment",
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +64,9 @@ class ExportRequest:
 
 
 def format_settings(params: Mapping[str, object]) -> tuple[str, ...]:
-    """Return the settings that turn the defaults into these parameters (stage or "display" -> parameters)."""
+    """Return the settings that turn the defaults into these parameters (stage or "display" ->
+    parameters).
+    """
     lines: list[str] = []
     for stage, given in params.items():
         usual = list_settings(type(given)())
@@ -85,7 +97,10 @@ def format_options(request: Request) -> list[str]:
     for name, option in _OPTIONS.items():
         value = getattr(request, name)
         if value != usual[name]:
-            words += [option, os.fspath(value.absolute()) if isinstance(value, Path) else str(value)]
+            words += [
+                option,
+                os.fspath(value.absolute()) if isinstance(value, Path) else str(value),
+            ]
     words += _several("--method", (f"{stage}={name}" for stage, name in request.methods))
     files = ((f"{stage}=" if stage else "", file.absolute()) for stage, file in request.weights)
     words += _several("--weights", (f"{of}{file}" for of, file in files))
@@ -106,7 +121,9 @@ def _several(option: str, values: Iterable[str]) -> Sequence[str]:
 
 
 def _format_value(value: object) -> str:
-    """Return a value as text that reads back unchanged, even where the command line takes 1e-05 for an option."""
+    """Return a value as text that reads back unchanged, even where the command line takes 1e-05
+    for an option.
+    """
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):

@@ -21,4 +21,6 @@ class FrameReport:
     @property
     def without_arrays(self) -> FrameReport:
         """Return the report without arrays, small enough to keep thousands of them."""
-        return replace(self, results={name: replace(r, output=None) for name, r in self.results.items()})
+        return replace(
+            self, results={name: replace(r, output=None) for name, r in self.results.items()}
+        )

@@ -18,12 +18,18 @@ from pipeline.translation.reports.export_request import SOURCE, PaneContent
 from pipeline.translation.translate import Translation
 from pipeline.views.difference import compute_difference
 from pipeline.views.display_params import DisplayParams
-from pipeline.views.preview import PixelPositions, Preview, compute_rest_depth_mm, make_recorded_preview
+from pipeline.views.preview import (
+    PixelPositions,
+    Preview,
+    compute_rest_depth_mm,
+    make_recorded_preview,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_INCHES, _DPI = (5.6, 4.6), 150
+_INCHES = (5.6, 4.6)
+_DPI = 150
 _AXES = (0.04, 0.13, 0.8, 0.77)
 
 
@@ -45,19 +51,28 @@ def render_pane(
     display: DisplayParams,
     shown: PaneContent = "computed",
 ) -> RenderedPane:
-    """Return the pane of a stage or of the source; raises SettingProblem where the requested truth is unknown."""
+    """Return the pane of a stage or of the source.
+
+    Raises SettingProblem where the requested truth is unknown.
+    """
     if name == SOURCE:
         return _reading(frame, translation, display)
     stage = translation.catalogue.stage(name)
-    seen, value = translation.make_preview_context(results, display), results[name].output
+    seen = translation.make_preview_context(results, display)
+    value = results[name].output
     view = translation.catalogue.views[name]
     picture = view.make_preview(value, seen)
-    title = ", ".join(filter(None, (f"{stage.title} · {results[name].answered_by}", translation.truth_label)))
+    title = ", ".join(
+        filter(None, (f"{stage.title} · {results[name].answered_by}", translation.truth_label))
+    )
     if shown != "computed":
         truths = translation.read_true_outputs(frame.index)
         if name not in truths:
-            raise SettingProblem(f"the truth of {name} is not known of frame {frame.index} of this recording")
-        value, title = truths[name], f"{title}, {shown}"
+            raise SettingProblem(
+                f"the truth of {name} is not known of frame {frame.index} of this recording"
+            )
+        value = truths[name]
+        title = f"{title}, {shown}"
         true = view.make_preview(value, replace(seen, outputs={**seen.outputs, **truths}))
         picture = true if shown == "truth" else _less(picture, true, name)
     points_mm, rgb = _points(value, picture)
@@ -85,7 +100,9 @@ def _reading(frame: TactileFrame, translation: Translation, display: DisplayPara
 def _less(made: Preview, true: Preview, name: str) -> Preview:
     gap = compute_difference(made, true)
     if gap is None:
-        raise SettingProblem(f"what was worked out of {name} and its truth cannot be subtracted; show one of them")
+        raise SettingProblem(
+            f"what was worked out of {name} and its truth cannot be subtracted; show one of them"
+        )
     return gap
 
 

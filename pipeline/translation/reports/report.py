@@ -32,7 +32,9 @@ from pipeline.translation.translate import Translation
 FRAME_FILES = ("frame.json", "stages.npz", "sheet.png")  # of one frame's folder
 
 
-def collect_stage_arrays(frame: TactileFrame, results: Mapping[str, StageResult]) -> dict[str, NDArray[Any]]:
+def collect_stage_arrays(
+    frame: TactileFrame, results: Mapping[str, StageResult]
+) -> dict[str, NDArray[Any]]:
     """Return every array of every stage as `stage.field`; a camera becomes its K (3, 3)."""
     arrays: dict[str, NDArray[Any]] = {"source.image": frame.shown_image}
     if frame.reference is not None:
@@ -42,7 +44,9 @@ def collect_stage_arrays(frame: TactileFrame, results: Mapping[str, StageResult]
         if result.method is not None and result.method.name == TRUTH:
             arrays[f"{name}.is_truth"] = np.asarray(True)
         for kept in ("steps", "alternatives"):
-            poses = [getattr(one, "sensor_from_object", one) for one in getattr(result.output, kept, ())]
+            poses = [
+                getattr(one, "sensor_from_object", one) for one in getattr(result.output, kept, ())
+            ]
             if poses:
                 arrays[f"{name}.{kept}"] = np.stack(poses)
     return arrays
@@ -67,8 +71,12 @@ def frame_folder(out: Path, index: int) -> Path:
     return out / f"frame_{index:04d}"
 
 
-def write_frame(out: Path, frame: TactileFrame, report: FrameReport, translation: Translation, key: str = "") -> Path:
-    """Write `frame_NNNN/` with stages.npz, sheet.png and frame.json under `out`; returns that folder.
+def write_frame(
+    out: Path, frame: TactileFrame, report: FrameReport, translation: Translation, key: str = ""
+) -> Path:
+    """Write `frame_NNNN/` with stages.npz, sheet.png and frame.json under `out`.
+
+    Returns that folder.
 
     A later run recognises the finished frame by its `key`; without one it is made again.
     """
@@ -99,7 +107,9 @@ def write_report(out: Path, translation: Translation, frames: Sequence[FrameRepo
             "source": translation.source.name,
             "target": translation.target.name,
             "notes": translation.notes,
-            "metrics": {name: asdict(METRICS[name.partition(".")[2]]) for name in _figure_names(frames)},
+            "metrics": {
+                name: asdict(METRICS[name.partition(".")[2]]) for name in _figure_names(frames)
+            },
             "frames": [_to_json(f) for f in frames],
         },
     )
@@ -113,11 +123,22 @@ def _figure_names(frames: Sequence[FrameReport]) -> list[str]:
 
 def _to_json(frame: FrameReport) -> dict[str, object]:
     stages = [
-        {"name": r.name, "ms": round(r.ms, 3), "skipped": r.state == "skipped", "state": r.state, "notes": r.notes,
-         "warnings": r.warnings, "fallback": r.fallback}
+        {
+            "name": r.name,
+            "ms": round(r.ms, 3),
+            "skipped": r.state == "skipped",
+            "state": r.state,
+            "notes": r.notes,
+            "warnings": r.warnings,
+            "fallback": r.fallback,
+        }
         for r in frame.results.values()
-    ]  # fmt: skip
-    lines: dict[str, object] = {"index": frame.index, "stages": stages, "metrics": dict(frame.metrics)}
+    ]
+    lines: dict[str, object] = {
+        "index": frame.index,
+        "stages": stages,
+        "metrics": dict(frame.metrics),
+    }
     if frame.problem:
         lines["problem"] = frame.problem
     return lines
@@ -139,7 +160,8 @@ def compute_frame_key(
     *,
     with_force: bool,
 ) -> str:
-    """Return the digest of everything a frame's results depend on: contents, truth, settings, versions, previous frame.
+    """Return the digest of everything a frame's results depend on: contents, truth, settings,
+    versions, previous frame.
 
     Raises FileProblem if the frame is damaged.
     """
@@ -160,7 +182,10 @@ def compute_frame_key(
 
 
 def load_finished_frame(out: Path, index: int, key: str) -> FinishedFrame | None:
-    """Return frame `index` of an earlier run under `out`; None if it is incomplete or was made from other inputs."""
+    """Return frame `index` of an earlier run under `out`.
+
+    None if it is incomplete or was made from other inputs.
+    """
     folder = frame_folder(out, index)
     with contextlib.suppress(Exception):  # a frame that cannot be read is made again
         record = json.loads((folder / "frame.json").read_text(encoding="utf-8"))
@@ -172,12 +197,22 @@ def load_finished_frame(out: Path, index: int, key: str) -> FinishedFrame | None
 
 def _report(record: Mapping[str, Any]) -> FrameReport:
     results = {
-        s["name"]: StageResult(name=s["name"], method=None, output=None, state=s["state"], ms=s["ms"],
-                               notes=tuple(StageWarning(n) if n in s["warnings"] else n for n in s["notes"]), digest="",
-                               fallback=s["fallback"])
+        s["name"]: StageResult(
+            name=s["name"],
+            method=None,
+            output=None,
+            state=s["state"],
+            ms=s["ms"],
+            notes=tuple(StageWarning(n) if n in s["warnings"] else n for n in s["notes"]),
+            digest="",
+            fallback=s["fallback"],
+        )
         for s in record["stages"]
-    }  # fmt: skip
-    metrics = {name: float("nan") if value is None else float(value) for name, value in record["metrics"].items()}
+    }
+    metrics = {
+        name: float("nan") if value is None else float(value)
+        for name, value in record["metrics"].items()
+    }
     return FrameReport(index=record["index"], results=results, metrics=metrics)
 
 

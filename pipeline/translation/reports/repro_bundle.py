@@ -1,7 +1,8 @@
 """Repro bundle: a folder with one frame, all that its translation reads, and its results.
 
 bundle.json      request with paths within the folder, metrics, a note, the command that replays it
-frame.h5         the frame of both sensors with ground truth, the object and the alignment; then the context frames
+frame.h5         the frame of both sensors with ground truth, the object and the alignment; then the
+context frames
                  that the illumination of the sensor instance is estimated from
 alignment.toml   the alignment in use, with offsets
 expected.npz     every array of every stage
@@ -23,7 +24,14 @@ from numpy.typing import NDArray
 
 from pipeline import __version__
 from pipeline.core.errors import FileProblem
-from pipeline.core.files import read_arrays, read_json, write_arrays, write_folder, write_json, write_text
+from pipeline.core.files import (
+    read_arrays,
+    read_json,
+    write_arrays,
+    write_folder,
+    write_json,
+    write_text,
+)
 from pipeline.core.geometry import urdf
 from pipeline.core.graph import StageResult
 from pipeline.core.progress import SILENT, Progress, SubProgress
@@ -80,7 +88,8 @@ class StageAgreement:
     stage: str
     n_arrays: int
     largest_difference: (
-        float  # difference, as a share of the array's own range; 0 = the same bytes, inf = another shape
+        # difference, as a share of the array's own range; 0 = the same bytes, inf = another shape
+        float
     )
     worst_array: str  # that differs most
 
@@ -97,7 +106,9 @@ class ReplayResult:
     @property
     def is_same(self) -> bool:
         """Whether all results are the same but for rounding."""
-        return all(agreement.largest_difference <= REPLAY_TOLERANCE for agreement in self.agreements)
+        return all(
+            agreement.largest_difference <= REPLAY_TOLERANCE for agreement in self.agreements
+        )
 
 
 def write_bundle(
@@ -111,7 +122,9 @@ def write_bundle(
 ) -> None:
     """Write the repro bundle of one frame into a new `folder`; raises TouchError."""
     if folder.exists():
-        raise FileProblem("something of this name is there already and is kept; choose another", folder)
+        raise FileProblem(
+            "something of this name is there already and is kept; choose another", folder
+        )
     with open_translation(request) as translation:
         index = translation.check_index(frame)
 
@@ -120,43 +133,58 @@ def write_bundle(
             _record(translation, index, part / "frame.h5")
             values = {name: getattr(inside, name) for name in _WORDS}
             values |= {name: getattr(getattr(inside, name), "name", None) for name in _FILES}
-            values |= {"methods": dict(inside.methods), "weights": {stage: file.name for stage, file in inside.weights}}
+            values |= {
+                "methods": dict(inside.methods),
+                "weights": {stage: file.name for stage, file in inside.weights},
+            }
             metrics = _write_results(part, inside, settings, index, progress)
             write_json(
                 part / "bundle.json",
                 {
-                    _VERSION_KEY: _VERSION, "made with": __version__, "note": note, "frame": index,
+                    _VERSION_KEY: _VERSION,
+                    "made with": __version__,
+                    "note": note,
+                    "frame": index,
                     "of": str(request.recording),
                     "command": shlex.join(["tactoscope", "replay", str(folder.absolute())]),
-                    "translate": _translating(inside, settings), "request": values, "settings": list(settings),
+                    "translate": _translating(inside, settings),
+                    "request": values,
+                    "settings": list(settings),
                     "metrics": metrics,
                 },
                 "the repro bundle",
                 lambda written: _read(written.parent),
-            )  # fmt: skip
+            )
 
         write_folder(folder, fill)
 
 
 def replay_bundle(folder: Path, progress: Progress = SILENT) -> ReplayResult:
-    """Translate a bundle's frame again and compare it with the recorded results; raises TouchError."""
+    """Translate a bundle's frame again and compare it with the recorded results.
+
+    Raises TouchError.
+    """
     said = _read(folder)
     request = _request(said.request, folder)
     with _open(request, said.settings) as translation:
         frame, results, metrics = _translate(translation, progress)
-    now, kept = collect_stage_arrays(frame, results), read_arrays(folder / "expected.npz", "the expected results")
+    now = collect_stage_arrays(frame, results)
+    kept = read_arrays(folder / "expected.npz", "the expected results")
     stages = dict.fromkeys(name.partition(".")[0] for name in (*kept, *now))
     return ReplayResult(
-        note=said.note, metrics=metrics,
+        note=said.note,
+        metrics=metrics,
         expected_metrics={k: float("nan") if v is None else v for k, v in said.metrics.items()},
         agreements=tuple(_agreement(stage, now, kept) for stage in stages),
-    )  # fmt: skip
+    )
 
 
 def _write_results(
     part: Path, inside: Request, settings: tuple[str, ...], index: int, progress: Progress
 ) -> dict[str, float]:
-    """Translate the copied frame, write what was computed and what is known of the truth; returns the metrics.
+    """Translate the copied frame, write what was computed and what is known of the truth.
+
+    Returns the metrics.
 
     `index` is the frame's number in the recording, by which the sheets name it.
     """
@@ -185,22 +213,35 @@ def _translate(
 def _copy_inputs(translation: Translation, part: Path) -> Request:
     """Copy all input files into the folder; returns the request of the copies."""
     request = translation.request
-    source, target = translation.source.name, translation.target.name
+    source = translation.source.name
+    target = translation.target.name
     aligned = AlignmentFile(
-        alignment=translation.alignment, source=source, target=target,
+        alignment=translation.alignment,
+        source=source,
+        target=target,
         origin=f"in use on {request.recording.name} when the bundle was written",
-    )  # fmt: skip
+    )
     save_alignment(part / "alignment.toml", aligned)
-    weights = tuple((stage, _copy(file, part / f"weights_{stage}{file.suffix}")) for stage, file in request.weights)
+    weights = tuple(
+        (stage, _copy(file, part / f"weights_{stage}{file.suffix}"))
+        for stage, file in request.weights
+    )
     return replace(
-        request, recording=part / "frame.h5", reference=None, reference_frames="",
-        alignment=part / "alignment.toml", offsets=Offsets(),
+        request,
+        recording=part / "frame.h5",
+        reference=None,
+        reference_frames="",
+        alignment=part / "alignment.toml",
+        offsets=Offsets(),
         source=_sensor(request.source or source, part / "source.toml"),
-        target=_sensor(request.target or target, part / "target.toml"), stream=translation.stream.name,
+        target=_sensor(request.target or target, part / "target.toml"),
+        stream=translation.stream.name,
         mesh=None if request.mesh is None else _copy_mesh(request.mesh, part),
-        calibration=None if request.calibration is None else _copy(request.calibration, part / "calibration.npz"),
+        calibration=None
+        if request.calibration is None
+        else _copy(request.calibration, part / "calibration.npz"),
         weights=weights,
-    )  # fmt: skip
+    )
 
 
 def _sensor(said: str, place: Path) -> str:
@@ -226,41 +267,61 @@ def _copy(file: Path, place: Path) -> Path:
 
 def _record(translation: Translation, index: int, path: Path) -> None:
     """Write the frame of both sensors with ground truth, and its context frames."""
-    recording, stream = translation.recording, translation.stream
+    recording = translation.recording
+    stream = translation.stream
     other = recording.find_partner(stream.name, translation.target.name)
     names = {stream.name, *(() if other is None else (other.name,))}
     pairings = [pair for pair in recording.pairings if {pair.source, pair.target} <= names]
     with RecordingWriter(
-        path, object_mesh=recording.object_mesh, symmetry=recording.symmetry, pairings=pairings, notes=recording.notes
+        path,
+        object_mesh=recording.object_mesh,
+        symmetry=recording.symmetry,
+        pairings=pairings,
+        notes=recording.notes,
     ) as writer:
         reference = stream.frame(index).reference
-        context = select_context_frames(stream) if translation.load_context_images(reference) else ()
+        context = (
+            select_context_frames(stream) if translation.load_context_images(reference) else ()
+        )
         is_observed = False
         for place, k in enumerate(dict.fromkeys((index, *(frame.index for frame in context)))):
             source_frame = replace(stream.frame(k), sensor=translation.source.name, index=place)
             writer.append(stream.name, source_frame, stream.truth(k))
             observed = translation.read_target_observation(k)
-            is_observed = observed is not None and (place == 0 or is_observed)  # else a later one would be the first
+            # else a later one would be the first
+            is_observed = observed is not None and (place == 0 or is_observed)
             if is_observed and observed is not None and other is not None:
                 writer.append(other.name, replace(observed[0], index=place), observed[1])
 
 
 def _translating(request: Request, settings: tuple[str, ...]) -> str:
     """Return the command that translates the frame within the folder."""
-    words = [word.removeprefix(str(request.recording.parent.absolute()) + "/") for word in format_options(request)]
-    sets = [word for line in settings if not line.startswith("display.") for word in ("--set", line)]
+    words = [
+        word.removeprefix(str(request.recording.parent.absolute()) + "/")
+        for word in format_options(request)
+    ]
+    sets = [
+        word for line in settings if not line.startswith("display.") for word in ("--set", line)
+    ]
     return shlex.join(["tactoscope", "translate", *words, *sets, "--frame", "0", "--out", "out"])
 
 
-def _agreement(stage: str, now: Mapping[str, NDArray[Any]], kept: Mapping[str, NDArray[Any]]) -> StageAgreement:
+def _agreement(
+    stage: str, now: Mapping[str, NDArray[Any]], kept: Mapping[str, NDArray[Any]]
+) -> StageAgreement:
     names = sorted(name for name in {*now, *kept} if name.partition(".")[0] == stage)
     gaps = {name: _gap(now.get(name), kept.get(name)) for name in names}
     worst = max(gaps, key=gaps.__getitem__)
-    return StageAgreement(stage=stage, n_arrays=len(names), largest_difference=gaps[worst], worst_array=worst)
+    return StageAgreement(
+        stage=stage, n_arrays=len(names), largest_difference=gaps[worst], worst_array=worst
+    )
 
 
 def _gap(now: NDArray[Any] | None, kept: NDArray[Any] | None) -> float:
-    """Return the largest difference as a share of the recorded range; of masks and indices the share that changed."""
+    """Return the largest difference as a share of the recorded range.
+
+    Of masks and indices the share that changed.
+    """
     if now is None or kept is None or now.shape != kept.shape or now.dtype != kept.dtype:
         return float("inf")
     if now.dtype.kind != "f" or not kept.size:
@@ -278,9 +339,14 @@ def _read(folder: Path) -> _BundleFile:
     said: object = read_json(path, "the repro bundle")
     known = cast("dict[str, Any]", said) if isinstance(said, dict) else {}
     if _VERSION_KEY not in known:
-        raise FileProblem("this folder holds no repro bundle; `tactoscope bundle` writes one", folder)
+        raise FileProblem(
+            "this folder holds no repro bundle; `tactoscope bundle` writes one", folder
+        )
     if known[_VERSION_KEY] != _VERSION:
-        raise FileProblem(f"the repro bundle has version {known[_VERSION_KEY]!r}, this program reads {_VERSION}", path)
+        raise FileProblem(
+            f"the repro bundle has version {known[_VERSION_KEY]!r}, this program reads {_VERSION}",
+            path,
+        )
     return convert(known, _BundleFile, "the repro bundle", path)
 
 
@@ -292,6 +358,14 @@ def _request(asked: _RequestFile, folder: Path) -> Request:
     for side in ("source", "target"):
         if words[side].endswith(".toml"):
             words[side] = str(inside(words[side]))
-    files = {name: None if getattr(asked, name) is None else inside(getattr(asked, name)) for name in _FILES}
+    files = {
+        name: None if getattr(asked, name) is None else inside(getattr(asked, name))
+        for name in _FILES
+    }
     weights = tuple((stage, inside(name)) for stage, name in asked.weights.items())
-    return Request(**cast("Any", files), **cast("Any", words), methods=tuple(asked.methods.items()), weights=weights)
+    return Request(
+        **cast("Any", files),
+        **cast("Any", words),
+        methods=tuple(asked.methods.items()),
+        weights=weights,
+    )

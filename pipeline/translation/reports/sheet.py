@@ -24,7 +24,9 @@ _PANEL_IN = 3.5  # width of a panel
 DEFAULT_DISPLAY = DisplayParams()
 
 
-def write_sheet(path: Path, frame: TactileFrame, report: FrameReport, translation: Translation) -> None:
+def write_sheet(
+    path: Path, frame: TactileFrame, report: FrameReport, translation: Translation
+) -> None:
     """Write the columns of the window as one PNG."""
     save_figure(draw_sheet(frame, report, translation), path, "the sheet")
 
@@ -38,19 +40,28 @@ def draw_sheet(
     timed: bool = True,
 ) -> Figure:
     """Return the columns of the window as one figure; `timed` adds times and cache states."""
-    source, n = translation.source, 1 + len(translation.stages)
+    source = translation.source
+    n = 1 + len(translation.stages)
     figure = make_figure(figsize=(_PANEL_IN * n, 4.3), dpi=90)
     # Fixed positions: an automatic layout costs more time than all the drawing.
     axes = [figure.add_axes(((0.07 + i) / n, 0.2, 0.76 / n, 0.6)) for i in range(n)]
-    draw_panel(figure, axes[0], make_recorded_preview(frame, source, display)[0], f"Source · {source.title}")
+    draw_panel(
+        figure,
+        axes[0],
+        make_recorded_preview(frame, source, display)[0],
+        f"Source · {source.title}",
+    )
     seen = translation.make_preview_context(report.results, display)
     for ax, name in zip(axes[1:], translation.stages, strict=True):
-        stage, result = translation.catalogue.stage(name), report.results.get(name)
+        stage = translation.catalogue.stage(name)
+        result = report.results.get(name)
         if result is None:
             ax.set_axis_off()
             continue
         title = stage.title if result.method is None else f"{stage.title} · {result.answered_by}"
-        draw_panel(figure, ax, translation.catalogue.views[name].make_preview(result.output, seen), title)
+        draw_panel(
+            figure, ax, translation.catalogue.views[name].make_preview(result.output, seen), title
+        )
         _footer(ax, result, timed=timed)
     sensors = f"{source.name} → {translation.target.name}"
     words = "   ".join(filter(None, (f"frame {report.index}", sensors, translation.truth_label)))
@@ -72,11 +83,25 @@ def draw_panel(figure: Figure, ax: Axes, picture: Preview, title: str) -> None:
         _draw_line(ax, bar.line)
         x, y = bar.line.points_px.mean(axis=0) - 0.5
         ax.annotate(
-            bar.text, (x, y), (0, 2), textcoords="offset points", ha="center", fontsize=8, color=_to_hex(bar.line)
+            bar.text,
+            (x, y),
+            (0, 2),
+            textcoords="offset points",
+            ha="center",
+            fontsize=8,
+            color=_to_hex(bar.line),
         )
     ax.set_xlim(-0.5, cols - 0.5)
     ax.set_ylim(rows - 0.5, -0.5)
-    ax.text(0.0, -0.06, picture.caption[:64], transform=ax.transAxes, fontsize=7.5, va="top", color="0.3")
+    ax.text(
+        0.0,
+        -0.06,
+        picture.caption[:64],
+        transform=ax.transAxes,
+        fontsize=7.5,
+        va="top",
+        color="0.3",
+    )
     if picture.scale is not None:
         _colour_bar(figure, ax, picture.scale)
 
@@ -94,7 +119,14 @@ def _colour_bar(figure: Figure, ax: Axes, scale: ColourScale) -> None:
 
 def _draw_line(ax: Axes, line: Line) -> None:
     x, y = line.points_px.T - 0.5
-    ax.plot(x, y, color=_to_hex(line), alpha=line.opacity, lw=_POINTS_PER_PX * line.width, solid_capstyle="butt")
+    ax.plot(
+        x,
+        y,
+        color=_to_hex(line),
+        alpha=line.opacity,
+        lw=_POINTS_PER_PX * line.width,
+        solid_capstyle="butt",
+    )
 
 
 def _to_hex(line: Line) -> str:
@@ -104,7 +136,9 @@ def _to_hex(line: Line) -> str:
 def _footer(ax: Axes, result: StageResult, *, timed: bool) -> None:
     """Write time, state and the first warning, or else note, below a panel."""
     notes = result.warnings or result.notes
-    lines = [f"{result.ms:.2f} ms · {'warning' if result.warnings else result.state}"] if timed else []
+    lines = (
+        [f"{result.ms:.2f} ms · {'warning' if result.warnings else result.state}"] if timed else []
+    )
     lines += [notes[0][:62]] if notes else []
     ax.text(0.0, -0.13, "\n".join(lines), transform=ax.transAxes, fontsize=7.5, va="top")
 
@@ -112,7 +146,9 @@ def _footer(ax: Axes, result: StageResult, *, timed: bool) -> None:
 def _figures(report: FrameReport) -> str:
     """Return the metrics of the frame as text, those of the pose on a line of their own."""
     lines = (
-        "   ".join(f"{k} {v:.3g}" for k, v in report.metrics.items() if k.startswith("pose.") == of_pose)
+        "   ".join(
+            f"{k} {v:.3g}" for k, v in report.metrics.items() if k.startswith("pose.") == of_pose
+        )
         for of_pose in (False, True)
     )
     return "\n".join(lines)

@@ -29,14 +29,24 @@ _ROW_HEIGHT = 0.34
 
 
 def write_truth(
-    folder: Path, report: FrameReport, translation: Translation, frame: int, progress: Progress = SILENT
+    folder: Path,
+    report: FrameReport,
+    translation: Translation,
+    frame: int,
+    progress: Progress = SILENT,
 ) -> None:
-    """Write what is known of the truth of frame `frame`, nothing where none is; `report` says what was computed."""
+    """Write what is known of the truth of frame `frame`, nothing where none is.
+
+    `report` says what was computed.
+    """
     truths = translation.read_true_outputs(frame)
     if not truths:
         return
     arrays = {name: collect_value_arrays(name, value) for name, value in truths.items()}
-    write_arrays(folder / "truth.npz", {key: array for each in arrays.values() for key, array in each.items()})
+    write_arrays(
+        folder / "truth.npz",
+        {key: array for each in arrays.values() for key, array in each.items()},
+    )
     views = _build_views(report, translation, truths)
     gaps: dict[str, NDArray[np.float32]] = {
         name: view.difference_to_truth.values
@@ -51,7 +61,9 @@ def write_truth(
             write_json(folder / "attribution.json", {**asdict(attribution), "frame": report.index})
 
 
-def _build_views(report: FrameReport, translation: Translation, truths: Mapping[str, object]) -> dict[str, TruthView]:
+def _build_views(
+    report: FrameReport, translation: Translation, truths: Mapping[str, object]
+) -> dict[str, TruthView]:
     seen = translation.make_preview_context(report.results)
     views: dict[str, TruthView] = {}
     for name, value in seen.outputs.items():
@@ -62,7 +74,9 @@ def _build_views(report: FrameReport, translation: Translation, truths: Mapping[
     return views
 
 
-def _draw(path: Path, report: FrameReport, translation: Translation, views: Mapping[str, TruthView]) -> None:
+def _draw(
+    path: Path, report: FrameReport, translation: Translation, views: Mapping[str, TruthView]
+) -> None:
     count = len(views)
     figure = make_figure(figsize=(_PANEL_IN * count, 7.0), dpi=90)
     for column, (name, view) in enumerate(views.items()):
@@ -72,5 +86,7 @@ def _draw(path: Path, report: FrameReport, translation: Translation, views: Mapp
             if preview is not None:
                 axes = figure.add_axes(((0.07 + column) / count, bottom, 0.76 / count, _ROW_HEIGHT))
                 draw_panel(figure, axes, preview, text)
-    figure.suptitle(f"frame {report.index}   {translation.source.name} → {translation.target.name}", fontsize=11)
+    figure.suptitle(
+        f"frame {report.index}   {translation.source.name} → {translation.target.name}", fontsize=11
+    )
     save_figure(figure, path, "the truth's sheet")

@@ -1,6 +1,7 @@
 """Write videos: encoded in a temporary folder, read back, then put in their place.
 
-An .mp4 is H.264 where an ffmpeg with libx264 is on the PATH, else OpenCV's MPEG-4; an .avi is MJPEG.
+An .mp4 is H.264 where an ffmpeg with libx264 is on the PATH, else OpenCV's MPEG-4; an .avi is
+MJPEG.
 """
 
 import contextlib
@@ -24,9 +25,11 @@ from pipeline.core.errors import FileProblem
 from pipeline.core.files import check_folder_for, open_atomic
 from pipeline.core.native_stderr import silence_native_libraries
 
-CODECS = {".mp4": ("mp4v", "MPEG-4"), ".avi": ("MJPG", "MJPEG")}  # OpenCV's name of the codec, and the usual one
+# OpenCV's name of the codec, and the usual one
+CODECS = {".mp4": ("mp4v", "MPEG-4"), ".avi": ("MJPG", "MJPEG")}
 _LIST_S = 10.0  # in which ffmpeg lists its encoders
-_STALL_S = 30.0  # without progress of ffmpeg, after which it is given up; it may take any time as long as it works
+# without progress of ffmpeg, after which it is given up; it may take any time as long as it works
+_STALL_S = 30.0
 _POLL_S = 0.2
 _H264 = ("-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart")
 _WriteImage = Callable[[Image], object]
@@ -37,7 +40,10 @@ def find_h264_encoder() -> str:
     ffmpeg = shutil.which("ffmpeg")
     if ffmpeg is None:
         return ""
-    with contextlib.suppress(OSError, subprocess.SubprocessError), tempfile.TemporaryFile() as listed:
+    with (
+        contextlib.suppress(OSError, subprocess.SubprocessError),
+        tempfile.TemporaryFile() as listed,
+    ):
         with _start([ffmpeg, "-hide_banner", "-encoders"], subprocess.DEVNULL, listed) as process:
             process.wait(_LIST_S)
         listed.seek(0)
@@ -50,7 +56,12 @@ def find_h264_encoder() -> str:
 def _start(command: list[str], stdin: int, stdout: Any) -> Generator[subprocess.Popen[bytes]]:
     """A process that has ended when the block has, with all that it started."""
     process = subprocess.Popen(  # noqa: S603 - no shell, and the program is the PATH's own
-        command, stdin=stdin, stdout=stdout, stderr=subprocess.DEVNULL, bufsize=0, start_new_session=True
+        command,
+        stdin=stdin,
+        stdout=stdout,
+        stderr=subprocess.DEVNULL,
+        bufsize=0,
+        start_new_session=True,
     )
     try:
         yield process
@@ -63,16 +74,25 @@ def _start(command: list[str], stdin: int, stdout: Any) -> Generator[subprocess.
 
 
 def write_video(path: Path, images: Iterable[Image], rate_hz: float) -> str:
-    """Write images (rows, cols, 3) of equal, even sizes, each once; returns the codec. Raises FileProblem."""
-    suffix, images = path.suffix.lower(), iter(images)
+    """Write images (rows, cols, 3) of equal, even sizes, each once.
+
+    Returns the codec. Raises FileProblem.
+    """
+    suffix = path.suffix.lower()
+    images = iter(images)
     if suffix not in CODECS:
         raise FileProblem(f"videos are written as {' or '.join(CODECS)}", path)
     ffmpeg = find_h264_encoder() if suffix == ".mp4" else ""
-    first, n_images = next(images), 0
+    first = next(images)
+    n_images = 0
     check_folder_for(path)
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / f"video{suffix}"
-        encode = _encode_by_ffmpeg(ffmpeg, made, first, rate_hz) if ffmpeg else _encode(made, first, rate_hz)
+        encode = (
+            _encode_by_ffmpeg(ffmpeg, made, first, rate_hz)
+            if ffmpeg
+            else _encode(made, first, rate_hz)
+        )
         try:
             with encode as write:
                 for pixels in chain([first], images):
@@ -103,7 +123,9 @@ def _encode(path: Path, first: Image, rate_hz: float) -> Generator[_WriteImage]:
 
 
 @contextmanager
-def _encode_by_ffmpeg(ffmpeg: str, path: Path, first: Image, rate_hz: float) -> Generator[_WriteImage]:
+def _encode_by_ffmpeg(
+    ffmpeg: str, path: Path, first: Image, rate_hz: float
+) -> Generator[_WriteImage]:
     shape = f"{first.shape[1]}x{first.shape[0]}"
     raw = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", shape, "-r", f"{rate_hz:g}", "-i", "-")
     command = [ffmpeg, "-loglevel", "error", "-y", *raw, *_H264, str(path)]
@@ -114,7 +136,9 @@ def _encode_by_ffmpeg(ffmpeg: str, path: Path, first: Image, rate_hz: float) -> 
         try:
             yield lambda pixels: _feed(pipe.fileno(), np.ascontiguousarray(pixels).tobytes(), path)
         except BrokenPipeError as error:
-            raise FileProblem("ffmpeg stopped before the video was complete (no room for it?)", path) from error
+            raise FileProblem(
+                "ffmpeg stopped before the video was complete (no room for it?)", path
+            ) from error
         pipe.close()
         _wait_until_written(process, path)
 
@@ -130,11 +154,15 @@ def _feed(pipe: int, content: bytes, path: Path) -> None:
 
 def _wait_until_written(process: subprocess.Popen[bytes], path: Path) -> None:
     """Wait for the end of a process as long as its file changes; raises FileProblem."""
-    seen, changed_s = None, time.monotonic()
+    seen = None
+    changed_s = time.monotonic()
     while process.poll() is None:
-        now = (found.st_size, found.st_mtime_ns) if path.exists() and (found := path.stat()) else None
+        now = (
+            (found.st_size, found.st_mtime_ns) if path.exists() and (found := path.stat()) else None
+        )
         if now != seen:
-            seen, changed_s = now, time.monotonic()
+            seen = now
+            changed_s = time.monotonic()
         elif time.monotonic() - changed_s > _STALL_S:
             raise _make_stall_problem(path)
         time.sleep(_POLL_S)
@@ -142,7 +170,9 @@ def _wait_until_written(process: subprocess.Popen[bytes], path: Path) -> None:
 
 def _make_stall_problem(path: Path) -> FileProblem:
     return FileProblem(
-        f"ffmpeg did nothing for {_STALL_S:g} s and was ended; take it from the PATH, or write .avi", path
+        f"ffmpeg did nothing for {_STALL_S:g} s and was ended; take it from the PATH, or write "
+        ".avi",
+        path,
     )
 
 
@@ -151,7 +181,8 @@ def count_frames(video: Path) -> int:
     import cv2
 
     with silence_native_libraries():
-        reader, n = cv2.VideoCapture(str(video)), 0
+        reader = cv2.VideoCapture(str(video))
+        n = 0
         while reader.grab():
             n += 1
         reader.release()

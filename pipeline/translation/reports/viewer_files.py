@@ -1,7 +1,8 @@
-"""Files of other viewers: .rrd of Rerun and .mcap of Foxglove, with all stages of all frames on one time line.
+"""Files of other viewers: .rrd of Rerun and .mcap of Foxglove, with all stages of all frames on one
+time line.
 
-Lengths are in metres and positions in the target's frame, as both viewers expect; times are the recording's, from 0
-on in .mcap where they are negative.
+Lengths are in metres and positions in the target's frame, as both viewers expect; times are the
+recording's, from 0 on in .mcap where they are negative.
 """
 
 import tempfile
@@ -35,7 +36,8 @@ class StageSample:
     pixels: Image  # (rows, cols, 3)
     points_mm: Floats  # (n, 3) in the target's frame
     rgb: Image  # (n, 3)
-    depth_mm: Floats | None = None  # (rows, cols) z of the membrane, NaN = no value; None = the stage has no depth
+    # (rows, cols) z of the membrane, NaN = no value; None = the stage has no depth
+    depth_mm: Floats | None = None
     target_from_object: Doubles | None = None  # (4, 4) mm, of the pose stage
     metrics: Mapping[str, float]  # against truth
 
@@ -54,30 +56,47 @@ def write_rrd(path: Path, samples: Iterable[StageSample], mesh: Mesh | None) -> 
         log.save(made)
         if mesh is not None:
             vertices_m = mesh.vertices_mm * _M_PER_MM
-            log.log(_OBJECT, rr.Mesh3D(vertex_positions=vertices_m, triangle_indices=mesh.triangles), static=True)
+            log.log(
+                _OBJECT,
+                rr.Mesh3D(vertex_positions=vertices_m, triangle_indices=mesh.triangles),
+                static=True,
+            )
         for sample in samples:
             log.set_time("frame", sequence=sample.frame)
             log.set_time("time", duration=sample.time_s)
             log.log(f"{sample.name}/image", rr.Image(sample.pixels))
-            log.log(f"{sample.name}/points", rr.Points3D(sample.points_mm * _M_PER_MM, colors=sample.rgb))
+            log.log(
+                f"{sample.name}/points",
+                rr.Points3D(sample.points_mm * _M_PER_MM, colors=sample.rgb),
+            )
             if sample.depth_mm is not None:
-                log.log(f"{sample.name}/depth", rr.DepthImage(sample.depth_mm * np.float32(_M_PER_MM), meter=1.0))
+                log.log(
+                    f"{sample.name}/depth",
+                    rr.DepthImage(sample.depth_mm * np.float32(_M_PER_MM), meter=1.0),
+                )
             if sample.target_from_object is not None:
                 pose = sample.target_from_object
-                log.log(_OBJECT, rr.Transform3D(translation=pose[:3, 3] * _M_PER_MM, mat3x3=pose[:3, :3]))
+                log.log(
+                    _OBJECT,
+                    rr.Transform3D(translation=pose[:3, 3] * _M_PER_MM, mat3x3=pose[:3, :3]),
+                )
             for name, value in sample.metrics.items():
                 log.log(f"metrics/{name.replace('.', '/')}", rr.Scalars(value))
         try:
             log.flush()
         except RuntimeError as error:
-            raise FileProblem(f"cannot write the Rerun recording (no room for it in {folder!r}?)", path) from error
+            raise FileProblem(
+                f"cannot write the Rerun recording (no room for it in {folder!r}?)", path
+            ) from error
         log.disconnect()
         with open_atomic(path, "the Rerun recording", None) as file:
             file.write(made.read_bytes())
 
 
 def write_mcap(path: Path, samples: Iterable[StageSample]) -> None:
-    """Write messages with Foxglove's schemas: PNG images, 32-bit depth images, point clouds, and the object's pose."""
+    """Write messages with Foxglove's schemas: PNG images, 32-bit depth images, point clouds, and
+    the object's pose.
+    """
     try:
         from mcap_protobuf.writer import Writer
     except ImportError as error:
@@ -86,9 +105,13 @@ def write_mcap(path: Path, samples: Iterable[StageSample]) -> None:
         writer: Any = Writer(file, profile=PREVIEW_PROFILE)
         start_s: float | None = None
         for sample in samples:
-            start_s = min(sample.time_s, 0.0) if start_s is None else start_s  # the format has no negative times
+            # the format has no negative times
+            start_s = min(sample.time_s, 0.0) if start_s is None else start_s
             if not sample.time_s - start_s < _MAX_TIME_S:
-                raise FileProblem(f"the time of frame {sample.frame}, {sample.time_s:.3g} s, fits no .mcap file", path)
+                raise FileProblem(
+                    f"the time of frame {sample.frame}, {sample.time_s:.3g} s, fits no .mcap file",
+                    path,
+                )
             time_ns = max(round((sample.time_s - start_s) * 1e9), 0)
             for topic, message in _make_messages(sample, time_ns).items():
                 writer.write_message(topic, message, time_ns, time_ns, sample.frame)
@@ -106,7 +129,10 @@ def _make_messages(sample: StageSample, time_ns: int) -> dict[str, Any]:
     messages: dict[str, Any] = {
         f"/{sample.name}/image": CompressedImage(format="png", data=png),
         f"/{sample.name}/points": PointCloud(
-            point_stride=16, fields=_make_point_fields(), pose=_make_pose(np.eye(4)), data=_pack_points(sample)
+            point_stride=16,
+            fields=_make_point_fields(),
+            pose=_make_pose(np.eye(4)),
+            data=_pack_points(sample),
         ),
     }
     if sample.depth_mm is not None:
@@ -130,12 +156,19 @@ def _make_point_fields() -> list[Any]:
 
     kinds = [Field.FLOAT32] * 3 + [Field.UINT8] * 4
     offsets = (0, 4, 8, 12, 13, 14, 15)
-    return [Field(name=n, offset=at, type=kind) for n, at, kind in zip(_POINT_FIELDS, offsets, kinds, strict=True)]
+    return [
+        Field(name=n, offset=at, type=kind)
+        for n, at, kind in zip(_POINT_FIELDS, offsets, kinds, strict=True)
+    ]
 
 
 def _pack_points(sample: StageSample) -> bytes:
-    rows: Any = np.empty(len(sample.points_mm), dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3), ("alpha", "u1")])
-    rows["xyz"], rows["rgb"], rows["alpha"] = sample.points_mm * _M_PER_MM, sample.rgb, 255
+    rows: Any = np.empty(
+        len(sample.points_mm), dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3), ("alpha", "u1")]
+    )
+    rows["xyz"] = sample.points_mm * _M_PER_MM
+    rows["rgb"] = sample.rgb
+    rows["alpha"] = 255
     return rows.tobytes()
 
 
@@ -149,9 +182,12 @@ def _make_pose(target_from_object: Doubles) -> Any:
     x, y, z = np.sin(0.5 * angle) / max(angle, 1e-12) * angle_vector
     right, down, out = target_from_object[:3, 3] * _M_PER_MM
     return Pose(
-        position=Vector3(x=right, y=down, z=out), orientation=Quaternion(x=x, y=y, z=z, w=float(np.cos(0.5 * angle)))
+        position=Vector3(x=right, y=down, z=out),
+        orientation=Quaternion(x=x, y=y, z=z, w=float(np.cos(0.5 * angle))),
     )
 
 
 def _make_problem(package: str, suffix: str) -> SettingProblem:
-    return SettingProblem(f"{suffix} files are written by {package}, which is not installed; pip install {package}")
+    return SettingProblem(
+        f"{suffix} files are written by {package}, which is not installed; pip install {package}"
+    )

@@ -20,14 +20,23 @@ from pipeline.views.display_params import DisplayParams
 
 def a_session(folder: Path) -> Session:
     session = Session(
-        recording=folder / "a.h5", target="gelslim", frame=7, mesh=folder / "m" / "ball.stl", cameras_linked=False,
+        recording=folder / "a.h5",
+        target="gelslim",
+        frame=7,
+        mesh=folder / "m" / "ball.stl",
+        cameras_linked=False,
         weights={"": folder / "own.safetensors", "touch": folder / "w" / "other.safetensors"},
-        offsets=Offsets(translation_mm=(0.1, 0.0, -2.0), rotation_deg=(0.0, 3.0, 0.0), pivot_mm=(1.0, 2.0, 20.0)),
-    )  # fmt: skip
+        offsets=Offsets(
+            translation_mm=(0.1, 0.0, -2.0), rotation_deg=(0.0, 3.0, 0.0), pivot_mm=(1.0, 2.0, 20.0)
+        ),
+    )
     display = replace_value(DisplayParams(), "gel_stretch", 5.0)
-    other = Session(recording=folder / "b.h5", target="gelslim", frame=7, methods={"target_depth": "paper"})
+    other = Session(
+        recording=folder / "b.h5", target="gelslim", frame=7, methods={"target_depth": "paper"}
+    )
     session = session.with_updates(
-        variant=other, comparison=ComparisonSettings(tab="two", order="in order", stage="target_depth")
+        variant=other,
+        comparison=ComparisonSettings(tab="two", order="in order", stage="target_depth"),
     )
     return session.with_updates(params={**session.params, "display": display})
 
@@ -56,11 +65,14 @@ def test_what_an_older_session_says_of_pages_that_are_gone_is_ignored(tmp_path):
     path.write_text(json.dumps(data))
     session = load_session(path)
     assert (session.layout.name, session.comparison.tab) == ("compare", "grid")
-    assert replace(session, layout=Layout(), comparison=a_session(tmp_path).comparison) == a_session(tmp_path)
+    assert replace(
+        session, layout=Layout(), comparison=a_session(tmp_path).comparison
+    ) == a_session(tmp_path)
 
 
 def test_paths_are_relative_to_the_session_file(tmp_path):
-    old, new = tmp_path / "old", tmp_path / "new"
+    old = tmp_path / "old"
+    new = tmp_path / "new"
     old.mkdir()
     save_session(a_session(old), old / "s.touch.json")
     old.rename(new)
@@ -97,9 +109,15 @@ def test_a_damaged_session_names_the_field(tmp_path, change, field):
 
 @pytest.mark.parametrize(
     ("change", "field"),
-    [({"frame": 2**31}, "frame"), ({"frame": 10**400}, "frame"), ({"tick": 2**31}, "tick"), ({"notes": {str(2**31): "a"}}, "notes"),
-     ({"params": {"depth/physics": {"contact_limit": 10**400}}}, "params"), ({"params": {"depth/physics": {"contact_limit": 2**60}}}, "params")],
-)  # fmt: skip
+    [
+        ({"frame": 2**31}, "frame"),
+        ({"frame": 10**400}, "frame"),
+        ({"tick": 2**31}, "tick"),
+        ({"notes": {str(2**31): "a"}}, "notes"),
+        ({"params": {"depth/physics": {"contact_limit": 10**400}}}, "params"),
+        ({"params": {"depth/physics": {"contact_limit": 2**60}}}, "params"),
+    ],
+)
 def test_numbers_that_no_window_can_count_are_refused(tmp_path, change, field):
     path = tmp_path / "a.touch.json"
     save_session(Session(recording=tmp_path / "a.h5", target="digit"), path)
@@ -131,7 +149,8 @@ def test_a_file_that_is_no_session_is_refused(tmp_path):
 
 def test_a_drag_is_one_undo_step(qapp):
     shown: list[Session] = []
-    stack, start = QUndoStack(), Session()
+    stack = QUndoStack()
+    start = Session()
     session = start
     for frame in range(1, 50):
         new = replace(session, frame=frame)
@@ -147,7 +166,11 @@ def test_a_drag_is_one_undo_step(qapp):
 def test_changes_with_different_keys_do_not_merge(qapp):
     stack = QUndoStack()
     for key in ("frame", "params depth", ""):
-        stack.push(SessionChange(old=Session(), new=Session(frame=1), text=key, key=key, show=lambda _s: None))
+        stack.push(
+            SessionChange(
+                old=Session(), new=Session(frame=1), text=key, key=key, show=lambda _s: None
+            )
+        )
     assert stack.count() == 3
 
 

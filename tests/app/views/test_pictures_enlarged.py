@@ -11,15 +11,20 @@ from pipeline.views.preview import Preview, add_observed_outline, enlarge_previe
 def _coarse() -> Preview:
     values = np.arange(12, dtype=np.float32).reshape(3, 4)
     return Preview(
-        pixels=np.repeat(values[..., None], 3, axis=2).astype(np.uint8), values=values, frame_name="gelslim frame",
-        positions_mm=np.zeros((3, 4, 3), np.float32), pixel_mm=0.4,
+        pixels=np.repeat(values[..., None], 3, axis=2).astype(np.uint8),
+        values=values,
+        frame_name="gelslim frame",
+        positions_mm=np.zeros((3, 4, 3), np.float32),
+        pixel_mm=0.4,
         outline_px=freeze(np.array([[1.0, 1.5], [3.0, 3.0]], np.float32)),
-    )  # fmt: skip
+    )
 
 
 def test_every_pixel_becomes_a_block_and_its_border_goes_along():
     large = enlarge_preview(_coarse(), (6, 8))
-    assert np.array_equal(large.values, np.repeat(np.repeat(_coarse().values, 2, axis=0), 2, axis=1))
+    assert np.array_equal(
+        large.values, np.repeat(np.repeat(_coarse().values, 2, axis=0), 2, axis=1)
+    )
     assert large.pixels.shape == (6, 8, 3)
     assert large.positions_mm.shape == (6, 8, 3)
     assert np.array_equal(large.outline_px, [[2.0, 3.0], [6.0, 6.0]])

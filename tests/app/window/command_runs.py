@@ -18,7 +18,10 @@ def same_as_typed(instrument, folder, monkeypatch) -> None:
     assert words[:2] == ["tactoscope", "compare"]
     assert run_app(build_app(), words[1:]) == 0
     write_tiles(folder / "shown", instrument.window.comparison.current_tab.grid.tiles)
-    shown, typed = ({p.name: p.read_bytes() for p in (folder / name).iterdir()} for name in ("shown", "compared"))
+    shown, typed = (
+        {p.name: p.read_bytes() for p in (folder / name).iterdir()}
+        for name in ("shown", "compared")
+    )
     assert shown.keys() == typed.keys()
     assert len(shown) > 2
     for name, data in shown.items():

@@ -1,4 +1,6 @@
-"""Every control has a name and large enough letters, is reached by the tab key, and Qt has nothing to complain about."""
+"""Every control has a name and large enough letters, is reached by the tab key, and Qt has
+nothing to complain about.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,8 @@ _CONTROLS = (
     QLineEdit,
     QPlainTextEdit,
 )
-_PARTS = (QScrollBar, QHeaderView, QTabBar)  # a scroll bar or header belongs to its view; a tab is named by its text
+# a scroll bar or header belongs to its view; a tab is named by its text
+_PARTS = (QScrollBar, QHeaderView, QTabBar)
 DIALOGS = ("palette", "keys", "export", "live")
 
 
@@ -51,36 +54,59 @@ def opened(bubble_window):
 
 
 def _widgets():
-    return [widget for top in QApplication.topLevelWidgets() for widget in (top, *top.findChildren(QWidget))]
+    return [
+        widget
+        for top in QApplication.topLevelWidgets()
+        for widget in (top, *top.findChildren(QWidget))
+    ]
 
 
 def _is_part(widget) -> bool:
-    """Whether it is a part of another control: the line of a spin box, the button in a line, the list of a box."""
+    """Whether it is a part of another control: the line of a spin box, the button in a line, the
+    list of a box.
+    """
     above = widget.parentWidget()
     while above is not None and not above.isWindow():
-        if isinstance(above, QAbstractSpinBox | QComboBox | QLineEdit | QAbstractItemView | QTabBar):
+        if isinstance(
+            above, QAbstractSpinBox | QComboBox | QLineEdit | QAbstractItemView | QTabBar
+        ):
             return True
         above = above.parentWidget()
-    return isinstance(widget, _PARTS) or (above is not None and above.inherits("QComboBoxPrivateContainer"))
+    return isinstance(widget, _PARTS) or (
+        above is not None and above.inherits("QComboBoxPrivateContainer")
+    )
 
 
 def _name(widget) -> str:
     """What a screen reader says, as Qt works it out."""
     text = widget.text() if isinstance(widget, QAbstractButton) else ""
-    buddies = (label.text() for label in widget.window().findChildren(QLabel) if label.buddy() is widget)
+    buddies = (
+        label.text() for label in widget.window().findChildren(QLabel) if label.buddy() is widget
+    )
     return widget.accessibleName() or text or next(buddies, "")
 
 
 def test_every_control_has_a_name(opened):
-    controls = [w for w in _widgets() if isinstance(w, _CONTROLS) or w.focusPolicy() & Qt.FocusPolicy.TabFocus]
+    controls = [
+        w
+        for w in _widgets()
+        if isinstance(w, _CONTROLS) or w.focusPolicy() & Qt.FocusPolicy.TabFocus
+    ]
     controls = [w for w in controls if not w.isWindow() and not _is_part(w)]
     assert len(controls) > 200
     unnamed = [w for w in controls if not _name(w) and not isinstance(w, QMenu | QMenuBar)]
-    assert [f"{type(w).__name__} {w.objectName()!r} in {w.parentWidget().objectName()!r}" for w in unnamed] == []
+    assert [
+        f"{type(w).__name__} {w.objectName()!r} in {w.parentWidget().objectName()!r}"
+        for w in unnamed
+    ] == []
 
 
 def test_no_letters_are_smaller_than_a_caption(opened):
-    small = {(type(w).__name__, w.objectName()) for w in _widgets() if w.font().pointSizeF() < MIN_FONT_PT}
+    small = {
+        (type(w).__name__, w.objectName())
+        for w in _widgets()
+        if w.font().pointSizeF() < MIN_FONT_PT
+    }
     assert small == set()
     assert min(w.font().pointSizeF() for w in _widgets()) == MIN_FONT_PT
 
@@ -90,7 +116,8 @@ def test_the_tab_key_reaches_every_button_of_tool_bar_and_rail(opened):
         bar = opened.findChild(QToolBar, name)
         buttons = [b for b in bar.findChildren(QToolButton) if b.defaultAction() is not None]
         assert len(buttons) >= 4
-        chain, widget = {opened}, opened.nextInFocusChain()
+        chain = {opened}
+        widget = opened.nextInFocusChain()
         while widget not in chain:
             chain.add(widget)
             widget = widget.nextInFocusChain()
@@ -106,7 +133,12 @@ def test_qt_has_no_complaint_through_a_tour_of_the_window(open_window, touch_fil
         controller = open_window(touch_file, gl=True, target="gelslim", frame=2)
         window = controller.window
         assert wait_until_shown(controller, LIMIT_S), window.banner.text
-        for name in (*(f"layout_{layout}" for layout in LAYOUT_NAMES), "theme_dark", "layout_stages", "theme_light"):
+        for name in (
+            *(f"layout_{layout}" for layout in LAYOUT_NAMES),
+            "theme_dark",
+            "layout_stages",
+            "theme_light",
+        ):
             window.actions_by_name[name].trigger()
             assert wait_until_shown(controller, LIMIT_S), (name, window.banner.text)
         for drawer in window.drawers.all_drawers:

@@ -1,4 +1,6 @@
-"""The alignment dock in a real window: drags preview and are one undo step, refining is offered and accepted."""
+"""The alignment dock in a real window: drags preview and are one undo step, refining is offered
+and accepted.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ TOUCHED = 3  # a frame that both sensors feel
 LIMIT_S = 240
 WAIT_MS = 240_000
 ROUNDING_MM = 1e-4  # depth is kept in single precision
-TRUE_TO_MM = 0.25  # how near refining on two small touches comes to a truth that it did not begin from
+# how near refining on two small touches comes to a truth that it did not begin from
+TRUE_TO_MM = 0.25
 
 
 @pytest.fixture
@@ -39,8 +42,13 @@ def settled(qtbot) -> Callable[[SessionController], None]:
 
 @pytest.fixture
 def aligned(open_window, qtbot) -> SessionController:
-    """A window on a touch of both sensors, its alignment dock in front; only what the dock needs is worked out."""
-    return _window_with_dock(open_window, qtbot, PAIRED, source="digit", target="gelslim", frame=TOUCHED)
+    """A window on a touch of both sensors, its alignment dock in front.
+
+    Only what the dock needs is worked out.
+    """
+    return _window_with_dock(
+        open_window, qtbot, PAIRED, source="digit", target="gelslim", frame=TOUCHED
+    )
 
 
 def _window_with_dock(open_window, qtbot, recording: Path, **session) -> SessionController:
@@ -50,7 +58,9 @@ def _window_with_dock(open_window, qtbot, recording: Path, **session) -> Session
     controller.window.drawers.alignment.show()
     controller.show_session(Session(recording=recording, **session))
     panel = controller.window.alignment
-    qtbot.waitUntil(lambda: bool(panel.no_score_reason.text()) or bool(panel.bars.axes), timeout=WAIT_MS)
+    qtbot.waitUntil(
+        lambda: bool(panel.no_score_reason.text()) or bool(panel.bars.axes), timeout=WAIT_MS
+    )
     return controller
 
 
@@ -69,8 +79,10 @@ def _let_go(controller: SessionController, axis: str) -> None:
 
 
 def test_a_drag_changes_the_view_and_the_gauges_before_it_ends(aligned, qtbot):
-    panel, column = aligned.window.alignment, aligned.window.columns["target_depth"]
-    before, gauge = column.view.preview, panel.gauges["iou"]
+    panel = aligned.window.alignment
+    column = aligned.window.columns["target_depth"]
+    before = column.view.preview
+    gauge = panel.gauges["iou"]
     good = gauge.value
     assert before.observed_outline_px.size > 0
     _drag(aligned, "x", 2.0, qtbot)
@@ -97,8 +109,12 @@ def test_gauges_agree_while_dragging_and_at_rest(aligned, qtbot, settled):
 
 
 def test_stages_dropped_by_a_drag_are_computed_when_it_ends(aligned, qtbot, settled, monkeypatch):
-    """The order is forced: the stages are on their way, and say so, when the drag takes their place."""
-    columns, evaluator, begun = aligned.window.columns, aligned.evaluator, threading.Event()
+    """The order is forced: the stages are on their way, and say so, when the drag takes their
+    place.
+    """
+    columns = aligned.window.columns
+    evaluator = aligned.evaluator
+    begun = threading.Event()
 
     def for_ever(_session, _wanted, report, **_):
         begun.set()
@@ -110,9 +126,14 @@ def test_stages_dropped_by_a_drag_are_computed_when_it_ends(aligned, qtbot, sett
         patched.setattr(evaluator, "evaluate_frame", for_ever)
         aligned.window.show_only(None)
         aligned.choose_frame(TOUCHED + 1)
-        qtbot.waitUntil(lambda: begun.is_set() and columns["source"].state == "running", timeout=WAIT_MS)
+        qtbot.waitUntil(
+            lambda: begun.is_set() and columns["source"].state == "running", timeout=WAIT_MS
+        )
         _drag(aligned, "x", 1.0, qtbot)
-        qtbot.waitUntil(lambda: not aligned.job.is_busy and columns["target_depth"].state == "preview", timeout=WAIT_MS)
+        qtbot.waitUntil(
+            lambda: not aligned.job.is_busy and columns["target_depth"].state == "preview",
+            timeout=WAIT_MS,
+        )
         assert columns["source"].state == "stale", "nothing runs"
         assert not aligned.is_idle, "the new frame has not come"
     aligned.window.show_only("target_depth")
@@ -123,7 +144,8 @@ def test_stages_dropped_by_a_drag_are_computed_when_it_ends(aligned, qtbot, sett
 
 
 def test_a_drag_is_one_undo_step_and_ends_at_full_size(aligned, qtbot, settled):
-    panel, steps = aligned.window.alignment, aligned.undo_stack.count()
+    panel = aligned.window.alignment
+    steps = aligned.undo_stack.count()
     good = panel.gauges["iou"].value
     _drag(aligned, "x", 1.0, qtbot)
     _let_go(aligned, "x")
@@ -151,12 +173,16 @@ def test_rotations_are_about_the_centre_of_contact(aligned, qtbot, settled):
     settled(aligned)
     offsets = aligned.session.offsets
     assert offsets.rotation_deg == (0.0, 0.0, 5.0)
-    assert np.allclose(rigid.apply(offsets.apply_to(opened).target_from_source, middle), before, atol=ROUNDING_MM)
-    assert np.hypot(*offsets.pivot_mm[:2]) > 1.0  # so that turning about the camera's axis would have moved it
+    assert np.allclose(
+        rigid.apply(offsets.apply_to(opened).target_from_source, middle), before, atol=ROUNDING_MM
+    )
+    # so that turning about the camera's axis would have moved it
+    assert np.hypot(*offsets.pivot_mm[:2]) > 1.0
 
 
 def test_typing_a_number_is_one_undo_step(aligned, settled):
-    box, steps = aligned.window.alignment.rows["z"].box, aligned.undo_stack.count()
+    box = aligned.window.alignment.rows["z"].box
+    steps = aligned.undo_stack.count()
     box.stepUp()
     box.stepUp()
     settled(aligned)
@@ -193,7 +219,8 @@ def test_refining_shows_before_and_after_and_accepting_is_one_step(aligned, qtbo
     refining = aligned.findChild(AlignmentController).refinement
     panel.rows["x"].box.setValue(1.0)
     settled(aligned)
-    steps, bad = aligned.undo_stack.count(), panel.gauges["iou"].value
+    steps = aligned.undo_stack.count()
+    bad = panel.gauges["iou"].value
     panel.refine.run_bar.start_button.click()
     assert panel.refine.run_bar.cancel_button.isVisible()
     qtbot.waitUntil(lambda: refining.proposal is not None, timeout=WAIT_MS)
@@ -212,14 +239,18 @@ def test_refining_shows_before_and_after_and_accepting_is_one_step(aligned, qtbo
 
 def test_a_proposal_is_shown_against_the_current_alignment(aligned, qtbot, settled):
     """Before left of a handle, after right of it, on whichever frame one goes to."""
-    refining, view = aligned.findChild(AlignmentController).refinement, aligned.window.columns["target_depth"].view
+    refining = aligned.findChild(AlignmentController).refinement
+    view = aligned.window.columns["target_depth"].view
     aligned.window.alignment.rows["x"].box.setValue(1.0)
     settled(aligned)
     plain = view.preview
     aligned.window.alignment.refine.run_bar.start_button.click()
-    qtbot.waitUntil(lambda: refining.proposal is not None and view.overlay.is_visible, timeout=WAIT_MS)
+    qtbot.waitUntil(
+        lambda: refining.proposal is not None and view.overlay.is_visible, timeout=WAIT_MS
+    )
     settled(aligned)
-    before, after = view.preview, view.overlay._picture
+    before = view.preview
+    after = view.overlay._picture
     assert before.values.shape == after.values.shape
     gaps = [float(np.nanmean(np.abs(picture.values))) for picture in (before, after)]
     assert gaps[1] < gaps[0]  # reprojected minus recorded
@@ -252,7 +283,9 @@ def test_a_recording_without_target_touch_still_previews(open_window, touch_file
     before = controller.window.columns["target_depth"].view.preview
     assert before.observed_outline_px is None
     _drag(controller, "x", 2.0, qtbot)
-    qtbot.waitUntil(lambda: controller.window.columns["target_depth"].state == "preview", timeout=WAIT_MS)
+    qtbot.waitUntil(
+        lambda: controller.window.columns["target_depth"].state == "preview", timeout=WAIT_MS
+    )
     assert controller.window.columns["target_depth"].view.preview is not before
     panel.refine.run_bar.start_button.click()
     qtbot.waitUntil(controller.window.banner.isVisible, timeout=WAIT_MS)
@@ -273,7 +306,9 @@ def test_a_saved_alignment_opens_unchanged(aligned, tmp_path, settled):
     assert aligned.session.offsets.is_zero
     assert aligned.saved_session.offsets.is_zero  # closing does not ask
     assert "mine.toml" in aligned.window.alignment.origin.text()
-    assert np.allclose(aligned.views.translation.alignment.target_from_source, expected, rtol=0, atol=1e-9)
+    assert np.allclose(
+        aligned.views.translation.alignment.target_from_source, expected, rtol=0, atol=1e-9
+    )
 
 
 def test_an_alignment_of_other_sensors_is_reported_and_undone(aligned, qtbot):
@@ -286,7 +321,9 @@ def test_an_alignment_of_other_sensors_is_reported_and_undone(aligned, qtbot):
 def test_nothing_is_assessed_while_the_dock_is_hidden(open_window):
     controller = open_window()
     controller.show_only("target_depth")
-    controller.show_session(Session(recording=PAIRED, source="digit", target="gelslim", frame=TOUCHED))
+    controller.show_session(
+        Session(recording=PAIRED, source="digit", target="gelslim", frame=TOUCHED)
+    )
     assert wait_until_shown(controller, LIMIT_S)
     assert controller.findChild(AlignmentController).is_idle, "no assessment runs or is about to"
     assert controller.window.alignment.bars.axes == ()
@@ -323,12 +360,17 @@ def test_offsets_go_with_the_sensors_they_were_made_for(aligned, settled):
 
 @pytest.mark.gl
 def test_3d_views_follow_a_drag(open_window, qtbot):
-    controller = _window_with_dock(open_window, qtbot, PAIRED, gl=True, source="digit", target="gelslim", frame=TOUCHED)
+    controller = _window_with_dock(
+        open_window, qtbot, PAIRED, gl=True, source="digit", target="gelslim", frame=TOUCHED
+    )
     qtbot.waitUntil(lambda: controller.views.scene.is_open, timeout=WAIT_MS)
     shown: list[tuple[int, str]] = []
     scene = controller.views.scene
     show = scene.show_layers
-    scene.show_layers = lambda column, layers: (shown.append((column, layers[0].name)), show(column, layers))
+    scene.show_layers = lambda column, layers: (
+        shown.append((column, layers[0].name)),
+        show(column, layers),
+    )
     _drag(controller, "x", 1.0, qtbot)
     qtbot.waitUntil(lambda: (3, "target_depth") in shown, timeout=WAIT_MS)
     _let_go(controller, "x")

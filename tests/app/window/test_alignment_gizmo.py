@@ -12,17 +12,22 @@ from app.session.sample import SAMPLE_RECORDING
 from app.shell.tour import wait_until_shown
 from widgets.views.gizmo import Gizmo
 
-LIMIT_S, LIMIT_MS = 240, 240_000
+LIMIT_S = 240
+LIMIT_MS = 240_000
 
 
 @pytest.fixture
 def grasped(open_window, qtbot):
-    controller = open_window(SAMPLE_RECORDING.with_name("digit_gelslim.h5"), source="digit", target="gelslim", frame=3)
+    controller = open_window(
+        SAMPLE_RECORDING.with_name("digit_gelslim.h5"), source="digit", target="gelslim", frame=3
+    )
     assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
     controller.window.actions_by_name["layout_align"].trigger()
     aligning = controller.findChild(AlignmentController)
     gizmo = controller.window.columns["target_depth"].view.canvas.findChild(Gizmo)
-    qtbot.waitUntil(lambda: controller.is_idle and aligning.is_idle and gizmo.isVisible(), timeout=LIMIT_MS)
+    qtbot.waitUntil(
+        lambda: controller.is_idle and aligning.is_idle and gizmo.isVisible(), timeout=LIMIT_MS
+    )
     return controller, aligning, gizmo
 
 
@@ -36,9 +41,11 @@ def _drag(qtbot, gizmo, begin: QPointF, end: QPointF):
 
 def test_an_arrow_moves_along_its_axis_in_one_undo_step(grasped, qtbot):
     controller, aligning, gizmo = grasped
-    canvas, picture = gizmo.parent(), controller.window.columns["target_depth"].view.preview
+    canvas = gizmo.parent()
+    picture = controller.window.columns["target_depth"].view.preview
     middle = canvas.to_screen(gizmo._at)
-    steps, centre = controller.undo_stack.count(), canvas.centre
+    steps = controller.undo_stack.count()
+    centre = canvas.centre
     grip = middle + QPointF(30, 0)
     _drag(qtbot, gizmo, grip, grip + QPointF(25, 14))
     qtbot.waitUntil(lambda: controller.is_idle and aligning.is_idle, timeout=LIMIT_MS)
@@ -62,8 +69,11 @@ def test_the_centre_translates_and_the_ring_rotates(grasped, qtbot):
     qtbot.waitUntil(lambda: controller.is_idle and aligning.is_idle, timeout=LIMIT_MS)
     x, y, _ = controller.session.offsets.translation_mm
     assert y == pytest.approx(-2 * x, rel=0.15)
-    middle, far, turn = canvas.to_screen(gizmo._at), 66.0, math.radians(20.0)
-    begin, end = middle + QPointF(0, -far), middle + QPointF(far * math.sin(turn), -far * math.cos(turn))
+    middle = canvas.to_screen(gizmo._at)
+    far = 66.0
+    turn = math.radians(20.0)
+    begin = middle + QPointF(0, -far)
+    end = middle + QPointF(far * math.sin(turn), -far * math.cos(turn))
     assert gizmo.part_at(begin) == "rz"
     _drag(qtbot, gizmo, begin, end)
     qtbot.waitUntil(lambda: controller.is_idle and aligning.is_idle, timeout=LIMIT_MS)

@@ -1,4 +1,6 @@
-"""What is edited outlives a kill, what would be lost is asked about, and what was open is remembered."""
+"""What is edited outlives a kill, what would be lost is asked about, and what was open is
+remembered.
+"""
 
 from __future__ import annotations
 
@@ -58,12 +60,20 @@ def move(controller, mm: float = 1.5) -> None:
 
 
 def test_edits_of_a_killed_window_can_be_recovered(touch_file, qtbot, remembered_here):
-    environment = {**os.environ, "XDG_STATE_HOME": str(remembered_here), "XDG_CONFIG_HOME": str(remembered_here)}
+    environment = {
+        **os.environ,
+        "XDG_STATE_HOME": str(remembered_here),
+        "XDG_CONFIG_HOME": str(remembered_here),
+    }
     with subprocess.Popen(
-        [sys.executable, "-c", _EDIT_AND_WAIT, touch_file], stdout=subprocess.PIPE, text=True, env=environment
+        [sys.executable, "-c", _EDIT_AND_WAIT, touch_file],
+        stdout=subprocess.PIPE,
+        text=True,
+        env=environment,
     ) as other:
         assert other.stdout.readline() == "saved\n"
-        assert recovery.find_recoverable_sessions(recovery.get_recovery_folder()) == ()  # its window is still there
+        # its window is still there
+        assert recovery.find_recoverable_sessions(recovery.get_recovery_folder()) == ()
         other.send_signal(signal.SIGKILL)
     left = recovery.find_recoverable_sessions(recovery.get_recovery_folder())
     assert [one.session.offsets.translation_mm for one in left] == [(1.5, 0.0, 0.0)]
@@ -96,7 +106,9 @@ def test_closing_asks_before_edits_are_lost(bubble_window, tmp_path, monkeypatch
         return QMessageBox.StandardButton[answer]
 
     monkeypatch.setattr(QMessageBox, "question", says)
-    monkeypatch.setattr("PyQt6.QtWidgets.QFileDialog.getSaveFileName", lambda *_args: (str(tmp_path / "mine"), ""))
+    monkeypatch.setattr(
+        "PyQt6.QtWidgets.QFileDialog.getSaveFileName", lambda *_args: (str(tmp_path / "mine"), "")
+    )
     assert not bubble_window.window.isWindowModified()
     move(bubble_window)
     assert bubble_window.window.isWindowModified()
@@ -195,7 +207,9 @@ def test_the_window_restores_its_geometry_on_the_screen(qtbot):
         second.close()
 
 
-def test_a_recovery_file_of_another_version_is_named_and_can_be_discarded(touch_file, qtbot, remembered_here):
+def test_a_recovery_file_of_another_version_is_named_and_can_be_discarded(
+    touch_file, qtbot, remembered_here
+):
     folder = recovery.get_recovery_folder()
     folder.mkdir(parents=True)
     old = folder / "session-1-1.touch.json"
@@ -208,7 +222,9 @@ def test_a_recovery_file_of_another_version_is_named_and_can_be_discarded(touch_
         notification = find_autosave(controller).notification
         assert notification.isVisible()
         assert "version 1" in notification.text
-        assert [button.text() for button in notification.buttons if button.isVisible()] == ["Discard"]
+        assert [button.text() for button in notification.buttons if button.isVisible()] == [
+            "Discard"
+        ]
         notification.buttons[0].click()
         assert not old.exists()
         assert not notification.isVisible()
@@ -217,7 +233,8 @@ def test_a_recovery_file_of_another_version_is_named_and_can_be_discarded(touch_
 
 
 def test_another_windows_notes_are_kept_whatever_the_spelling_of_the_file(bubble_window, tmp_path):
-    path, link = tmp_path / "mine.touch.json", tmp_path / "link.touch.json"
+    path = tmp_path / "mine.touch.json"
+    link = tmp_path / "link.touch.json"
     bubble_window.save_session(path)
     link.symlink_to(path)
     save_session(Session(notes={3: "of another window"}), path, {})

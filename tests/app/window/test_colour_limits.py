@@ -46,9 +46,12 @@ def test_a_double_click_fits_the_limits_in_one_undo_step(bubble_window, qtbot):
     assert (built.low_setting, built.high_setting) == ("bubble_near_mm", "bubble_far_mm")
     qtbot.mouseDClick(source.colour_bar, Qt.MouseButton.LeftButton)
     assert wait_until_shown(bubble_window, 60)
-    fitted, values = source.preview.scale, source.preview.values
+    fitted = source.preview.scale
+    values = source.preview.values
     inside = values[np.isfinite(values)]
-    np.testing.assert_allclose((fitted.low, fitted.high), np.percentile(inside, (1, 99)), atol=0.006)
+    np.testing.assert_allclose(
+        (fitted.low, fitted.high), np.percentile(inside, (1, 99)), atol=0.006
+    )
     bubble_window.choose_frame(1)  # the limits are absolute: another frame keeps them
     assert wait_until_shown(bubble_window, 60)
     assert source.preview.scale == fitted

@@ -12,7 +12,8 @@ from pipeline.stages.networks import network_factory, weights_registry
 from pipeline.stages.touch.stage import PHYSICS, T2D2
 from tests.app.window.command_runs import same_as_typed
 
-LIMIT_S, LIMIT_MS = 240, 240_000
+LIMIT_S = 240
+LIMIT_MS = 240_000
 
 
 @pytest.fixture
@@ -25,7 +26,9 @@ def compared(open_window, qtbot, tmp_path, monkeypatch):
     assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
     instrument.window.actions_by_name["layout_compare"].trigger()
     assert wait_until_shown(instrument, LIMIT_S)
-    comparing = next(child for child in instrument.children() if isinstance(child, ComparisonController))
+    comparing = next(
+        child for child in instrument.children() if isinstance(child, ComparisonController)
+    )
     qtbot.waitUntil(lambda: not comparing.is_busy and bool(_tiles(instrument)), timeout=LIMIT_MS)
     return instrument, comparing
 
@@ -36,21 +39,27 @@ def _tiles(instrument):
 
 def _settled(qtbot, instrument, comparing, tiles):
     qtbot.waitUntil(
-        lambda: instrument.is_idle and not comparing.is_busy and _tiles(instrument) is not tiles, timeout=LIMIT_MS
+        lambda: instrument.is_idle and not comparing.is_busy and _tiles(instrument) is not tiles,
+        timeout=LIMIT_MS,
     )
 
 
 def test_every_method_is_compared_with_ground_truth_worst_first(compared, qtbot):
     instrument, comparing = compared
-    page, tiles = instrument.window.comparison, _tiles(instrument)
+    page = instrument.window.comparison
+    tiles = _tiles(instrument)
     titles = [tile.title for tile in tiles]
     assert titles[0] == "truth"
     assert set(titles[1:]) == {PHYSICS.title, T2D2.title}
     assert tiles[1].metrics["contact_error_mm"] > tiles[2].metrics["contact_error_mm"]
-    assert all("contact" in tile.subtitle and "dB" in tile.subtitle and "ms" in tile.subtitle for tile in tiles[1:])
+    assert all(
+        "contact" in tile.subtitle and "dB" in tile.subtitle and "ms" in tile.subtitle
+        for tile in tiles[1:]
+    )
     assert "left out: T2D2 latent" in page.current_tab.message.text()
     assert len({tile.preview.scale for tile in tiles}) == 1  # one colour scale
-    assert instrument.latest_frame.results == {}  # nothing is worked out for columns that nobody sees
+    # nothing is worked out for columns that nobody sees
+    assert instrument.latest_frame.results == {}
     page.order_box.setCurrentText("best first")
     page.choice_changed.emit()
     _settled(qtbot, instrument, comparing, tiles)
@@ -64,7 +73,9 @@ def test_the_copied_command_makes_the_same_pictures_and_figures(compared, tmp_pa
 
 def test_leaving_the_page_releases_cached_results_and_networks(compared, qtbot):
     instrument, comparing = compared
-    tiles, ready = _tiles(instrument), network_factory._predictors  # pyright: ignore[reportPrivateUsage]
+    # pyright: ignore[reportPrivateUsage]
+    tiles = _tiles(instrument)
+    ready = network_factory._predictors
     cache = comparing._method_runner.graph.cache
     assert cache.n_bytes
     assert len(ready)
@@ -92,7 +103,9 @@ def test_one_key_shows_the_difference_and_all_views_pan_together(compared):
     assert views[0].view.preview is views[0].tile.preview
     views[1].view.canvas.set_view(QPointF(100.0, 60.0), 2.0)
     views[1].view.view_changed.emit()
-    assert {(v.view.canvas.centre.x(), v.view.canvas.centre.y(), v.view.canvas.scale) for v in views} == {(100, 60, 2)}
+    assert {
+        (v.view.canvas.centre.x(), v.view.canvas.centre.y(), v.view.canvas.scale) for v in views
+    } == {(100, 60, 2)}
     views[2].view.pixel_hovered.emit(60, 100)
     assert all(v.view.canvas.crosshair == (60, 100) for v in views)
     assert views[2].tile.title in instrument.window.readout.text()

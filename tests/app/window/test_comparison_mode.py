@@ -26,8 +26,13 @@ def _choose(controller, versus):
 
 
 def _grey(image):
-    return np.array([[image.pixelColor(x, y).green() for x in range(image.width())] for y in range(0, image.height(), 4)],
-                    np.float64)  # fmt: skip
+    return np.array(
+        [
+            [image.pixelColor(x, y).green() for x in range(image.width())]
+            for y in range(0, image.height(), 4)
+        ],
+        np.float64,
+    )
 
 
 def test_truth_mode_replaces_the_result_and_restores_it(window):
@@ -39,7 +44,8 @@ def test_truth_mode_replaces_the_result_and_restores_it(window):
     for name in truths:
         assert views[name].preview.caption.startswith("truth: "), name
     np.testing.assert_array_equal(views["depth"].preview.values, truths["depth"].indentation_mm)
-    np.testing.assert_array_equal(views["cloud"].preview.pixels, made["cloud"].pixels)  # of which no truth is known
+    # of which no truth is known
+    np.testing.assert_array_equal(views["cloud"].preview.pixels, made["cloud"].pixels)
     _choose(window, "truth")
     assert window.views.comparison_mode == ""
     np.testing.assert_array_equal(views["depth"].preview.pixels, made["depth"].pixels)
@@ -77,9 +83,15 @@ def test_the_truth_lies_right_of_the_wipe_handle(window):
         seen[share] = view.canvas.grab().toImage()
     handle = round(view.canvas.to_screen(QPointF(0.25 * view.preview.pixels.shape[1], 0.0)).x())
     here, made, true = (_grey(seen[share]) for share in (0.25, 1.0, 0.0))
-    for whose, other, part in ((made, true, slice(None, handle - 1)), (true, made, slice(handle + 2, None))):
-        off, otherwise = (float(np.abs(here - picture)[:, part].mean()) for picture in (whose, other))
-        assert off < 0.2 * otherwise  # a part is brought to size by itself, which moves a colour by a level or two
+    for whose, other, part in (
+        (made, true, slice(None, handle - 1)),
+        (true, made, slice(handle + 2, None)),
+    ):
+        off, otherwise = (
+            float(np.abs(here - picture)[:, part].mean()) for picture in (whose, other)
+        )
+        # a part is brought to size by itself, which moves a colour by a level or two
+        assert off < 0.2 * otherwise
     overlay.move_handle(2.0)  # no farther than the picture
     assert overlay.share == 1.0
     assert not overlay.is_visible
@@ -93,7 +105,10 @@ def test_blink_alternates_until_it_is_switched_off(window, qtbot):
     overlay = window.window.columns["depth"].view.overlay
     seen = set()
     qtbot.waitUntil(
-        lambda: len(seen.union({overlay.is_visible}) and (seen.add(overlay.is_visible) or seen)) == 2, timeout=240_000
+        lambda: (
+            len(seen.union({overlay.is_visible}) and (seen.add(overlay.is_visible) or seen)) == 2
+        ),
+        timeout=240_000,
     )
     _choose(window, "blink")
     assert not overlay.is_visible
@@ -105,7 +120,9 @@ def test_truth_is_not_computed_unless_requested(window, monkeypatch):
     asked = []
     honest = translation.read_true_outputs
     monkeypatch.setattr(
-        translation, "read_true_outputs", lambda self, index, shown: asked.append(index) or honest(self, index, shown)
+        translation,
+        "read_true_outputs",
+        lambda self, index, shown: asked.append(index) or honest(self, index, shown),
     )
     window.choose_frame(7)
     assert wait_until_shown(window, LIMIT_S)
@@ -121,4 +138,6 @@ def test_a_recording_without_truth_shows_the_result(bubble_window):
     assert shown.caption == made.caption
     np.testing.assert_array_equal(shown.pixels, made.pixels)
     texts = [label.text() for label in bubble_window.window.timeline.findChildren(QLabel)]
-    assert [text for text in texts if text.startswith("round-trip error")], "frames are ranked by what needs no truth"
+    assert [text for text in texts if text.startswith("round-trip error")], (
+        "frames are ranked by what needs no truth"
+    )

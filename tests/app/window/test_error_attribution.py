@@ -39,13 +39,16 @@ def test_the_error_of_the_current_frame_is_attributed(window, qtbot):
 
 
 def test_a_click_on_a_share_pins_the_truth_of_its_stage_in_the_column_head(window, qtbot):
-    panel, columns = window.window.error_attribution, window.window.columns
+    panel = window.window.error_attribution
+    columns = window.window.columns
     window.window.drawers.diagnostics.show()
     window.window.tabs.setCurrentWidget(panel)
     qtbot.waitUntil(lambda: bool(panel.waterfall.bars), timeout=LIMIT_MS)
     row = next(k for k, bar in enumerate(panel.waterfall.bars) if bar.title == "depth")
     tall = panel.waterfall.height() / len(panel.waterfall.bars)
-    qtbot.mouseClick(panel.waterfall, Qt.MouseButton.LeftButton, pos=QPoint(50, round((row + 0.5) * tall)))
+    qtbot.mouseClick(
+        panel.waterfall, Qt.MouseButton.LeftButton, pos=QPoint(50, round((row + 0.5) * tall))
+    )
     assert wait_until_shown(window, 240)
     assert window.session.methods == {"depth": "truth"}
     assert columns["depth"]._method.currentText() == "Truth"
@@ -74,4 +77,9 @@ def test_a_frame_without_truth_has_no_attribution(bubble_window, qtbot):
 
 def test_each_bar_begins_where_the_one_before_it_ended():
     shown = make_bars("error", 1.0, (("depth", 0.3), ("drawing", -0.1)), 0.8)
-    assert [(round(b.begin, 3), round(b.end, 3)) for b in shown] == [(0.0, 1.0), (1.0, 0.7), (0.7, 0.8), (0.0, 0.8)]
+    assert [(round(b.begin, 3), round(b.end, 3)) for b in shown] == [
+        (0.0, 1.0),
+        (1.0, 0.7),
+        (0.7, 0.8),
+        (0.0, 0.8),
+    ]

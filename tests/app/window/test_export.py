@@ -1,4 +1,7 @@
-"""Exports of the window and the commands that it copies leave the same bytes; a case plays again."""
+"""Exports of the window and the commands that it copies leave the same bytes.
+
+A case plays again.
+"""
 
 from __future__ import annotations
 
@@ -42,13 +45,18 @@ def edited(qapp):
     from app.main import show_window
     from app.session.state import Session
 
-    made = show_window(Session(recording=SAMPLE_RECORDING, source="digit", target="gelslim", frame=5), with_scene=False)
+    made = show_window(
+        Session(recording=SAMPLE_RECORDING, source="digit", target="gelslim", frame=5),
+        with_scene=False,
+    )
     assert wait_until_shown(made, LIMIT_S), made.window.banner.text
     name = next(n for n, value in vars_of(DepthParams()).items() if isinstance(value, float))
     params = replace_value(DepthParams(), name, vars_of(DepthParams())[name] * 1.01)
     display = replace_value(made.session.display, "gel_limit_mm", 1.1)
     made.change(
-        "edit", params={PHYSICS.key: params, "display": display}, offsets=Offsets(translation_mm=(-0.3, 1e-5, 0.0))
+        "edit",
+        params={PHYSICS.key: params, "display": display},
+        offsets=Offsets(translation_mm=(-0.3, 1e-5, 0.0)),
     )
     assert wait_until_shown(made, LIMIT_S), made.window.banner.text
     yield made
@@ -64,7 +72,9 @@ def vars_of(params) -> dict:
 
 def wait(handing: ExportController) -> None:
     end_s = time.monotonic() + LIMIT_S
-    while (handing.job.is_busy or "written" not in handing.notification.text.lower()) and time.monotonic() < end_s:
+    while (
+        handing.job.is_busy or "written" not in handing.notification.text.lower()
+    ) and time.monotonic() < end_s:
         QCoreApplication.processEvents()
         time.sleep(0.002)
     assert "written" in handing.notification.text.lower(), handing.notification.text
@@ -81,7 +91,9 @@ def wait(handing: ExportController) -> None:
         ("depth", "truth", ".mp4", "3-5"),
     ],
 )
-def test_an_export_and_its_command_leave_the_same_bytes(edited, tmp_path, pane, shown, suffix, frames):
+def test_an_export_and_its_command_leave_the_same_bytes(
+    edited, tmp_path, pane, shown, suffix, frames
+):
     handing = handing_of(edited)
     path = tmp_path / f"window{suffix}"
     asked = handing.make_export_request(path, pane, shown, frames)
@@ -97,9 +109,12 @@ def test_an_export_and_its_command_leave_the_same_bytes(edited, tmp_path, pane, 
 
 
 @pytest.mark.parametrize("layout", ["stages", "demo"])
-def test_the_command_of_a_section_writes_the_table_that_is_copied(edited, tmp_path, monkeypatch, qtbot, layout):
+def test_the_command_of_a_section_writes_the_table_that_is_copied(
+    edited, tmp_path, monkeypatch, qtbot, layout
+):
     monkeypatch.chdir(tmp_path)
-    window, panel = edited.window, edited.window.section_panel
+    window = edited.window
+    panel = edited.window.section_panel
     window.actions_by_name[f"layout_{layout}"].trigger()
     assert wait_until_shown(edited, LIMIT_S)
     edited.set_section(SectionLine(begin_mm=(-3.25, 1.5), end_mm=(4.0, -0.01)))
@@ -121,12 +136,18 @@ def test_the_command_of_a_section_writes_the_table_that_is_copied(edited, tmp_pa
 
 @pytest.mark.parametrize(
     ("options", "fact"),
-    [(["--section", "1", "1", "1", "1"], "longer than nothing"), (["--section", "0", "0", "nan", "1"], "longer"),
-     (["--section", "0", "0", "1", "1", "--pane", "depth,nose"], "no pane 'nose'")],
-)  # fmt: skip
+    [
+        (["--section", "1", "1", "1", "1"], "longer than nothing"),
+        (["--section", "0", "0", "nan", "1"], "longer"),
+        (["--section", "0", "0", "1", "1", "--pane", "depth,nose"], "no pane 'nose'"),
+    ],
+)
 def test_an_invalid_section_is_refused(tmp_path, capsys, options, fact):
     out = ["--target", "gelslim", "--out", str(tmp_path / "s.csv")]
-    assert run_app(build_app(), ["export", str(SAMPLE_RECORDING), "--sensor", "digit", *out, *options]) == 2
+    assert (
+        run_app(build_app(), ["export", str(SAMPLE_RECORDING), "--sensor", "digit", *out, *options])
+        == 2
+    )
     said = capsys.readouterr().err
     assert fact in said
     assert len(said.splitlines()) == 1
@@ -149,13 +170,18 @@ def test_exported_arrays_are_those_on_screen(edited, tmp_path):
     handing.start_export(handing.make_export_request(tmp_path / "a.npz"))
     wait(handing)
     with np.load(tmp_path / "a.npz") as arrays:
-        for stage, field in (("depth", "indentation_mm"), ("target_depth", "depth_mm"), ("touch", "image")):
+        for stage, field in (
+            ("depth", "indentation_mm"),
+            ("target_depth", "depth_mm"),
+            ("touch", "image"),
+        ):
             on_screen = getattr(edited.latest_frame.results[stage].output, field)
             assert np.array_equal(arrays[f"{stage}.{field}"], on_screen, equal_nan=True)
 
 
 def test_a_repro_bundle_replays_and_reports_changes(edited, tmp_path, capsys):
-    handing, folder = handing_of(edited), tmp_path / "worst.bundle"
+    handing = handing_of(edited)
+    folder = tmp_path / "worst.bundle"
     handing.start_bundle(folder, "the gel saw a part of it")
     wait(handing)
     assert run_app(build_app(), ["replay", str(folder)]) == 0
@@ -167,7 +193,9 @@ def test_a_repro_bundle_replays_and_reports_changes(edited, tmp_path, capsys):
     moved = tmp_path / "moved"
     folder.rename(moved)
     said = json.loads((moved / "bundle.json").read_text())
-    said["settings"] = [line for line in said["settings"] if not line.startswith("depth")] + ["depth.contact_mm=0.5"]
+    said["settings"] = [line for line in said["settings"] if not line.startswith("depth")] + [
+        "depth.contact_mm=0.5"
+    ]
     (moved / "bundle.json").write_text(json.dumps(said))
     code = run_app(build_app(), ["replay", str(moved)])
     assert code in (1, 2)
@@ -175,8 +203,11 @@ def test_a_repro_bundle_replays_and_reports_changes(edited, tmp_path, capsys):
 
 
 def _check_truth(folder, expected, *, frame):
-    """Truth, difference and shares of the error agree with each other, and name the frame of the recording."""
-    truth, gap = np.load(folder / "truth.npz"), np.load(folder / "difference.npz")
+    """Truth, difference and shares of the error agree with each other, and name the frame of the
+    recording.
+    """
+    truth = np.load(folder / "truth.npz")
+    gap = np.load(folder / "difference.npz")
     both = expected["target_depth.indentation_mm"] - truth["target_depth.indentation_mm"]
     seen = np.isfinite(gap["target_depth"])
     assert seen.any()
@@ -187,7 +218,9 @@ def _check_truth(folder, expected, *, frame):
     assert frame > 0
     assert frame == said["frame"] == shares["frame"]
     assert shares["total"] == pytest.approx(said["metrics"][shares["metric"]], rel=1e-6)
-    assert shares["total"] == pytest.approx(sum(part["share"] for part in shares["shares"]) + shares["remainder"])
+    assert shares["total"] == pytest.approx(
+        sum(part["share"] for part in shares["shares"]) + shares["remainder"]
+    )
 
 
 def test_an_impossible_export_is_reported(edited, tmp_path):
@@ -195,7 +228,10 @@ def test_an_impossible_export_is_reported(edited, tmp_path):
         (("--out", str(tmp_path / "a.xyz")), "known are .png"),
         (("--out", str(tmp_path / "a.ply")), "a sheet is no cloud"),
         (("--pane", "nose", "--out", str(tmp_path / "a.png")), "no pane 'nose'"),
-        (("--pane", "cloud", "--frame", "0", "--out", str(tmp_path / "a.ply")), "frame 0 has no point"),
+        (
+            ("--pane", "cloud", "--frame", "0", "--out", str(tmp_path / "a.ply")),
+            "frame 0 has no point",
+        ),
         (("--frames", "1-99", "--out", str(tmp_path / "a.csv")), "no frame 99"),
     ):
         with pytest.MonkeyPatch.context() as patch:
@@ -203,7 +239,16 @@ def test_an_impossible_export_is_reported(edited, tmp_path):
             patch.setattr("pipeline.cli.main.print_error", said.append)
             assert (
                 run_app(
-                    build_app(), ["export", str(SAMPLE_RECORDING), "--target", "gelslim", "--sensor", "digit", *typed]
+                    build_app(),
+                    [
+                        "export",
+                        str(SAMPLE_RECORDING),
+                        "--target",
+                        "gelslim",
+                        "--sensor",
+                        "digit",
+                        *typed,
+                    ],
                 )
                 == 2
             )
@@ -223,7 +268,9 @@ def test_a_video_that_the_codec_cannot_write_leaves_no_file(edited, tmp_path, mo
         def isOpened(self):
             return True
 
-    monkeypatch.setattr(cv2, "VideoWriter", type("Writer", (Full,), {"fourcc": cv2.VideoWriter.fourcc}))
+    monkeypatch.setattr(
+        cv2, "VideoWriter", type("Writer", (Full,), {"fourcc": cv2.VideoWriter.fourcc})
+    )
     asked = handing_of(edited).make_export_request(tmp_path / "a.mp4", "depth", "computed", "3-4")
     with pytest.raises(FileProblem, match="cannot write the video"):
         export_file(asked)

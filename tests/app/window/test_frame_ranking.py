@@ -20,7 +20,8 @@ from widgets.frames.frames_model import CAUSE, FRAME, METRIC, NOTE, WARNINGS
 from widgets.frames.frames_panel import FramesPanel
 
 LIMIT_MS = 240_000
-_UP, _DOWN = Qt.SortOrder.AscendingOrder, Qt.SortOrder.DescendingOrder
+_UP = Qt.SortOrder.AscendingOrder
+_DOWN = Qt.SortOrder.DescendingOrder
 
 
 @pytest.fixture
@@ -36,17 +37,25 @@ def test_every_frame_with_truth_is_ranked_and_one_key_shows_the_worst(window, qt
     qtbot.waitUntil(lambda: known.find_unknown_frame(5) < 0, timeout=LIMIT_MS)
     assert window.session.frame == 5
     figures = {
-        f: known.get_summary(f).metrics.get("touch_depth.contact_mae_mm", math.nan) for f in range(known.rowCount())
+        f: known.get_summary(f).metrics.get("touch_depth.contact_mae_mm", math.nan)
+        for f in range(known.rowCount())
     }
-    ranked = sorted((f for f, v in figures.items() if math.isfinite(v)), key=figures.__getitem__, reverse=True)
+    ranked = sorted(
+        (f for f, v in figures.items() if math.isfinite(v)), key=figures.__getitem__, reverse=True
+    )
     line = window.window.timeline.errors
-    qtbot.waitUntil(lambda: line.worst_frame == ranked[0], timeout=LIMIT_MS)  # nobody opened the table
+    # nobody opened the table
+    qtbot.waitUntil(lambda: line.worst_frame == ranked[0], timeout=LIMIT_MS)
     assert "touch depth: error in contact, mm" in [
         label.text() for label in window.window.timeline.findChildren(QLabel)
     ]
     wanted = [figures[f] for f in range(known.rowCount())]
     qtbot.waitUntil(lambda: np.array_equal(line.values, wanted, equal_nan=True), timeout=LIMIT_MS)
-    assert set(line.warnings) == {f for f in range(known.rowCount()) if known.get_specific_warnings(f)} != set()
+    assert (
+        set(line.warnings)
+        == {f for f in range(known.rowCount()) if known.get_specific_warnings(f)}
+        != set()
+    )
     window.window.actions_by_name["worst_frame"].trigger()
     assert window.session.frame == ranked[0]
     window.choose_frame(0)  # untouched: it has no error, so the worst of all comes first
@@ -60,10 +69,13 @@ def test_every_frame_with_truth_is_ranked_and_one_key_shows_the_worst(window, qt
 
 
 def test_force_of_every_frame_is_a_curve_that_takes_their_depth_alone(window, qtbot, tmp_path):
-    panel, line = window.window.frames, window.window.timeline.errors
+    panel = window.window.frames
+    line = window.window.timeline.errors
     assert panel.metric_box.findData(UNCALIBRATED_FORCE) >= 0
     panel.metric_box.chosen.emit(UNCALIBRATED_FORCE)
-    qtbot.waitUntil(lambda: panel.model.find_unknown_frame(0, quantity=UNCALIBRATED_FORCE) < 0, timeout=LIMIT_MS)
+    qtbot.waitUntil(
+        lambda: panel.model.find_unknown_frame(0, quantity=UNCALIBRATED_FORCE) < 0, timeout=LIMIT_MS
+    )
     qtbot.waitUntil(lambda: bool(np.isfinite(line.values).all()), timeout=LIMIT_MS)
     assert line.is_curve
     assert panel.model.find_unknown_frame(5) >= 0  # frames whose whole translation nobody needed
@@ -71,8 +83,11 @@ def test_force_of_every_frame_is_a_curve_that_takes_their_depth_alone(window, qt
     true = [-stream.truth(i).force_n[2] for i in range(len(line.values))]
     assert line.values[0] == true[0] == 0.0
     assert stats.spearmanr(line.values, true)[0] > 0.9
-    assert "force (scale unknown), N" in [label.text() for label in window.window.timeline.findChildren(QLabel)]
-    before, calibration = np.array(line.values), tmp_path / "force.npz"
+    assert "force (scale unknown), N" in [
+        label.text() for label in window.window.timeline.findChildren(QLabel)
+    ]
+    before = np.array(line.values)
+    calibration = tmp_path / "force.npz"
     save_force_scale(fit_force_scale("digit", [1.0, 4.0], [2.0, 8.0]), calibration)
     window.change("calibration", calibration=calibration)
     labels = window.window.timeline.findChildren(QLabel)
@@ -84,12 +99,17 @@ def test_force_of_every_frame_is_a_curve_that_takes_their_depth_alone(window, qt
 def test_shear_of_every_frame_of_a_marked_gel_is_a_curve(open_window, qtbot):
     controller = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
     assert wait_until_shown(controller, 240), controller.window.banner.text
-    panel, line = controller.window.frames, controller.window.timeline.errors
+    panel = controller.window.frames
+    line = controller.window.timeline.errors
     panel.metric_box.chosen.emit(UNCALIBRATED_SHEAR)
-    qtbot.waitUntil(lambda: panel.model.find_unknown_frame(0, quantity=UNCALIBRATED_SHEAR) < 0, timeout=LIMIT_MS)
+    qtbot.waitUntil(
+        lambda: panel.model.find_unknown_frame(0, quantity=UNCALIBRATED_SHEAR) < 0, timeout=LIMIT_MS
+    )
     qtbot.waitUntil(lambda: bool(np.isfinite(line.values).all()), timeout=LIMIT_MS)
     assert line.values[0] == 0.0  # untouched
-    force_n = [-controller.views.translation.stream.truth(i).force_n[2] for i in range(len(line.values))]
+    force_n = [
+        -controller.views.translation.stream.truth(i).force_n[2] for i in range(len(line.values))
+    ]
     assert max(line.values) < 0.05 * max(force_n)  # the sample is pressed and turned, not dragged
 
 
@@ -106,9 +126,12 @@ def test_a_click_in_the_timeline_chooses_the_frame(window, qtbot):
 def test_a_recording_without_truth_fills_the_strip_by_its_round_trip(bubble_window, qtbot):
     controller = bubble_window
     assert not controller.views.translation.stream.has_truth
-    line, panel = controller.window.timeline.errors, controller.window.frames
+    line = controller.window.timeline.errors
+    panel = controller.window.frames
     touched = controller.session.frame
-    qtbot.waitUntil(lambda: touched < len(line.values) and math.isfinite(line.values[touched]), timeout=LIMIT_MS)
+    qtbot.waitUntil(
+        lambda: touched < len(line.values) and math.isfinite(line.values[touched]), timeout=LIMIT_MS
+    )
     assert line.worst_frame >= 0  # nobody opened the table
     texts = [label.text() for label in controller.window.timeline.findChildren(QLabel)]
     assert "round-trip error, mm" in texts
@@ -116,7 +139,12 @@ def test_a_recording_without_truth_fills_the_strip_by_its_round_trip(bubble_wind
     assert summary.metrics["frame.round_trip_mm"] == line.values[touched] > 0
     assert summary.metrics["frame.training_distance"] > 0
     names = [panel.metric_box.itemText(i) for i in range(panel.metric_box.count())]
-    assert {"round-trip error, mm", "distance from training", "warnings", "contact area, mm²"} <= set(names)
+    assert {
+        "round-trip error, mm",
+        "distance from training",
+        "warnings",
+        "contact area, mm²",
+    } <= set(names)
 
 
 def test_a_row_has_a_thumbnail_and_the_cause_of_its_error(qtbot, monkeypatch):
@@ -127,7 +155,10 @@ def test_a_row_has_a_thumbnail_and_the_cause_of_its_error(qtbot, monkeypatch):
     image = np.full((30, 40, 3), 200, np.uint8)
     touched = {"max_indentation_mm": 0.2, "contact_area_mm2": 3.0}
     model.show_summary(
-        0, FrameSummary(**touched, warnings=("depth: saturated",), thumbnail=image, dark_thumbnail=image // 4)
+        0,
+        FrameSummary(
+            **touched, warnings=("depth: saturated",), thumbnail=image, dark_thumbnail=image // 4
+        ),
     )
     model.show_summary(1, FrameSummary(**touched))
     assert model.find_unknown_frame(0, completely=True) == 0
@@ -159,7 +190,9 @@ def test_the_chosen_metric_ranks_the_frames(qtbot):
     panel.model.reset_frames(4)
     for frame, (a, b) in enumerate(((0.1, 30.0), (0.4, 20.0), (0.2, 40.0))):
         figures = {"a.mae_mm": a, "b.psnr_db": b}
-        panel.model.show_summary(frame, FrameSummary(max_indentation_mm=0.2, contact_area_mm2=3.0, metrics=figures))
+        panel.model.show_summary(
+            frame, FrameSummary(max_indentation_mm=0.2, contact_area_mm2=3.0, metrics=figures)
+        )
     chosen = []
     panel.frame_chosen.connect(chosen.append)
     offered = {"a.mae_mm": "a: error, mm", "b.psnr_db": "b: PSNR, dB"}
@@ -182,7 +215,9 @@ def test_notes_are_saved_and_frames_are_filtered(bubble_window, qtbot, tmp_path)
     for frame, error in ((0, None), (1, 0.2), (2, 0.5)):
         figures = {} if error is None else {"touch_depth.contact_mae_mm": error}
         area = 0.0 if error is None else 5.0
-        known.show_summary(frame, FrameSummary(max_indentation_mm=1.0, contact_area_mm2=area, metrics=figures))
+        known.show_summary(
+            frame, FrameSummary(max_indentation_mm=1.0, contact_area_mm2=area, metrics=figures)
+        )
     index = known.index(1, NOTE)
     assert known.flags(index) & Qt.ItemFlag.ItemIsEditable
     assert known.setData(index, " slipped, look again ")
@@ -190,11 +225,20 @@ def test_notes_are_saved_and_frames_are_filtered(bubble_window, qtbot, tmp_path)
     assert known.data(index) == "slipped, look again"
     assert known.get_summary(2) is not None  # figures do not rest on notes
     for words, listed in (
-        ("", [0, 1, 2]), (">0.3", [2]), ("<0.3", [1]), ("contact", [1, 2]), ("no-contact", [0]), ("noted", [1]),
-        ("slip", [1]), ("contact >0.1 again", [1]), ("nothing-of-the-kind", []),
-    ):  # fmt: skip
+        ("", [0, 1, 2]),
+        (">0.3", [2]),
+        ("<0.3", [1]),
+        ("contact", [1, 2]),
+        ("no-contact", [0]),
+        ("noted", [1]),
+        ("slip", [1]),
+        ("contact >0.1 again", [1]),
+        ("nothing-of-the-kind", []),
+    ):
         panel.filter_line.setText(words)
-        assert sorted(panel._frame_of(row) for row in range(panel._sorted.rowCount())) == listed, words
+        assert sorted(panel._frame_of(row) for row in range(panel._sorted.rowCount())) == listed, (
+            words
+        )
     panel.filter_line.setText("noted")
     assert "1 listed" in panel._told.text()
     panel.step_by_metric(1, sort_order=_DOWN)

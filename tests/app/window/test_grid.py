@@ -17,7 +17,13 @@ from pipeline.cli.main import build_app, run_app
 from pipeline.core.errors import SettingProblem
 from pipeline.core.params import Setting, list_settings
 from pipeline.lab.evaluation.comparison_tiles import write_tiles
-from pipeline.lab.evaluation.grid_comparison import GridAxis, GridCell, GridPlan, build_tiles, parse_axis
+from pipeline.lab.evaluation.grid_comparison import (
+    GridAxis,
+    GridCell,
+    GridPlan,
+    build_tiles,
+    parse_axis,
+)
 from pipeline.lab.evaluation.variants import Variant
 from pipeline.translation.catalogue import BUILT_IN
 from widgets.compare.comparison_grid import find_pareto_front
@@ -50,15 +56,20 @@ def _choose(tab, *axes):
 def _run(qtbot, instrument, tab, n_cells):
     tab.start_button.click()
     comparing = instrument.findChild(ComparisonController)
-    qtbot.waitUntil(lambda: len(tab.grid.cells) == n_cells and not comparing.is_busy, timeout=LIMIT_MS)
+    qtbot.waitUntil(
+        lambda: len(tab.grid.cells) == n_cells and not comparing.is_busy, timeout=LIMIT_MS
+    )
 
 
 def test_all_pairs_are_computed_and_a_click_uses_one(gridded, qtbot):
     instrument, tab = gridded
     assert instrument.latest_frame.results == {}  # nothing that nobody sees
     _run(qtbot, instrument, tab, 4)
-    assert all(c.preview is not None and c.ms > 0 and math.isnan(c.error) for c in tab.grid.cells.values())
-    assert (tab.grid.cells[0, 0].preview.pixels != tab.grid.cells[0, 1].preview.pixels).any()  # other points
+    assert all(
+        c.preview is not None and c.ms > 0 and math.isnan(c.error) for c in tab.grid.cells.values()
+    )
+    # other points
+    assert (tab.grid.cells[0, 0].preview.pixels != tab.grid.cells[0, 1].preview.pixels).any()
     steps = instrument.undo_stack.count()
     tab.grid.cell_chosen.emit(1, 1)
     params = instrument.session.params
@@ -90,10 +101,16 @@ def test_the_copied_command_computes_the_same_pairs(gridded, qtbot, tmp_path, mo
     instrument.window.actions_by_name["copy_command"].trigger()
     words = shlex.split(QGuiApplication.clipboard().text())
     assert run_app(build_app(), words[1:]) == 0
-    plan = GridPlan(across=GridAxis(stage="cloud", name="stride", values=(1, 4)),
-                    down=GridAxis(stage="target_depth", name="jump_mm", values=(1.0, 2.0)), metric="")  # fmt: skip
+    plan = GridPlan(
+        across=GridAxis(stage="cloud", name="stride", values=(1, 4)),
+        down=GridAxis(stage="target_depth", name="jump_mm", values=(1.0, 2.0)),
+        metric="",
+    )
     write_tiles(tmp_path / "shown", build_tiles(plan, list(tab.grid.cells.values())))
-    shown, typed = ({p.name: p.read_bytes() for p in (tmp_path / name).iterdir()} for name in ("shown", "compared"))
+    shown, typed = (
+        {p.name: p.read_bytes() for p in (tmp_path / name).iterdir()}
+        for name in ("shown", "compared")
+    )
     assert shown == typed
     assert len(shown) == 5
 
@@ -115,13 +132,21 @@ def test_a_sampled_touch_says_whether_its_error_is_variance_or_bias(open_window,
 
 
 def test_what_can_be_tried_is_of_the_methods_in_use(gridded, qtbot):
-    """A bubble's depth comes from the network by default: the physics method's parameters would change nothing."""
+    """A bubble's depth comes from the network by default: the physics method's parameters would
+    change nothing.
+    """
     instrument, tab = gridded
     offered = {tab.axes[0].itemText(i) for i in range(tab.axes[0].count())}
     used = {f"{m.stage}.{name}" for m in instrument.methods for name in list_settings(m.params())}
     assert "network" in {m.name for m in instrument.methods if m.stage == "depth"}
-    assert offered - used == {"depth.method", "depth.weights", "target_depth.method", "touch.method", "touch_depth.method",
-                              "pose.method"} | (offered & {"touch.weights", "pose.weights", "cloud.method"})  # fmt: skip
+    assert offered - used == {
+        "depth.method",
+        "depth.weights",
+        "target_depth.method",
+        "touch.method",
+        "touch_depth.method",
+        "pose.method",
+    } | (offered & {"touch.weights", "pose.weights", "cloud.method"})
 
 
 @pytest.mark.parametrize(
@@ -133,7 +158,9 @@ def test_what_can_be_tried_is_of_the_methods_in_use(gridded, qtbot):
         ("t2d2", "physics", "bubble", ["depth.certainty", "target_depth.grazing_deg"]),
     ],
 )
-def test_a_grid_starts_with_the_most_effective_parameters_of_its_methods(route, touch, kind, wanted):
+def test_a_grid_starts_with_the_most_effective_parameters_of_its_methods(
+    route, touch, kind, wanted
+):
     methods = BUILT_IN.methods(route, {"touch": touch})
     axes = list_axes(Session(), methods, BUILT_IN, {method.key: kind for method in methods})
     assert list(axes)[:2] == wanted

@@ -19,20 +19,30 @@ LIMIT_S = 240
 def wheel(widget) -> QWheelEvent:
     at = QPointF(widget.rect().center())
     return QWheelEvent(
-        at, widget.mapToGlobal(at), QPoint(0, 0), QPoint(0, -120), Qt.MouseButton.NoButton,
-        Qt.KeyboardModifier.NoModifier, Qt.ScrollPhase.NoScrollPhase, False,
-    )  # fmt: skip
+        at,
+        widget.mapToGlobal(at),
+        QPoint(0, 0),
+        QPoint(0, -120),
+        Qt.MouseButton.NoButton,
+        Qt.KeyboardModifier.NoModifier,
+        Qt.ScrollPhase.NoScrollPhase,
+        False,
+    )
 
 
 def test_every_command_is_in_a_menu_and_in_the_palette(bubble_window):
     window = bubble_window.window
-    in_menus = {a.objectName() for menu in window.menuBar().findChildren(QMenu) for a in menu.actions()}
+    in_menus = {
+        a.objectName() for menu in window.menuBar().findChildren(QMenu) for a in menu.actions()
+    }
     assert {c.name for commands in (*MENUS.values(), THEME_COMMANDS) for c in commands} <= in_menus
     window.actions_by_name["palette"].trigger()
     palette = window.findChild(CommandPalette)
     assert palette.isVisible()
     assert palette.results.count() >= len(window.actions_by_name) - 1
-    assert {"Ctrl+K", "Ctrl+Shift+P"} == {k.toString() for k in window.actions_by_name["palette"].shortcuts()}
+    assert {"Ctrl+K", "Ctrl+Shift+P"} == {
+        k.toString() for k in window.actions_by_name["palette"].shortcuts()
+    }
 
 
 def test_the_palette_finds_commands_by_a_few_letters(bubble_window):
@@ -50,7 +60,8 @@ def test_the_palette_finds_commands_by_a_few_letters(bubble_window):
 def test_a_wheel_over_an_unfocused_control_changes_nothing(bubble_window):
     window = bubble_window.window
     window.drawers.parameters.show()
-    before, boxes = bubble_window.session, window.findChildren(QComboBox)
+    before = bubble_window.session
+    boxes = window.findChildren(QComboBox)
     assert len(boxes) > 3
     for control in (*boxes, window.timeline.slider, window.timeline.number):
         event = wheel(control)
@@ -75,7 +86,11 @@ def test_enter_accepts_the_number_and_returns_the_focus(bubble_window, qtbot):
 
 def test_parameter_tooltips_state_unit_and_range(bubble_window):
     panel = bubble_window.window.parameters
-    tips = [w.toolTip() for w in panel.findChildren(QComboBox.__base__) if "gel_limit_mm" in w.objectName()]
+    tips = [
+        w.toolTip()
+        for w in panel.findChildren(QComboBox.__base__)
+        if "gel_limit_mm" in w.objectName()
+    ]
     assert any("0.1 to 3 mm" in tip for tip in tips)
 
 

@@ -26,7 +26,8 @@ def _checkable(window, *names):
 def test_a_tab_runs_its_command_and_a_checked_command_selects_its_tab(qtbot):
     window = QMainWindow()
     qtbot.addWidget(window)
-    actions, runs = _checkable(window, "Stages", "Inspect", "Task"), []
+    actions = _checkable(window, "Stages", "Inspect", "Task")
+    runs = []
     actions[0].setChecked(True)
     tabs = ActionTabs(actions, "layout")
     qtbot.addWidget(tabs)
@@ -65,8 +66,12 @@ def test_tool_buttons_show_text_where_there_is_room(qtbot, width_px, with_text):
     bar.fit_texts()
     with_label = Qt.ToolButtonStyle.ToolButtonTextBesideIcon
     buttons = {a.text(): bar.widgetForAction(a) for a in actions}
-    assert [name for name, button in buttons.items() if button.toolButtonStyle() == with_label] == with_text
-    assert all(button.focusPolicy() & Qt.FocusPolicy.TabFocus for button in bar.findChildren(QToolButton))
+    assert [
+        name for name, button in buttons.items() if button.toolButtonStyle() == with_label
+    ] == with_text
+    assert all(
+        button.focusPolicy() & Qt.FocusPolicy.TabFocus for button in bar.findChildren(QToolButton)
+    )
 
 
 def test_one_icon_has_one_meaning():

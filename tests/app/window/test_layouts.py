@@ -1,4 +1,6 @@
-"""The arrangements of the window: what each shows, what it needs to work out, and that a session keeps it."""
+"""The arrangements of the window: what each shows, what it needs to work out, and that a session
+keeps it.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ from pipeline.core.typed_data import convert
 from widgets.shell.panes import PaneSplitter
 
 LIMIT_S = 240
-# Of picture in a pane of two, by the window's size, with any one drawer open: width and height in pixels.
+# Of picture in a pane of two, by the window's size, with any one drawer open: width and height in
+# pixels.
 PANE_PX = {(1366, 768): (215, 160), (1600, 950): (420, 315), (2560, 1440): (700, 525)}
 
 
@@ -47,7 +50,10 @@ def test_panes_have_room_with_any_drawer_open(bubble_window, qtbot):
             drawer.toggleViewAction().trigger()
 
             def roomy(size=size, wide=wide, high=high) -> bool:
-                shown = [min(v.canvas.size().width(), v.canvas.size().height() / v.height_over_width) for v in views]
+                shown = [
+                    min(v.canvas.size().width(), v.canvas.size().height() / v.height_over_width)
+                    for v in views
+                ]
                 return window.window.size() == QSize(*size) and all(
                     s >= wide and s * v.height_over_width >= min(high, wide * v.height_over_width)
                     for s, v in zip(shown, views, strict=True)
@@ -121,7 +127,8 @@ def test_the_demo_layout_shows_touch_and_truth(window):
     assert shown.caption.startswith("truth: ")
     np.testing.assert_array_equal(shown.distance_mm, truth.image)
     np.testing.assert_allclose(shown.values, truth.reference - truth.image, atol=1e-5)
-    assert set(window.latest_frame.results) == {"depth", "cloud", "target_depth", "touch"}  # nothing that nobody sees
+    # nothing that nobody sees
+    assert set(window.latest_frame.results) == {"depth", "cloud", "target_depth", "touch"}
     known = window.window.frames.model.get_summary(5)
     assert known.metrics  # what was known of the whole frame is not forgotten
     _arrange(window, "stages")
@@ -155,9 +162,13 @@ def test_a_session_stores_the_layout(window, open_window, tmp_path):
 
 @pytest.mark.parametrize(
     ("data", "field"),
-    [({"name": "mine", "panes": []}, "name"), ({"name": "inspect", "panes": [["depth", "4D"]]}, "panes"),
-     ({"name": "inspect", "panes": []}, "panes"), ({"name": "stages", "panes": "depth"}, "panes")],
-)  # fmt: skip
+    [
+        ({"name": "mine", "panes": []}, "name"),
+        ({"name": "inspect", "panes": [["depth", "4D"]]}, "panes"),
+        ({"name": "inspect", "panes": []}, "panes"),
+        ({"name": "stages", "panes": "depth"}, "panes"),
+    ],
+)
 def test_an_invalid_layout_names_the_key(data, field):
     with pytest.raises(FileProblem, match=rf"the layout cannot be used \({field}") as caught:
         convert(data, Layout, "the layout", Path("a"))

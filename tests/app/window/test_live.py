@@ -1,4 +1,6 @@
-"""A sensor in the window: the newest frame is shown, the window waits for nothing, looking back stays where it is."""
+"""A sensor in the window: the newest frame is shown, the window waits for nothing, looking back
+stays where it is.
+"""
 
 from __future__ import annotations
 
@@ -99,11 +101,15 @@ def _is_whole(path: Path) -> bool:
 class _Hangs:
     """A camera that does not come back, as one does whose cable is half out."""
 
-    title, sensor, touching_object = "hanging", "digit", None
+    title = "hanging"
+    sensor = "digit"
+    touching_object = None
 
     def __init__(self) -> None:
-        self.n, self.hang = 0, False
-        self.hangs, self.released = threading.Event(), threading.Event()
+        self.n = 0
+        self.hang = False
+        self.hangs = threading.Event()
+        self.released = threading.Event()
 
     def open(self) -> None:
         pass
@@ -122,7 +128,8 @@ class _Hangs:
 
 
 def test_the_window_does_not_wait_for_a_camera(open_window):
-    controller, source = open_window(target="gelslim"), _Hangs()
+    controller = open_window(target="gelslim")
+    source = _Hangs()
     living = living_of(controller)
     living.watch_source(source)
     until(lambda: living.is_on_screen and controller.latest_frame is not None)

@@ -9,7 +9,8 @@ from pipeline.core.errors import SettingProblem
 
 
 def test_an_uncaught_error_is_printed_too_and_a_mistake_of_the_user_is_not(qtbot, capsys):
-    relay, shown = LogRelay(), []
+    relay = LogRelay()
+    shown = []
     relay.error_uncaught.connect(shown.append)
     relay.catch_uncaught()
     try:

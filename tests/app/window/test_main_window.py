@@ -1,4 +1,6 @@
-"""The window on a small recording: opens, fills its columns, plays, undoes, and survives bad files."""
+"""The window on a small recording: opens, fills its columns, plays, undoes, and survives bad
+files.
+"""
 
 from __future__ import annotations
 
@@ -36,13 +38,26 @@ LIMIT_S = 240
 
 def test_every_column_shows_content(bubble_window):
     window = bubble_window.window
-    assert list(window.columns) == ["source", "depth", "cloud", "target_depth", "touch", "touch_depth", "pose"]
+    assert list(window.columns) == [
+        "source",
+        "depth",
+        "cloud",
+        "target_depth",
+        "touch",
+        "touch_depth",
+        "pose",
+    ]
     for name, column in window.columns.items():
         picture = column.view.preview
         assert picture is not None, name
         assert picture.frame_name.endswith("frame")
         assert picture.pixel_mm > 0
-    assert {c.state for n, c in window.columns.items() if n != "pose"} <= {"read", "computed", "cached", "warning"}
+    assert {c.state for n, c in window.columns.items() if n != "pose"} <= {
+        "read",
+        "computed",
+        "cached",
+        "warning",
+    }
     assert window.columns["depth"].view.preview.outline_px.size > 0
 
 
@@ -132,7 +147,9 @@ def test_a_failing_stage_of_an_open_recording_undoes_nothing(bubble_window, tmp_
     assert bubble_window.window.columns["depth"].state == "failed"
 
 
-def test_a_mesh_can_be_closed_and_closes_with_its_recording(bubble_window, ball_file, touch_file, tmp_path):
+def test_a_mesh_can_be_closed_and_closes_with_its_recording(
+    bubble_window, ball_file, touch_file, tmp_path
+):
     close = bubble_window.window.actions_by_name["close_mesh"]
     assert not close.isEnabled()
     bubble_window.open_path(ball_file)
@@ -151,7 +168,8 @@ def test_a_mesh_can_be_closed_and_closes_with_its_recording(bubble_window, ball_
 
 
 def test_a_damaged_frame_after_two_route_changes_fails_alone(open_window, tmp_path):
-    whole, cut = SAMPLE_RECORDING.read_bytes(), tmp_path / "cut.h5"
+    whole = SAMPLE_RECORDING.read_bytes()
+    cut = tmp_path / "cut.h5"
     cut.write_bytes(whole[: len(whole) // 3])
     window = open_window(cut, target="gelslim", frame=0)
     wait_until_shown(window, LIMIT_S)
@@ -169,9 +187,13 @@ def test_a_damaged_frame_after_two_route_changes_fails_alone(open_window, tmp_pa
 
 
 def test_a_late_part_leaves_its_column_pending(bubble_window, monkeypatch):
-    """The order is forced: a part of the frame before comes between the request for another one and its failure."""
-    window, over = bubble_window, threading.Event()
-    part, error = window.views.get_shown_stage("source"), FileProblem("this frame is damaged", SAMPLE_RECORDING)
+    """The order is forced: a part of the frame before comes between the request for another one
+    and its failure.
+    """
+    window = bubble_window
+    over = threading.Event()
+    part = window.views.get_shown_stage("source")
+    error = FileProblem("this frame is damaged", SAMPLE_RECORDING)
 
     def fails(*_args, **_kwargs):
         over.wait(LIMIT_S)
@@ -197,7 +219,9 @@ def test_a_recording_that_fails_is_not_tried_again(bubble_window, tmp_path, qtbo
     monkeypatch.setattr(bubble_window.evaluator, "evaluate_frame", fails)
     bubble_window.change("open", recording=empty)
     wait_until_shown(bubble_window, LIMIT_S)
-    qtbot.waitUntil(lambda: bubble_window.is_idle and not bubble_window.job.is_busy, timeout=240_000)
+    qtbot.waitUntil(
+        lambda: bubble_window.is_idle and not bubble_window.job.is_busy, timeout=240_000
+    )
     before = bubble_window.job.newest_ticket
     qtbot.wait(300)
     assert bubble_window.job.newest_ticket == before
@@ -205,7 +229,9 @@ def test_a_recording_that_fails_is_not_tried_again(bubble_window, tmp_path, qtbo
 
 
 def test_a_mesh_that_fails_after_an_undo_returns_to_the_earlier_session(bubble_window, tmp_path):
-    """Another choice after an undo cuts what is open off the stack: nothing on it counts as open."""
+    """Another choice after an undo cuts what is open off the stack: nothing on it counts as
+    open.
+    """
     empty = tmp_path / "empty.obj"
     empty.touch()
     first = bubble_window.session.recording
@@ -219,11 +245,19 @@ def test_a_mesh_that_fails_after_an_undo_returns_to_the_earlier_session(bubble_w
     assert bubble_window.session.recording == first
     assert bubble_window.session.mesh is None
     assert bubble_window.views.translation.request.recording == first
-    assert bubble_window.window.columns["depth"].state in ("computed", "cached", "unchanged", "warning")
+    assert bubble_window.window.columns["depth"].state in (
+        "computed",
+        "cached",
+        "unchanged",
+        "warning",
+    )
 
 
 def test_undoing_a_mesh_computes_no_session_in_between(bubble_window, tmp_path):
-    """Hours of steps lie under one failure, and none of them is worked out on the way; what failed is not tried twice."""
+    """Hours of steps lie under one failure, and none of them is worked out on the way.
+
+    What failed is not tried twice.
+    """
     empty = tmp_path / "empty.obj"
     empty.touch()
     bubble_window.open_path(empty)
@@ -236,8 +270,12 @@ def test_undoing_a_mesh_computes_no_session_in_between(bubble_window, tmp_path):
     assert bubble_window.session.mesh is None
 
 
-def test_a_translation_opened_for_a_dropped_request_is_delivered_to_the_next(open_window, touch_file):
-    """There and back and there again while it opens: what came of the first request is no answer to the last."""
+def test_a_translation_opened_for_a_dropped_request_is_delivered_to_the_next(
+    open_window, touch_file
+):
+    """There and back and there again while it opens: what came of the first request is no answer
+    to the last.
+    """
     window = open_window(touch_file, target="gelslim", frame=2)
     assert wait_until_shown(window, LIMIT_S)
     window.change("choose route", route="t2t")
@@ -258,7 +296,8 @@ def test_new_columns_of_a_route_are_filled(layout, open_window, touch_file):
     window.change("choose route", route="t2t")
     assert wait_until_shown(window, LIMIT_S)
     window.change("lay out", layout=replace(window.session.layout, name=layout))
-    wait_until_shown(window, LIMIT_S)  # in Align it says, sooner or later, that this route has nothing to align
+    # in Align it says, sooner or later, that this route has nothing to align
+    wait_until_shown(window, LIMIT_S)
     window.change("choose route", route="t2d2")
     window.choose_frame(1)  # asked for before the route has text of its columns
     assert wait_until_shown(window, LIMIT_S)
@@ -278,10 +317,13 @@ def test_weights_are_opened_closed_and_undone(bubble_window, tmp_path, caplog):
     assert bubble_window.session.weights == {"": file}
     result = bubble_window.latest_frame.results["depth"]  # the network's, which reads bubbles
     assert "truncated" in result.fallback
-    assert bubble_window.window.columns["depth"].findChild(QLabel, "note_depth").text() == result.badge
+    assert (
+        bubble_window.window.columns["depth"].findChild(QLabel, "note_depth").text() == result.badge
+    )
     bubble_window.change("choose method", methods={"depth": "physics", "touch": "physics"})
     assert wait_until_shown(bubble_window, LIMIT_S)
-    assert "the weights 'own.safetensors' count for nothing" in caplog.text  # no method of the route reads any now
+    # no method of the route reads any now
+    assert "the weights 'own.safetensors' count for nothing" in caplog.text
     close.trigger()
     assert bubble_window.session.weights == {}
     bubble_window.undo_stack.undo()
@@ -292,7 +334,9 @@ def test_weights_are_opened_closed_and_undone(bubble_window, tmp_path, caplog):
 def test_a_dropped_mesh_in_metres_names_the_remedy_in_the_window(bubble_window, tmp_path):
     corners = ((0, 0, 0), (0.02, 0, 0), (0, 0.02, 0), (0, 0, 0.02))
     faces = ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))
-    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [
+        f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces
+    ]
     (tmp_path / "ball.obj").write_text("\n".join(lines) + "\n")
     bubble_window.open_paths([tmp_path / "ball.obj"])
     wait_until_shown(bubble_window, LIMIT_S)
@@ -303,7 +347,9 @@ def test_a_dropped_mesh_in_metres_names_the_remedy_in_the_window(bubble_window, 
     assert bubble_window.session.mesh is None
 
 
-def test_the_mesh_unit_is_chosen_on_opening_and_saved(bubble_window, ball_file, tmp_path, monkeypatch):
+def test_the_mesh_unit_is_chosen_on_opening_and_saved(
+    bubble_window, ball_file, tmp_path, monkeypatch
+):
     def in_metres(_parent, _title, _folder, kinds):
         return str(ball_file), next(kind for kind in kinds.split(";;") if "in metres" in kind)
 
@@ -326,7 +372,11 @@ def test_an_empty_recording_is_reported_over_empty_panes(bubble_window, tmp_path
     bubble_window.open_path(empty)
     wait_until_shown(bubble_window, LIMIT_S)
     assert "empty.h5" in bubble_window.window.banner.text
-    assert [column.view.preview for column in bubble_window.window.columns.values() if column.view.preview] == []
+    assert [
+        column.view.preview
+        for column in bubble_window.window.columns.values()
+        if column.view.preview
+    ] == []
     assert bubble_window.window.columns["source"].state == "failed"
 
 
@@ -363,7 +413,8 @@ def _rows(controller) -> dict[int, tuple[str, ...]]:
     """What the table of frames says of those it knows."""
     model = controller.window.frames.model
     rows = {
-        f: tuple(str(model.data(model.index(f, c))) for c in (METRIC, DEPTH, CONTACT)) for f in range(model.rowCount())
+        f: tuple(str(model.data(model.index(f, c))) for c in (METRIC, DEPTH, CONTACT))
+        for f in range(model.rowCount())
     }
     return {f: cells for f, cells in rows.items() if any(cells)}
 
@@ -375,7 +426,9 @@ def test_the_frames_table_is_cleared_by_other_settings(bubble_window, monkeypatc
     assert wait_until_shown(bubble_window, LIMIT_S)
     before = _rows(bubble_window)
     assert sorted(before) == [1, 2]
-    bubble_window.choose_params("display", replace_value(bubble_window.session.display, "gel_stretch", 5.0))
+    bubble_window.choose_params(
+        "display", replace_value(bubble_window.session.display, "gel_stretch", 5.0)
+    )
     assert wait_until_shown(bubble_window, LIMIT_S)
     assert _rows(bubble_window) == before
     bubble_window.choose_params("depth/physics", replace_value(DepthParams(), "contact_limit", 2.0))
@@ -384,13 +437,17 @@ def test_the_frames_table_is_cleared_by_other_settings(bubble_window, monkeypatc
 
 
 def test_the_frame_error_is_that_of_the_generated_touch(open_window):
-    """The sample knows the truth of its source; of a sensor that took no part in it nothing is known."""
+    """The sample knows the truth of its source.
+
+    Of a sensor that took no part in it nothing is known.
+    """
     controller = open_window(SAMPLE_RECORDING, source="gelslim", target="gelsight_mini", frame=6)
     assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
     assert "depth.contact_mae_mm" in controller.latest_frame.metrics
     assert "touch_depth.contact_mae_mm" not in controller.latest_frame.metrics
     labels = [label.text() for label in controller.window.timeline.findChildren(QLabel)]
-    assert any(text.startswith("round-trip error") for text in labels)  # ranks the frames in its place
+    # ranks the frames in its place
+    assert any(text.startswith("round-trip error") for text in labels)
 
 
 def test_another_target_is_one_change(bubble_window):
@@ -423,12 +480,14 @@ def test_a_pinned_pixel_stays_while_the_mouse_moves_on(bubble_window):
 
 def test_a_trace_belongs_to_the_frame_of_the_image(bubble_window, qtbot, monkeypatch):
     """While the touch is generated, what is above it is already the new frame's."""
-    row, col = 70, 86
+    row = 70
+    col = 86
     bubble_window.choose_frame(1)
     assert wait_until_shown(bubble_window, LIMIT_S)
     bubble_window.probe.toggle_pin("depth", row, col)
     shallow = bubble_window.window.trace.text
-    seen, go_on = threading.Event(), threading.Event()
+    seen = threading.Event()
+    go_on = threading.Event()
 
     evaluate = Graph.evaluate
 
@@ -461,7 +520,12 @@ def drop(window, url):
     """Whether the window takes what is dragged over it; drops it there."""
     mime = QMimeData()
     mime.setUrls([url])
-    how = (Qt.DropAction.CopyAction, mime, Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier)
+    how = (
+        Qt.DropAction.CopyAction,
+        mime,
+        Qt.MouseButton.LeftButton,
+        Qt.KeyboardModifier.NoModifier,
+    )
     over = QDragEnterEvent(QPoint(5, 5), *how)
     over.ignore()  # as Qt sends it
     window.dragEnterEvent(over)
@@ -481,7 +545,10 @@ def test_a_dropped_sensor_description_is_the_source(open_window, tmp_path):
     controller = open_window()
     (tmp_path / "mine.toml").write_text('extends = "digit"\n')
     drop(controller.window, QUrl.fromLocalFile(str(tmp_path / "mine.toml")))
-    assert (controller.session.source, controller.session.alignment) == (str(tmp_path / "mine.toml"), None)
+    assert (controller.session.source, controller.session.alignment) == (
+        str(tmp_path / "mine.toml"),
+        None,
+    )
 
 
 def test_a_dropped_recipe_is_named_and_changes_nothing(open_window):
@@ -539,7 +606,11 @@ def test_every_command_can_be_found_and_explains_itself(open_window):
 def test_the_tour_writes_screenshot_stages_and_report(open_window, touch_file, tmp_path):
     controller = open_window(touch_file, gl=True, target="gelslim")
     assert run_tour(controller, tmp_path / "out") == 0
-    assert sorted(p.name for p in (tmp_path / "out").glob("frame_*")) == ["frame_0000", "frame_0001", "frame_0002"]
+    assert sorted(p.name for p in (tmp_path / "out").glob("frame_*")) == [
+        "frame_0000",
+        "frame_0001",
+        "frame_0002",
+    ]
     assert (tmp_path / "out" / "report.json").exists()
     assert (tmp_path / "out" / "window.png").stat().st_size > 20_000
 
@@ -548,12 +619,16 @@ def test_the_tour_writes_screenshot_stages_and_report(open_window, touch_file, t
 def test_the_window_is_not_rebuilt_when_3d_views_arrive(open_window, qtbot):
     """A window that takes up an OpenGL widget while it is shown goes black for that time."""
     controller = open_window(gl=True)
-    handle, number = controller.window.windowHandle(), int(controller.window.winId())
+    handle = controller.window.windowHandle()
+    number = int(controller.window.winId())
     qtbot.waitUntil(lambda: controller.views.scene.is_open, timeout=LIMIT_S * 1000)
     view = controller.window.views_3d[0]
     assert handle.surfaceType() == QSurface.SurfaceType.RasterSurface
     assert int(controller.window.winId()) == number
-    assert view.grab().toImage().pixelColor(5, 5).getRgb()[:3] == get_theme_colours(view.palette()).backdrop
+    assert (
+        view.grab().toImage().pixelColor(5, 5).getRgb()[:3]
+        == get_theme_colours(view.palette()).backdrop
+    )
 
 
 @pytest.mark.gl
@@ -611,9 +686,12 @@ def test_a_recording_of_an_unfit_sensor_is_shown_with_the_reason(open_window, to
 
 
 def test_every_command_that_opens_a_file_asks_once(open_window, monkeypatch):
-    window, asked = open_window().window, []
+    window = open_window().window
+    asked = []
     monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: asked.append("file") or ("", ""))
-    monkeypatch.setattr(QFileDialog, "getExistingDirectory", lambda *_: asked.append("folder") or "")
+    monkeypatch.setattr(
+        QFileDialog, "getExistingDirectory", lambda *_: asked.append("folder") or ""
+    )
     for n_asked, command in enumerate(OPEN_DIALOGS, start=1):
         window.actions_by_name[command].trigger()
         assert len(asked) == n_asked, command

@@ -15,7 +15,8 @@ from tests.app.window.window_checks import kept_bytes, kept_bytes_of
 
 
 def test_the_undo_stack_is_limited(open_window):
-    stack, shown = open_window().undo_stack, deque[Session](maxlen=1)
+    stack = open_window().undo_stack
+    shown = deque[Session](maxlen=1)
     session = Session()
     for frame in range(1, MAX_UNDO_STEPS + 201):
         new = Session(frame=frame)

@@ -1,4 +1,7 @@
-"""What does not open says what mends it; a new recording clears the panes; every folder of real data opens."""
+"""What does not open says what mends it.
+
+A new recording clears the panes; every folder of real data opens.
+"""
 
 from __future__ import annotations
 
@@ -48,15 +51,19 @@ def clips(tmp_path: Path) -> Path:
     return tmp_path / "clips"
 
 
-def test_a_damaged_recording_clears_all_panes_and_offers_the_one_before(bubble_window, touch_file, tmp_path):
-    bad, worse = tmp_path / "bad.npz", tmp_path / "worse.h5"
+def test_a_damaged_recording_clears_all_panes_and_offers_the_one_before(
+    bubble_window, touch_file, tmp_path
+):
+    bad = tmp_path / "bad.npz"
+    worse = tmp_path / "worse.h5"
     for path in (bad, worse):
         path.write_bytes(b"damaged")
     bubble_window.open_path(bad)
     assert count_images(bubble_window) == 0, "before the file is read"
     bubble_window.open_path(worse)
     wait_until_shown(bubble_window, LIMIT_S)
-    banner, window = bubble_window.window.banner, bubble_window.window
+    banner = bubble_window.window.banner
+    window = bubble_window.window
     assert count_images(bubble_window) == 0
     assert "worse.h5" in banner.text
     assert window.windowTitle().startswith("worse.h5")
@@ -164,13 +171,18 @@ def test_formats_and_sensors_are_offered_by_their_names(open_window):
 def test_the_target_of_a_recording_is_of_another_kind_than_its_source(open_window):
     controller = open_window(SAMPLE_RECORDING)
     assert wait_until_shown(controller, LIMIT_S)
-    assert [s.sensor for s in open_recording(SAMPLE_RECORDING).streams] == ["gelslim", "digit", "soft_bubble"]
+    assert [s.sensor for s in open_recording(SAMPLE_RECORDING).streams] == [
+        "gelslim",
+        "digit",
+        "soft_bubble",
+    ]
     assert controller.session.target == "soft_bubble"
 
 
 def _use_reference(controller: SessionController, real_data: Path) -> None:
     assert find(controller.window.banner.buttons, "Choose reference")
-    controller.open_reference(real_data / "gelslim3_balls" / "ref.jpg")  # what the file dialog answers
+    # what the file dialog answers
+    controller.open_reference(real_data / "gelslim3_balls" / "ref.jpg")
 
 
 def _choose_sensor(controller: SessionController, _real_data: Path) -> None:
@@ -181,12 +193,19 @@ def _choose_sensor(controller: SessionController, _real_data: Path) -> None:
 @pytest.mark.parametrize(
     ("folder", "mend", "n_frames"),
     [
-        ("digit_balls", None, 42), ("gelslim3_balls", None, 39), ("gelslim3_objects", _use_reference, 10),
-        ("gelslim4_clips", _choose_sensor, 43), ("gsmini_balls", None, 67), ("mini_things", None, 3),
-        ("punyo_bubble", None, 33), ("t2t_pairs", None, 54),
+        ("digit_balls", None, 42),
+        ("gelslim3_balls", None, 39),
+        ("gelslim3_objects", _use_reference, 10),
+        ("gelslim4_clips", _choose_sensor, 43),
+        ("gsmini_balls", None, 67),
+        ("mini_things", None, 3),
+        ("punyo_bubble", None, 33),
+        ("t2t_pairs", None, 54),
     ],
-)  # fmt: skip
-def test_every_folder_of_real_data_opens_by_two_clicks(bubble_window, real_data, folder, mend, n_frames):
+)
+def test_every_folder_of_real_data_opens_by_two_clicks(
+    bubble_window, real_data, folder, mend, n_frames
+):
     """After the file dialog: a button, and an entry of its menu or another dialog."""
     controller = bubble_window
     controller.show_only("depth")
@@ -201,7 +220,9 @@ def test_every_folder_of_real_data_opens_by_two_clicks(bubble_window, real_data,
 
 
 @pytest.mark.real_data
-def test_a_folder_of_meshes_opens_the_object_of_the_recording_before(bubble_window, real_data, touch_file):
+def test_a_folder_of_meshes_opens_the_object_of_the_recording_before(
+    bubble_window, real_data, touch_file
+):
     bubble_window.show_only("depth")
     bubble_window.open_path(real_data / "tools")
     wait_until_shown(bubble_window, LIMIT_S)

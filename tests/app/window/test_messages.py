@@ -18,12 +18,17 @@ def test_undo_names_the_change_in_words(bubble_window):
     params = bubble_window.session.get_params(method)
     bubble_window.choose_params(method.key, replace(params, stride=params.stride + 1))
     label = list_settings(params)["stride"][1].label.lower()
-    assert undo.text() == f"Undo change {label} of {bubble_window.catalogue.stage('cloud').title.lower()}"
+    assert (
+        undo.text()
+        == f"Undo change {label} of {bubble_window.catalogue.stage('cloud').title.lower()}"
+    )
     assert wait_until_shown(bubble_window, 240)
 
 
 def test_what_the_command_line_asks_for_is_no_change(open_window, touch_file):
-    controller = open_window(touch_file, target="gelslim", frame=2, methods={"target_depth": "paper"})
+    controller = open_window(
+        touch_file, target="gelslim", frame=2, methods={"target_depth": "paper"}
+    )
     controller.show_only("depth")
     assert wait_until_shown(controller, 240), controller.window.banner.text
     assert controller.session.methods == {"target_depth": "paper"}

@@ -1,4 +1,6 @@
-"""What a new recording takes over from the one before: no alignment of other sensors, no truth, no target of its own."""
+"""What a new recording takes over from the one before: no alignment of other sensors, no truth,
+no target of its own.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,10 @@ from pipeline.views.contrast import FittedContrast
 LIMIT_S = 240
 RECORDINGS = SAMPLE_RECORDING.parent
 ALIGNMENTS = RECORDINGS.parent / "alignments"
-DIGIT, GRASPS = RECORDINGS / "digit_gelslim.h5", RECORDINGS / "grasps_cross.h5"
-OF_DIGIT, OF_GELSLIM = ALIGNMENTS / "digit_to_gelslim.toml", ALIGNMENTS / "gelslim_to_soft_bubble.toml"
+DIGIT = RECORDINGS / "digit_gelslim.h5"
+GRASPS = RECORDINGS / "grasps_cross.h5"
+OF_DIGIT = ALIGNMENTS / "digit_to_gelslim.toml"
+OF_GELSLIM = ALIGNMENTS / "gelslim_to_soft_bubble.toml"
 
 
 def click(buttons: list[QPushButton], words: str) -> None:
@@ -52,13 +56,19 @@ def test_an_alignment_of_other_sensors_is_dropped_and_can_be_used_again(open_win
     assert (opened.request.recording, opened.target.name) == (GRASPS, "soft_bubble")
     assert controller.session.alignment is None
     assert f"{OF_DIGIT.name} is of other sensors and not used" in notification(controller).text
-    assert "Use it again" not in list_texts(notification(controller).buttons), "this recording has no DIGIT"
+    assert "Use it again" not in list_texts(notification(controller).buttons), (
+        "this recording has no DIGIT"
+    )
     controller.open_path(SAMPLE_RECORDING)
     assert wait_until_shown(controller, LIMIT_S)
     click(notification(controller).buttons, "Use it again")
     assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
     used = controller.views.translation
-    assert (used.source.name, used.target.name, used.request.alignment) == ("digit", "gelslim", OF_DIGIT)
+    assert (used.source.name, used.target.name, used.request.alignment) == (
+        "digit",
+        "gelslim",
+        OF_DIGIT,
+    )
     controller.undo_stack.undo()
     controller.undo_stack.undo()
     assert wait_until_shown(controller, LIMIT_S), "the opening is one step"
@@ -72,7 +82,10 @@ def test_another_target_drops_the_alignment_of_the_old_one(open_window):
     assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
     controller.change("choose target", target="digit")
     assert wait_until_shown(controller, LIMIT_S)
-    assert (controller.views.translation.target.name, controller.session.alignment) == ("digit", None)
+    assert (controller.views.translation.target.name, controller.session.alignment) == (
+        "digit",
+        None,
+    )
     click(notification(controller).buttons, "Use it again")
     assert wait_until_shown(controller, LIMIT_S)
     assert controller.views.translation.request.alignment == OF_GELSLIM
@@ -94,21 +107,28 @@ def test_the_banner_goes_on_without_the_alignment_or_with_its_target(open_window
 
 
 def test_a_file_that_is_no_alignment_is_refused_before_it_locks_the_window(open_window, tmp_path):
-    controller, bad = open_window(), tmp_path / "bad.toml"
+    controller = open_window()
+    bad = tmp_path / "bad.toml"
     bad.write_text('source = "digit"\n')
     controller.open_path(bad)
     assert controller.session.alignment is None
     assert "bad.toml" in controller.window.banner.text
 
 
-def test_undo_of_the_first_opening_leaves_the_window_as_at_the_start(open_window, touch_file, qtbot):
+def test_undo_of_the_first_opening_leaves_the_window_as_at_the_start(
+    open_window, touch_file, qtbot
+):
     controller = open_window()
     window = controller.window
     before = window.windowTitle(), window.source.currentText(), window.timeline.isEnabled()
     controller.open_path(touch_file)
     assert wait_until_shown(controller, LIMIT_S), window.banner.text
     controller.undo_stack.undo()
-    assert (window.windowTitle(), window.source.currentText(), window.timeline.isEnabled()) == before
+    assert (
+        window.windowTitle(),
+        window.source.currentText(),
+        window.timeline.isEnabled(),
+    ) == before
     assert all(column.view.preview is None for column in window.columns.values())
     assert controller.is_idle
     controller.findChild(FrameRankingController)._rank_next()  # what its timer does
@@ -119,9 +139,14 @@ def test_undo_of_the_first_opening_leaves_the_window_as_at_the_start(open_window
     assert wait_until_shown(controller, LIMIT_S), window.banner.text
 
 
-@pytest.mark.parametrize(("before", "target"), [
-    ("digit", "gelslim"), ("gelslim", "gelslim"), ("soft_bubble", "gelslim"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("before", "target"),
+    [
+        ("digit", "gelslim"),
+        ("gelslim", "gelslim"),
+        ("soft_bubble", "gelslim"),
+    ],
+)
 def test_a_new_recording_chooses_its_own_target(open_window, touch_file, before, target):
     """Its second sensor, or for one sensor alone another kind."""
     controller = open_depth_only(open_window, SAMPLE_RECORDING, source="gelslim", target=before)
@@ -143,9 +168,12 @@ def test_a_gel_alone_is_translated_to_a_bubble(tmp_path):
     from pipeline.translation.translate import Request
 
     for name in ("digit", "gelslim", "gelsight_mini"):
-        still, path = optics.render_reference(load_sensor(name)), tmp_path / f"{name}.h5"
+        still = optics.render_reference(load_sensor(name))
+        path = tmp_path / f"{name}.h5"
         with RecordingWriter(path) as writer:
-            writer.append("only", TactileFrame(sensor=name, image=still, reference=still, index=0, time_s=0.0))
+            writer.append(
+                "only", TactileFrame(sensor=name, image=still, reference=still, index=0, time_s=0.0)
+            )
         opened = open_request(Request(recording=path, target=""), BUILT_IN)
         assert opened.target.name == "soft_bubble"
         opened.close()
@@ -155,16 +183,23 @@ def test_a_pinned_truth_ends_with_its_recording():
     pinned = Session(recording=GRASPS, methods={"depth": "truth", "touch": "physics"})
     assert pinned.with_updates(recording=SAMPLE_RECORDING).methods == {"touch": "physics"}
     assert pinned.with_updates(frame=2).methods == pinned.methods
-    assert pinned.with_updates(recording=DIGIT, methods={"depth": "truth"}).methods == {"depth": "truth"}
+    assert pinned.with_updates(recording=DIGIT, methods={"depth": "truth"}).methods == {
+        "depth": "truth"
+    }
 
 
 def test_a_pinned_truth_is_marked_wherever_its_results_are_shown(open_window):
     controller = open_window(
-        GRASPS, source="gelslim", target="soft_bubble", frame=1, methods={"depth": "truth", "touch": "physics"}
+        GRASPS,
+        source="gelslim",
+        target="soft_bubble",
+        frame=1,
+        methods={"depth": "truth", "touch": "physics"},
     )
     assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
     window = controller.window
-    depth, touch = window.columns["depth"], window.columns["touch"]
+    depth = window.columns["depth"]
+    touch = window.columns["touch"]
     assert "with true depth" in window.windowTitle()
     assert depth.state == "warning", "not a green 'read'"
     assert "border" in depth.styleSheet()
@@ -182,7 +217,8 @@ def test_a_pinned_truth_is_marked_wherever_its_results_are_shown(open_window):
 def test_parameters_of_a_method_that_did_not_answer_are_struck_out(open_window):
     controller = open_window(GRASPS, source="gelslim", target="soft_bubble", frame=1)
     assert wait_until_shown(controller, LIMIT_S)
-    pinned, params = controller.window.columns["touch"].pinned, controller.session.get_params
+    pinned = controller.window.columns["touch"].pinned
+    params = controller.session.get_params
     touch = next(method for method in controller.methods if method.stage == "touch")
 
     def is_struck_out() -> bool:

@@ -1,4 +1,6 @@
-"""Pictures fitted to the contact, moved together in millimetres, and read at one place with the truth at the end."""
+"""Pictures fitted to the contact, moved together in millimetres, and read at one place with the
+truth at the end.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ def test_one_key_fits_the_contact_and_the_sensor(window):
     action.trigger()
     for name in ("cloud", "target_depth", "touch", "touch_depth"):  # the gel is full of it already
         assert _canvas(window, name).scale > 1.5 * whole[name], name
-    assert (_canvas(window, "source").centre - _canvas(window, "depth").centre).manhattanLength() < 1.0
+    assert (
+        _canvas(window, "source").centre - _canvas(window, "depth").centre
+    ).manhattanLength() < 1.0
     action.trigger()
     assert {name: _canvas(window, name).scale for name in window.window.columns} == whole
 
@@ -38,7 +42,9 @@ def test_linked_images_show_the_same_place_at_the_same_scale(window):
     window.window.actions_by_name["link_previews"].trigger()
     depth, view = (window.window.columns[name].view for name in ("depth", "target_depth"))
     made = window.latest_frame.results["target_depth"].output
-    row, col = divmod(int(np.where(made.contact, made.indentation_mm, -1.0).argmax()), made.camera.cols)
+    row, col = divmod(
+        int(np.where(made.contact, made.indentation_mm, -1.0).argmax()), made.camera.cols
+    )
     point = int(made.source_index[row, col])
     pixel = int(window.latest_frame.results["cloud"].output.source_index[point])
     at = divmod(pixel, depth.preview.pixels.shape[1])
@@ -48,7 +54,8 @@ def test_linked_images_show_the_same_place_at_the_same_scale(window):
     middle = QPointF(0.5 * view.canvas.width(), 0.5 * view.canvas.height())
     px_of_mm = view.canvas.scale / view.preview.pixel_mm
     assert px_of_mm == pytest.approx(depth.canvas.scale / depth.preview.pixel_mm)
-    assert (there - middle).manhattanLength() < 1.0 * px_of_mm  # within a millimetre of depth seen aslant
+    # within a millimetre of depth seen aslant
+    assert (there - middle).manhattanLength() < 1.0 * px_of_mm
 
 
 def test_every_stage_is_read_at_the_probe_with_the_truth_last(window):
@@ -57,7 +64,9 @@ def test_every_stage_is_read_at_the_probe_with_the_truth_last(window):
     window.probe.probe_pixel("target_depth", row, col)
     for name in ("source", "depth", "target_depth", "touch_depth"):
         canvas = _canvas(window, name)
-        assert canvas.crosshair_text == window.window.columns[name].view.preview.format_value(*canvas.crosshair), name
+        assert canvas.crosshair_text == window.window.columns[name].view.preview.format_value(
+            *canvas.crosshair
+        ), name
     true = window.views.translation.read_ground_truth(5).target_truth.indentation_mm
     at = _canvas(window, "touch_depth").crosshair
     assert window.window.trace.text.rpartition(" → ")[2].startswith(f"{true[at]:.3f} mm")

@@ -12,7 +12,8 @@ from app.shell.panels import Panel
 from app.shell.tour import wait_until_shown
 from pipeline.core import entry_points
 
-LIMIT_S, GROUP = 60.0, "tactoscope.panels"
+LIMIT_S = 60.0
+GROUP = "tactoscope.panels"
 
 
 def build_counter(controller: SessionController) -> QLabel:
@@ -28,7 +29,10 @@ BROKEN = Panel(title="Broken", build=lambda _: 1 / 0)
 
 @pytest.fixture
 def installed(monkeypatch):
-    entries = {name: importlib.metadata.EntryPoint(name, f"{__name__}:{name}", GROUP) for name in ("BROKEN", "COUNTER")}
+    entries = {
+        name: importlib.metadata.EntryPoint(name, f"{__name__}:{name}", GROUP)
+        for name in ("BROKEN", "COUNTER")
+    }
     others = importlib.metadata.entry_points
 
     def list_entry_points(**selected):

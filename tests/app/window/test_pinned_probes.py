@@ -1,4 +1,6 @@
-"""Up to five pinned pixels: marks in every preview, a table of values and errors, released one by one."""
+"""Up to five pinned pixels: marks in every preview, a table of values and errors, released one
+by one.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,10 @@ PIXELS = [(80, 110), (30, 50), (30, 110), (30, 170), (130, 110)]
 
 
 def _cells(table, row):
-    return {table.horizontalHeaderItem(c).text(): table.item(row, c).text() for c in range(table.columnCount())}
+    return {
+        table.horizontalHeaderItem(c).text(): table.item(row, c).text()
+        for c in range(table.columnCount())
+    }
 
 
 def _marks(window, column):
@@ -23,7 +28,9 @@ def _marks(window, column):
 
 
 def test_five_pixels_are_marked_in_every_preview_and_follow_the_frames(bubble_window, qtbot):
-    window, probe, panel = bubble_window.window, bubble_window.probe, bubble_window.window.probes
+    window = bubble_window.window
+    probe = bubble_window.probe
+    panel = bubble_window.window.probes
     window.show_diagnostics(panel)
     for row, col in PIXELS:
         probe.toggle_pin("depth", row, col)
@@ -43,7 +50,8 @@ def test_five_pixels_are_marked_in_every_preview_and_follow_the_frames(bubble_wi
     assert wait_until_shown(bubble_window, LIMIT_S)
     qtbot.waitUntil(lambda: _cells(panel.table, 0)["depth, mm"] != before["depth, mm"])
     canvas = window.columns["depth"].view.canvas
-    probe.toggle_pin("depth", PIXELS[2][0], PIXELS[2][1] + round(3 / canvas.scale))  # on mark 3: released
+    # on mark 3: released
+    probe.toggle_pin("depth", PIXELS[2][0], PIXELS[2][1] + round(3 / canvas.scale))
     assert list(probe.pins) == [1, 2, 4, 5]
     assert window.actions_by_name["pin_probe"].isChecked()  # the crosshair is at pin 5
     QTest.mouseClick(
@@ -66,10 +74,16 @@ def sample_window(open_window):
     return controller
 
 
-def test_the_error_is_the_value_less_the_truth_and_is_read_only_when_it_is_seen(sample_window, qtbot):
-    window, probe, panel = sample_window.window, sample_window.probe, sample_window.window.probes
+def test_the_error_is_the_value_less_the_truth_and_is_read_only_when_it_is_seen(
+    sample_window, qtbot
+):
+    window = sample_window.window
+    probe = sample_window.probe
+    panel = sample_window.window.probes
     depth = sample_window.latest_frame.results["depth"].output
-    row, col = (int(v) for v in divmod(int(depth.indentation_mm.argmax()), depth.indentation_mm.shape[1]))
+    row, col = (
+        int(v) for v in divmod(int(depth.indentation_mm.argmax()), depth.indentation_mm.shape[1])
+    )
     probe.toggle_pin("depth", row, col)
     qtbot.waitUntil(lambda: 1 in _marks(window, "touch_depth"))
     assert sample_window.views.get_shown_stage("depth").truth_view is None  # the tab is closed

@@ -28,7 +28,9 @@ LIMIT_S = 240
 MEAN_JPEG_GREY = 4.0  # grey levels that MJPEG changes on average in lines and letters
 
 
-def test_the_magnifier_reads_what_the_probe_reads_and_stays_clear_of_the_pixel(bubble_window, qtbot):
+def test_the_magnifier_reads_what_the_probe_reads_and_stays_clear_of_the_pixel(
+    bubble_window, qtbot
+):
     window = bubble_window.window
     magnifier = bubble_window.findChild(PresentationController).magnifier
     window.resize(1366, 768)
@@ -44,7 +46,9 @@ def test_the_magnifier_reads_what_the_probe_reads_and_stays_clear_of_the_pixel(b
         assert magnifier.format_value(row, col) == f"{depth.view.preview.values[row, col]:.2f}"
         magnifier.grab()  # it can be painted at the picture's border too
         rows = depth.view.preview.pixels.shape[0]
-        assert (magnifier.geometry().center().y() > depth.view.canvas.height() / 2) == (row < rows / 2)
+        assert (magnifier.geometry().center().y() > depth.view.canvas.height() / 2) == (
+            row < rows / 2
+        )
     assert magnifier.format_value(-1, 0) == ""
     assert 1 <= magnifier.radius_px < MAX_RADIUS_PX  # a small picture
     depth.pixel_hovered.emit("depth", -1, -1)
@@ -83,10 +87,15 @@ def test_a_presentation_shows_images_alone_and_esc_leaves_the_window_as_it_was(o
     assert view.isFullScreen()
     assert view.size() == view.screen().geometry().size()
     assert [pane.title for pane in view.panes] == [
-        "GelSlim (markers), recorded", "Soft Bubble, generated touch: T2D2 diffusion", "Soft Bubble, recorded",
-    ]  # fmt: skip
-    assert view.children() == [] or not view.findChildren(QWidget), "no menu, tool bar, timeline or probe"
-    generated, recorded = view.panes[1].preview, view.panes[2].preview
+        "GelSlim (markers), recorded",
+        "Soft Bubble, generated touch: T2D2 diffusion",
+        "Soft Bubble, recorded",
+    ]
+    assert view.children() == [] or not view.findChildren(QWidget), (
+        "no menu, tool bar, timeline or probe"
+    )
+    generated = view.panes[1].preview
+    recorded = view.panes[2].preview
     assert generated.scale == recorded.scale
     assert generated.scale.high < 10.0, "fitted to the touch"
     qtbot.keyClick(view, Qt.Key.Key_Right)
@@ -94,7 +103,12 @@ def test_a_presentation_shows_images_alone_and_esc_leaves_the_window_as_it_was(o
     qtbot.keyClick(view, Qt.Key.Key_Escape)
     assert not window.actions_by_name["full_screen"].isChecked()
     assert wait_until_shown(controller, LIMIT_S)
-    assert (window.size(), window.current_layout, window.visible_columns(), window.saveState()) == before
+    assert (
+        window.size(),
+        window.current_layout,
+        window.visible_columns(),
+        window.saveState(),
+    ) == before
     assert controller.session.frame == 12
     assert all(column.view.preview is not None for column in window.columns.values())
 
@@ -112,13 +126,18 @@ def test_nothing_open_is_not_presented(open_window):
 
 
 def test_a_live_presentation_shows_whole_frames_only(open_window, qtbot):
-    """Never less than all panes of one frame, and at full brightness, while the next one is computed."""
+    """Never less than all panes of one frame, and at full brightness, while the next one is
+    computed.
+    """
     controller = open_window(target="gelslim")
     live = next(child for child in controller.children() if isinstance(child, LiveController))
     live.watch_source(SimulatedSource(sensor="digit", rate_hz=30.0))
-    qtbot.waitUntil(lambda: live.is_on_screen and controller.latest_frame is not None, timeout=240_000)
+    qtbot.waitUntil(
+        lambda: live.is_on_screen and controller.latest_frame is not None, timeout=240_000
+    )
     view = present(controller).view
-    shown, least = [], []
+    shown = []
+    least = []
     paint = view.paintEvent
 
     def watch(event) -> None:
@@ -143,8 +162,10 @@ def test_a_live_presentation_shows_whole_frames_only(open_window, qtbot):
 def test_the_video_is_the_presentation(open_window, tmp_path, qtbot, monkeypatch):
     controller = open_window(SAMPLE_RECORDING, target="soft_bubble", frame=3)
     assert wait_until_shown(controller, LIMIT_S)
-    size, path = QSize(640, 360), tmp_path / "shown.avi"
-    writer, export = controller.findChild(PresentationVideoController), controller.findChild(ExportController)
+    size = QSize(640, 360)
+    path = tmp_path / "shown.avi"
+    writer = controller.findChild(PresentationVideoController)
+    export = controller.findChild(ExportController)
     writer.write(path, size)
     qtbot.waitUntil(lambda: "Written as MJPEG" in export.notification.text, timeout=240_000)
     assert "H.264 needs an ffmpeg" in export.notification.text
@@ -159,7 +180,11 @@ def test_the_video_is_the_presentation(open_window, tmp_path, qtbot, monkeypatch
     composed = compose(presentation.view.panes, size).convertToFormat(QImage.Format.Format_BGR888)
     bits = composed.constBits()
     bits.setsize(composed.sizeInBytes())
-    expected = np.frombuffer(bits, np.uint8).reshape(360, composed.bytesPerLine())[:, : 3 * 640].reshape(360, 640, 3)
+    expected = (
+        np.frombuffer(bits, np.uint8)
+        .reshape(360, composed.bytesPerLine())[:, : 3 * 640]
+        .reshape(360, 640, 3)
+    )
     difference = np.abs(frames[11].astype(int) - expected)
     assert difference.mean() < MEAN_JPEG_GREY
 
@@ -168,7 +193,8 @@ def test_ffmpeg_encodes_what_it_is_given(tmp_path, monkeypatch):
     """A stand-in with ffmpeg's options: it keeps the raw frames that arrive."""
     program = tmp_path / "ffmpeg"
     program.write_text(
-        '#!/bin/sh\nfor last; do :; done\n[ "$2" = -encoders ] && echo \' V....D libx264 H.264\' || cat > "$last"\n'
+        "#!/bin/sh\nfor last; do :; done\n[ \"$2\" = -encoders ] && echo ' V....D libx264 H.264' "
+        '|| cat > "$last"\n'
     )
     program.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
@@ -180,14 +206,23 @@ def test_ffmpeg_encodes_what_it_is_given(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("reads", ["cat > /dev/null;", ""])
-def test_an_ffmpeg_that_does_nothing_is_ended_with_all_that_it_started(tmp_path, monkeypatch, reads):
-    program, mark = tmp_path / "ffmpeg", f"600.{os.getpid()}"
-    program.write_text(f'#!/bin/sh\n[ "$2" = -encoders ] && echo " libx264 " && exit\n{reads} sleep {mark} & wait\n')
+def test_an_ffmpeg_that_does_nothing_is_ended_with_all_that_it_started(
+    tmp_path, monkeypatch, reads
+):
+    program = tmp_path / "ffmpeg"
+    mark = f"600.{os.getpid()}"
+    program.write_text(
+        f'#!/bin/sh\n[ "$2" = -encoders ] && echo " libx264 " && exit\n{reads} sleep {mark} & '
+        "wait\n"
+    )
     program.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
     monkeypatch.setattr(video, "_STALL_S", 0.5)
     frames = (np.zeros((480, 640, 3), np.uint8) for _ in range(3))
     with pytest.raises(FileProblem, match=r"ffmpeg did nothing for .*out\.mp4"):
         video.write_video(tmp_path / "out.mp4", frames, 10.0)
-    assert subprocess.run(["pgrep", "-f", f"^sleep {mark}"], check=False, capture_output=True).stdout == b""
+    assert (
+        subprocess.run(["pgrep", "-f", f"^sleep {mark}"], check=False, capture_output=True).stdout
+        == b""
+    )
     assert not (tmp_path / "out.mp4").exists()

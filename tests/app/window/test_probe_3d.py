@@ -14,7 +14,9 @@ LIMIT_S = 240
 
 @pytest.fixture
 def window(open_window):
-    controller = open_window(SAMPLE_RECORDING, gl=True, source="gelslim", target="soft_bubble", frame=5)
+    controller = open_window(
+        SAMPLE_RECORDING, gl=True, source="gelslim", target="soft_bubble", frame=5
+    )
     assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
     controller.window.resize(1600, 950)
     assert wait_until_shown(controller, LIMIT_S)
@@ -24,7 +26,8 @@ def window(open_window):
 
 @pytest.mark.parametrize("name", ["source", "depth", "target_depth", "touch_depth"])
 def test_a_click_in_3d_pins_the_pixel_drawn_there(window, qtbot, name):
-    columns, view = window.window.columns, window.window.view_panels[name].view
+    columns = window.window.columns
+    view = window.window.view_panels[name].view
     of = window.latest_frame.results["depth" if name == "source" else name].output
     touched = np.argwhere(of.contact)
     wanted = tuple(touched[np.abs(touched - touched.mean(axis=0)).sum(axis=1).argmin()])
@@ -38,7 +41,8 @@ def test_a_click_in_3d_pins_the_pixel_drawn_there(window, qtbot, name):
     found = columns[name].view.canvas.crosshair
     assert found is not None
     rows = columns[name].view.preview.pixels.shape[0]
-    assert np.abs(np.subtract(found, wanted)).max() < 0.06 * rows  # a few pixels of a view this small
+    # a few pixels of a view this small
+    assert np.abs(np.subtract(found, wanted)).max() < 0.06 * rows
     assert window.window.actions_by_name["pin_probe"].isChecked()
 
 

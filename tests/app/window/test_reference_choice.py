@@ -1,4 +1,6 @@
-"""The Reference menu: the reference comes from the recording's own frames, from a file, or as recorded."""
+"""The Reference menu: the reference comes from the recording's own frames, from a file, or as
+recorded.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ def single_touch(tmp_path):
     return tmp_path / "gelslim_touch.png", frame
 
 
-def test_this_frame_becomes_the_reference_and_undo_returns_to_the_recorded_one(bubble_window, tmp_path):
+def test_this_frame_becomes_the_reference_and_undo_returns_to_the_recorded_one(
+    bubble_window, tmp_path
+):
     recorded = get_reference(bubble_window)
     index = bubble_window.session.frame
     image = bubble_window.views.translation.stream.frame(index).image
@@ -43,8 +47,13 @@ def test_this_frame_becomes_the_reference_and_undo_returns_to_the_recorded_one(b
     assert wait_until_shown(bubble_window, LIMIT_S), bubble_window.window.banner.text
     assert get_marked(bubble_window) == ["This frame"]
     assert np.array_equal(get_reference(bubble_window), image, equal_nan=True)
-    assert f"frame {index} is the reference, as chosen" in bubble_window.views.translation.recording.notes
-    assert f"--reference-frames {index}" in " ".join(format_options(make_request(bubble_window.session)))
+    assert (
+        f"frame {index} is the reference, as chosen"
+        in bubble_window.views.translation.recording.notes
+    )
+    assert f"--reference-frames {index}" in " ".join(
+        format_options(make_request(bubble_window.session))
+    )
 
     saved = tmp_path / "s.touch.json"
     save_session(bubble_window.session, saved)
@@ -78,7 +87,9 @@ def test_a_frame_without_reference_offers_the_same_choices(open_window, single_t
     assert not wait_until_shown(controller, LIMIT_S)
     (button,) = [b for b in controller.window.banner.buttons if b.text() == "Choose reference…"]
     choices = {action.text(): action for action in button.menu().actions()}
-    assert list(choices) == [action.text() for action in controller.window.menus["Reference"].actions()]
+    assert list(choices) == [
+        action.text() for action in controller.window.menus["Reference"].actions()
+    ]
     choices["This frame"].trigger()
     assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
     assert controller.session.reference_frames == "0"

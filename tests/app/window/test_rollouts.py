@@ -1,4 +1,6 @@
-"""The Task layout: rows, one tick in every view, attribution, video and bundle, damaged rollouts."""
+"""The Task layout: rows, one tick in every view, attribution, video and bundle, damaged
+rollouts.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ from pipeline.lab.tasks.rollout_bundle import replay_rollout
 from pipeline.lab.tasks.scene_view import ESTIMATE_NAME, TRUE_NAME
 from widgets.task.trials_panel import ERROR_MM
 
-pytestmark = pytest.mark.timeout(600)  # the first grasp compiles kernels where `tactoscope prepare` has not
+# the first grasp compiles kernels where `tactoscope prepare` has not
+pytestmark = pytest.mark.timeout(600)
 LIMIT_MS = 120_000
 FAILS = "hex_key_t2t_0.1mm_003.h5"
 
@@ -35,7 +38,9 @@ def opened(open_window, rollout_folder, qtbot):
     rollouts = get_part(controller, RolloutController)
     qtbot.waitUntil(lambda: rollouts.shown is not None, timeout=LIMIT_MS)
     rollouts.choose_trial(rollout_folder / FAILS)
-    qtbot.waitUntil(lambda: rollouts.shown.rollout.path.name == FAILS and controller.is_idle, timeout=LIMIT_MS)
+    qtbot.waitUntil(
+        lambda: rollouts.shown.rollout.path.name == FAILS and controller.is_idle, timeout=LIMIT_MS
+    )
     return controller, rollouts
 
 
@@ -46,8 +51,12 @@ def test_a_folder_opens_as_rows_at_its_first_failure(open_window, rollout_folder
     assert controller.session.layout.name == "task"
     assert controller.window.task.isVisible()
     trials = controller.window.task.trials
-    assert [trial.path.name for trial in trials.model.trials] == sorted(path.name for path in rollout_folder.iterdir())
-    assert rollouts.shown.rollout.path == trials.model.trials[0].path == controller.session.recording
+    assert [trial.path.name for trial in trials.model.trials] == sorted(
+        path.name for path in rollout_folder.iterdir()
+    )
+    assert (
+        rollouts.shown.rollout.path == trials.model.trials[0].path == controller.session.recording
+    )
     trials.table.sortByColumn(ERROR_MM, Qt.SortOrder.DescendingOrder)
     assert [trial.touch for trial in trials.listed_trials] == ["none", "none", "t2t", "t2t"]
     trials.filter_line.setText("t2t fails >0.2")
@@ -60,7 +69,9 @@ def test_a_folder_opens_as_rows_at_its_first_failure(open_window, rollout_folder
     assert controller.session.recording is None
 
 
-def test_one_rollout_opens_its_layout_and_translates_as_its_controller(open_window, rollout_folder, qtbot):
+def test_one_rollout_opens_its_layout_and_translates_as_its_controller(
+    open_window, rollout_folder, qtbot
+):
     controller = open_window()
     controller.open_path(rollout_folder / FAILS)
     rollouts = get_part(controller, RolloutController)
@@ -74,7 +85,9 @@ def test_one_rollout_opens_its_layout_and_translates_as_its_controller(open_wind
     truth = opened.recording.stream("soft_bubble_left").frame(0)
     np.testing.assert_array_equal(views["truth"].preview.distance_mm, truth.image)
     controller.window.task.place_box.chosen.emit("gelslim_right")
-    qtbot.waitUntil(lambda: controller.is_idle and controller.views.translation is not opened, timeout=LIMIT_MS)
+    qtbot.waitUntil(
+        lambda: controller.is_idle and controller.views.translation is not opened, timeout=LIMIT_MS
+    )
     opened = controller.views.translation
     truth = opened.recording.stream("soft_bubble_right").frame(0)
     np.testing.assert_array_equal(views["truth"].preview.distance_mm, truth.image)
@@ -82,9 +95,12 @@ def test_one_rollout_opens_its_layout_and_translates_as_its_controller(open_wind
 
 def test_one_cursor_moves_plot_scene_and_slider(opened, qtbot, monkeypatch):
     controller, rollouts = opened
-    page, shown = controller.window.task, rollouts.shown
+    page = controller.window.task
+    shown = rollouts.shown
     moved = {}
-    monkeypatch.setattr(controller.views.scene, "move_layer", lambda view, name, pose: moved.update({name: pose}))
+    monkeypatch.setattr(
+        controller.views.scene, "move_layer", lambda view, name, pose: moved.update({name: pose})
+    )
     page.plot.step_chosen.emit(12)
     assert (controller.tick, page.plot.current_step, page.ticks.frame) == (12, 12, 12)
     np.testing.assert_array_equal(moved[TRUE_NAME], shown.rollout.world_from_object[12])
@@ -118,7 +134,8 @@ def test_a_session_keeps_trial_and_tick(opened, open_window, tmp_path, qtbot):
 
 def test_attribution_runs_when_asked_adds_up_and_is_kept(opened, qtbot):
     controller, rollouts = opened
-    panel, attribution = controller.window.task.decision, get_part(controller, RolloutAttributionController)
+    panel = controller.window.task.decision
+    attribution = get_part(controller, RolloutAttributionController)
     assert panel.sentence.text().startswith("fails by 0.3 mm off the hole's axis")
     assert panel.waterfall.bars == ()
     panel.run_bar.start_button.click()
@@ -139,7 +156,8 @@ def test_attribution_runs_when_asked_adds_up_and_is_kept(opened, qtbot):
 
 def test_attribution_can_be_cancelled(opened, qtbot):
     controller, _ = opened
-    panel, attribution = controller.window.task.decision, get_part(controller, RolloutAttributionController)
+    panel = controller.window.task.decision
+    attribution = get_part(controller, RolloutAttributionController)
     panel.run_bar.start_button.click()
     panel.run_bar.cancel_button.click()
     qtbot.waitUntil(lambda: not attribution.is_busy, timeout=LIMIT_MS)
@@ -167,19 +185,24 @@ def test_video_has_one_image_per_tick_and_a_bundle_replays(opened, tmp_path, qtb
 def test_nothing_is_read_while_another_layout_is_shown(opened, rollout_folder, qtbot, monkeypatch):
     controller, rollouts = opened
     controller.window.actions_by_name["layout_stages"].trigger()
-    monkeypatch.setattr("app.task.rollouts.open_rollout", lambda *_: pytest.fail("read while hidden"))
+    monkeypatch.setattr(
+        "app.task.rollouts.open_rollout", lambda *_: pytest.fail("read while hidden")
+    )
     controller.change("open recording", recording=rollout_folder / FAILS.replace("0.1mm", "2mm"))
     qtbot.waitUntil(lambda: controller.is_idle and not rollouts.is_busy, timeout=LIMIT_MS)
     assert not controller.window.task.isVisible()
     assert controller.window.timeline.isVisible()
 
 
-def test_damaged_and_other_files_end_in_one_sentence(open_window, rollout_folder, touch_file, tmp_path, qtbot):
+def test_damaged_and_other_files_end_in_one_sentence(
+    open_window, rollout_folder, touch_file, tmp_path, qtbot
+):
     shutil.copy(rollout_folder / FAILS, tmp_path / "b.h5")
     (tmp_path / "a.h5").write_bytes((rollout_folder / FAILS).read_bytes()[:1000])
     controller = open_window()
     controller.open_path(tmp_path)
-    rollouts, page = get_part(controller, RolloutController), controller.window.task
+    rollouts = get_part(controller, RolloutController)
+    page = controller.window.task
     qtbot.waitUntil(lambda: rollouts.shown is not None, timeout=LIMIT_MS)
     assert rollouts.shown.rollout.path.name == "b.h5"
     page.trials.trial_chosen.emit(tmp_path / "a.h5")

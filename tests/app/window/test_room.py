@@ -1,4 +1,6 @@
-"""Nothing is cut off, lies outside what it stands in, or has no room: every layout, on a small screen and a large one."""
+"""Nothing is cut off, lies outside what it stands in, or has no room: every layout, on a small
+screen and a large one.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ from widgets.views.colour_bar import ColourBar
 
 LIMIT_S = 240
 SIZES = ((1366, 768), (1600, 950), (2560, 1440))
-LEAST_PX, LEAST_LETTERS = 8, 6  # of a widget's sides; of a title that ends in dots
+# of a widget's sides; of a title that ends in dots
+LEAST_PX = 8
+LEAST_LETTERS = 6
 
 
 def _scrolled(widget: QWidget) -> bool:
@@ -45,20 +49,33 @@ def _faults(window) -> list[str]:
             continue
         if isinstance(widget, QTabBar | QDockWidget) and widget.visibleRegion().isEmpty():
             continue  # Qt lays aside what is behind another drawer, and tabs that it does not need
-        name = f"{type(widget).__name__} {widget.objectName()!r} in {type(above).__name__} {above.objectName()!r}"
+        name = (
+            f"{type(widget).__name__} {widget.objectName()!r} in {type(above).__name__} "
+            f"{above.objectName()!r}"
+        )
         if not QRect(0, 0, above.width(), above.height()).contains(widget.geometry()):
             found.append(f"{name} lies outside: {widget.geometry()} of {above.size()}")
         if isinstance(widget, QScrollArea) and (body := widget.widget()) is not None:
             is_fixed = widget.horizontalScrollBarPolicy() == Qt.ScrollBarPolicy.ScrollBarAlwaysOff
             if is_fixed and body.width() > widget.viewport().width():
-                found.append(f"{name} is cut at the right: {body.width()} of {widget.viewport().width()} px")
-        has_text = isinstance(widget, QComboBox) or (isinstance(widget, QLabel | QAbstractButton) and widget.text())
+                found.append(
+                    f"{name} is cut at the right: {body.width()} of {widget.viewport().width()} px"
+                )
+        has_text = isinstance(widget, QComboBox) or (
+            isinstance(widget, QLabel | QAbstractButton) and widget.text()
+        )
         if has_text and min(widget.width(), widget.height()) < LEAST_PX:
             found.append(f"{name} has no room: {widget.size()}")
-        if isinstance(widget, QAbstractButton) and widget.text() and widget.width() < widget.minimumSizeHint().width():
+        if (
+            isinstance(widget, QAbstractButton)
+            and widget.text()
+            and widget.width() < widget.minimumSizeHint().width()
+        ):
             found.append(f"{name} is cut: {widget.text()!r}")
         if isinstance(widget, FixedSizeLabel) and widget.font().bold():  # a title
-            letters = widget.fontMetrics().averageCharWidth() * min(LEAST_LETTERS, len(widget.text()))
+            letters = widget.fontMetrics().averageCharWidth() * min(
+                LEAST_LETTERS, len(widget.text())
+            )
             if widget.width() < letters:
                 found.append(f"{name} ends in dots: {widget.text()!r}")
     return found
@@ -98,4 +115,7 @@ def test_colour_images_leave_no_room_for_scales(open_window, qtbot):
     qtbot.waitUntil(lambda: seen() == 0, timeout=240_000)
     window.actions_by_name["layout_inspect"].trigger()
     assert wait_until_shown(controller, LIMIT_S)
-    assert all(window.columns[name].view.colour_bar.isVisible() for name, _ in controller.session.layout.panes)
+    assert all(
+        window.columns[name].view.colour_bar.isVisible()
+        for name, _ in controller.session.layout.panes
+    )

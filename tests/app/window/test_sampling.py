@@ -19,7 +19,9 @@ from pipeline.stages.touch.t2d2 import T2D2Params
 from widgets.shell.command_palette import CommandPalette
 
 LIMIT_S = 240
-DRAG_S, SECONDS_PER_DRAFT = 4.0, 0.5  # of a drag; of processor time
+# of a drag; of processor time
+DRAG_S = 4.0
+SECONDS_PER_DRAFT = 0.5
 KEY = "touch/t2d2"
 
 
@@ -30,14 +32,23 @@ def weights_file(tmp_path_factory):
 
     from pipeline.stages.networks.network_factory import build_network
 
-    config = {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "base_channels": 4, "levels": 2, "max_channels": 8}
+    config = {
+        "inputs": CONDITION_CHANNELS,
+        "unit_mm": 0.2,
+        "base_channels": 4,
+        "levels": 2,
+        "max_channels": 8,
+    }
     torch.manual_seed(0)
     net = build_network("residual_denoiser", config)
     torch.nn.init.normal_(net.finish.weight, std=0.1)
     tensors = {name: tensor.float().numpy() for name, tensor in net.state_dict().items()}
     path = tmp_path_factory.mktemp("weights") / "small.safetensors"
     card = {"task": "touch_residual"}
-    save_weights(path, Weights(name="small", kind="residual_denoiser", config=config, tensors=tensors, card=card))
+    save_weights(
+        path,
+        Weights(name="small", kind="residual_denoiser", config=config, tensors=tensors, card=card),
+    )
     return path
 
 
@@ -45,15 +56,20 @@ def weights_file(tmp_path_factory):
 def sampling(open_window, touch_file, weights_file):
     """A bubble's touch as a GelSlim's, eight kept steps."""
     made = open_window(
-        touch_file, target="gelslim", frame=2, methods={"touch": "t2d2"}, weights={"touch": weights_file},
+        touch_file,
+        target="gelslim",
+        frame=2,
+        methods={"touch": "t2d2"},
+        weights={"touch": weights_file},
         params={KEY: T2D2Params(steps=8, guidance=2.0, keep_states=True)},
-    )  # fmt: skip
+    )
     assert wait_until_shown(made, LIMIT_S), made.window.banner.text
     return made
 
 
 def test_steps_are_shown_in_the_column(sampling):
-    window, view = sampling.window, sampling.window.columns["touch"].view
+    window = sampling.window
+    view = sampling.window.columns["touch"].view
     slider = window.steps["touch"].slider
     assert (slider.maximum(), slider.value()) == (7, 7)
     last = view.preview.pixels
@@ -64,7 +80,8 @@ def test_steps_are_shown_in_the_column(sampling):
 
 
 def test_dragging_a_slider_shows_a_draft_and_releasing_it_the_full_result(sampling):
-    window, panel = sampling.window, sampling.window.parameters
+    window = sampling.window
+    panel = sampling.window.parameters
     slider = panel.findChild(object, f"{KEY}.guidance").findChild(QSlider)
     slider.sliderPressed.emit()
     slider.setValue(slider.maximum())
@@ -103,8 +120,9 @@ def test_what_cannot_act_is_grey_with_the_reason(sampling):
     assert wait_until_shown(sampling, LIMIT_S)
     column = sampling.window.columns["touch"]
     assert (column.findChild(QLabel, "note_touch").text(), column.state) == (
-        "physics: no network for this pair", "warning",
-    )  # fmt: skip
+        "physics: no network for this pair",
+        "warning",
+    )
     assert "from a bubble to a gel" in pinned.get_control("steps").toolTip()
 
 
@@ -120,10 +138,13 @@ def test_a_parameter_is_found_by_its_name(sampling, qtbot):
 
 def test_a_draft_is_shown_before_the_next_one_starts(sampling, monkeypatch):
     """A drag shows drafts although the value changes three times while each is computed."""
-    evaluate, shown, n_changes = Graph.evaluate, [], 0
+    evaluate = Graph.evaluate
+    shown = []
+    n_changes = 0
 
     def evaluate_for_three_changes(self, wanted, inputs, params, progress, on_stage):
-        wanted_changes, end_s = n_changes + 3, time.monotonic() + LIMIT_S
+        wanted_changes = n_changes + 3
+        end_s = time.monotonic() + LIMIT_S
         while n_changes < wanted_changes and dragging and time.monotonic() < end_s:
             time.sleep(0.001)
         return evaluate(self, wanted, inputs, params, progress, on_stage)
@@ -134,11 +155,17 @@ def test_a_draft_is_shown_before_the_next_one_starts(sampling, monkeypatch):
     monkeypatch.setattr(Graph, "evaluate", evaluate_for_three_changes)
     show = sampling.views.show_stage
     monkeypatch.setattr(
-        sampling.views, "show_stage", lambda part, **how: (shown.append(part.result), show(part, **how))
-        if hasattr(part, "result") else show(part, **how)
-    )  # fmt: skip
+        sampling.views,
+        "show_stage",
+        lambda part, **how: (
+            (shown.append(part.result), show(part, **how))
+            if hasattr(part, "result")
+            else show(part, **how)
+        ),
+    )
     slider = sampling.window.columns["touch"].pinned.get_control("guidance").findChild(QSlider)
-    dragging, end_s = True, time.monotonic() + LIMIT_S
+    dragging = True
+    end_s = time.monotonic() + LIMIT_S
     slider.sliderPressed.emit()
     while count_drafts() < 3 and time.monotonic() < end_s:
         n_changes += 1
@@ -154,7 +181,8 @@ def test_a_draft_is_shown_before_the_next_one_starts(sampling, monkeypatch):
 
 def test_numbers_stay_whole_in_a_narrow_column(sampling, qtbot):
     """Where label, slider and number do not fit, the slider leaves."""
-    window, pinned = sampling.window, sampling.window.columns["touch"].pinned
+    window = sampling.window
+    pinned = sampling.window.columns["touch"].pinned
     box = pinned.get_control("guidance").findChild(QDoubleSpinBox)
     slider = pinned.get_control("guidance").findChild(QSlider)
     window.resize(1600, 950)
@@ -166,7 +194,9 @@ def test_numbers_stay_whole_in_a_narrow_column(sampling, qtbot):
 
 
 def test_a_drag_on_a_busy_machine_shows_drafts(sampling):
-    """At least one draft on screen for every half second of the window's own processor time, whatever else runs."""
+    """At least one draft on screen for every half second of the window's own processor time,
+    whatever else runs.
+    """
     busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(4)]
     shown = []
     show = sampling.views.show_stage
@@ -181,7 +211,9 @@ def test_a_drag_on_a_busy_machine_shows_drafts(sampling):
     slider = sampling.window.columns["touch"].pinned.get_control("guidance").findChild(QSlider)
     try:
         slider.sliderPressed.emit()
-        end_s, began_s, at = time.monotonic() + DRAG_S, time.process_time(), 0
+        end_s = time.monotonic() + DRAG_S
+        began_s = time.process_time()
+        at = 0
         while time.monotonic() < end_s:
             at += 1
             slider.setValue(100 + at % 200)
@@ -195,4 +227,6 @@ def test_a_drag_on_a_busy_machine_shows_drafts(sampling):
     slider.sliderReleased.emit()
     assert wait_until_shown(sampling, LIMIT_S)
     images = {id(preview) for preview in shown}
-    assert len(images) >= max(2, used_s / SECONDS_PER_DRAFT), f"{len(images)} drafts in {used_s:.1f} s of processor"
+    assert len(images) >= max(2, used_s / SECONDS_PER_DRAFT), (
+        f"{len(images)} drafts in {used_s:.1f} s of processor"
+    )

@@ -1,4 +1,6 @@
-"""The section line by mouse, key and number: in every picture on the same millimetres, and its curves in the tab."""
+"""The section line by mouse, key and number: in every picture on the same millimetres, and its
+curves in the tab.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ from widgets.stages.section_plot import SectionPlot
 from widgets.views.canvas import Canvas
 
 LIMIT_S = 240
-_Left, _Shift = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.ShiftModifier
+_Left = Qt.MouseButton.LeftButton
+_Shift = Qt.KeyboardModifier.ShiftModifier
 
 
 @pytest.fixture
@@ -52,7 +55,9 @@ def counted(monkeypatch):
 
 def _on(controller, qtbot):
     controller.window.actions_by_name["section_line"].trigger()
-    qtbot.waitUntil(lambda: controller.window.section_panel.plot.section is not None, timeout=240_000)
+    qtbot.waitUntil(
+        lambda: controller.window.section_panel.plot.section is not None, timeout=240_000
+    )
     views = [column.view for column in controller.window.columns.values()]
     rooms = None
     while rooms != (
@@ -69,7 +74,10 @@ def test_the_line_text_fits_a_small_window(bubble_window, qtbot):
     label = tab.message
 
     def whole() -> bool:
-        return "120.00 mm" in label.text() and label.fontMetrics().horizontalAdvance(label.text()) <= label.width()
+        return (
+            "120.00 mm" in label.text()
+            and label.fontMetrics().horizontalAdvance(label.text()) <= label.width()
+        )
 
     qtbot.waitUntil(whole, timeout=240_000)
 
@@ -102,18 +110,26 @@ def test_every_stage_with_heights_has_a_curve_equal_to_its_pixels(window, qtbot)
     panel = _on(window, qtbot)
     shown = panel.plot.section
     assert {p.name for p in shown.profiles} == {
-        "depth", "cloud", "target_depth", "touch", "touch_depth", "true_source", "true_target"
-    }  # fmt: skip
+        "depth",
+        "cloud",
+        "target_depth",
+        "touch",
+        "touch_depth",
+        "true_source",
+        "true_target",
+    }
     depth = window.latest_frame.results["depth"].output
     (profile,) = (p for p in shown.profiles if p.name == "depth")
     deepest = np.nanmax(np.where(depth.contact, depth.indentation_mm, np.nan))
-    assert np.nanmax(profile.heights_mm) == pytest.approx(deepest, abs=0.02)  # the first line goes through it
+    # the first line goes through it
+    assert np.nanmax(profile.heights_mm) == pytest.approx(deepest, abs=0.02)
     assert len(profile.contact_edges_mm) >= 2
     assert shown.along_mm[-1] == pytest.approx(shown.line.length_mm)
     for name, column in window.window.columns.items():
         assert column.view.canvas.line is not None, name
     panel.sensor_box.chosen.emit("source")
-    assert {p.name for p in panel.plot.visible_profiles} == {"depth", "true_source"}  # on their own scale
+    # on their own scale
+    assert {p.name for p in panel.plot.visible_profiles} == {"depth", "true_source"}
     panel.copy.click()
     rows = list(csv.DictReader(io.StringIO(QApplication.clipboard().text())))
     at = int(np.nanargmax(profile.heights_mm))
@@ -121,13 +137,19 @@ def test_every_stage_with_heights_has_a_curve_equal_to_its_pixels(window, qtbot)
 
 
 def test_the_same_place_of_the_touch_lies_under_the_line_in_both_sensors(window, qtbot):
-    """Where the cloud's point comes from a pixel under an end, the target's view has it under that end."""
+    """Where the cloud's point comes from a pixel under an end, the target's view has it under
+    that end.
+    """
     made = window.latest_frame.results["target_depth"].output
     depth, cloud = (window.latest_frame.results[name].output for name in ("depth", "cloud"))
-    row, col = divmod(int(np.where(made.contact, made.indentation_mm, -1.0).argmax()), made.camera.cols)
+    row, col = divmod(
+        int(np.where(made.contact, made.indentation_mm, -1.0).argmax()), made.camera.cols
+    )
     pixel = divmod(int(cloud.source_index[int(made.source_index[row, col])]), depth.camera.cols)
     sheet = cross_section.build_plane(window.views.translation, "source", depth.camera)
-    window.set_section(SectionLine(begin_mm=sheet.backproject_to_mm(pixel[1], pixel[0]), end_mm=(0.0, 0.0)))
+    window.set_section(
+        SectionLine(begin_mm=sheet.backproject_to_mm(pixel[1], pixel[0]), end_mm=(0.0, 0.0))
+    )
     canvas = window.window.columns["target_depth"].view.canvas
     qtbot.waitUntil(lambda: canvas.line is not None, timeout=240_000)
     begin = canvas.line[0]
@@ -142,7 +164,8 @@ def test_a_drag_draws_the_line_or_moves_an_end_and_others_pan(window, qtbot):
     _on(window, qtbot)
     canvas = window.window.columns["touch_depth"].view.canvas
     places = [
-        QPoint(int(s * canvas.width()), int(t * canvas.height())) for s, t in ((0.4, 0.4), (0.6, 0.5), (0.5, 0.6))
+        QPoint(int(s * canvas.width()), int(t * canvas.height()))
+        for s, t in ((0.4, 0.4), (0.6, 0.5), (0.5, 0.6))
     ]
     qtbot.mousePress(canvas, _Left, _Shift, places[0])
     qtbot.mouseMove(canvas, places[1])
@@ -161,7 +184,8 @@ def test_a_drag_draws_the_line_or_moves_an_end_and_others_pan(window, qtbot):
     qtbot.mouseRelease(canvas, _Left, pos=places[2])
     qtbot.waitUntil(lambda: ends_at(places[0], places[2]), timeout=240_000)
     assert canvas.centre == centre
-    index, line = window.undo_stack.index(), window.section
+    index = window.undo_stack.index()
+    line = window.section
     qtbot.mousePress(canvas, _Left, pos=QPoint(5, 5))
     qtbot.mouseMove(canvas, QPoint(30, 30))
     qtbot.mouseRelease(canvas, _Left, pos=QPoint(30, 30))
@@ -201,13 +225,17 @@ def test_the_curves_of_one_sensor_are_drawn_with_gaps_when_the_plot_is_shown(qtb
     profiles = [
         cross_section.HeightProfile(name=name, title=name, place=place, heights_mm=heights)
         for name, place, heights in (
-            ("depth", "source", 0.1 * along), ("touch_depth", "target", known), ("touch", "target", np.full(50, np.nan)),
+            ("depth", "source", 0.1 * along),
+            ("touch_depth", "target", known),
+            ("touch", "target", np.full(50, np.nan)),
         )
-    ]  # fmt: skip
+    ]
     line = SectionLine(begin_mm=(0.0, 0.0), end_mm=(10.0, 0.0))
     plot = SectionPlot()
     qtbot.addWidget(plot)
-    plot.show_section(cross_section.CrossSection(line=line, along_mm=along, profiles=tuple(profiles)))
+    plot.show_section(
+        cross_section.CrossSection(line=line, along_mm=along, profiles=tuple(profiles))
+    )
     assert not plot._axes, "nothing is drawn that nobody sees"
     plot.show()
     plot.show_sensor_role("target")

@@ -12,7 +12,8 @@ from app.shell.tour import wait_until_shown
 from widgets.views.preview_key_filter import KeyboardFocusFilter
 
 LIMIT_S = 240
-_Key, _How = Qt.Key, Qt.KeyboardModifier
+_Key = Qt.Key
+_How = Qt.KeyboardModifier
 
 
 @pytest.fixture
@@ -30,7 +31,8 @@ def press(bubble_window, qtbot):
 
 
 def test_arrow_keys_move_the_probe_and_tab_changes_the_image(bubble_window, press, qtbot):
-    window, frame = bubble_window.window, bubble_window.session.frame
+    window = bubble_window.window
+    frame = bubble_window.session.frame
     press(_Key.Key_P)
     source = window.columns["source"].view
     assert source.canvas.hasFocus()
@@ -71,21 +73,28 @@ def test_arrow_keys_move_the_section_line_and_either_end(bubble_window, press, q
         before = canvas.line
         press(key, how)
         qtbot.waitUntil(lambda: canvas.line != before, timeout=240_000)
-        return np.array([[new.x() - old.x(), new.y() - old.y()] for new, old in zip(canvas.line, before, strict=True)])
+        return np.array(
+            [
+                [new.x() - old.x(), new.y() - old.y()]
+                for new, old in zip(canvas.line, before, strict=True)
+            ]
+        )
 
     for key, how, moved in (
         (_Key.Key_Right, _How.NoModifier, [[1, 0], [1, 0]]),
         (_Key.Key_Down, _How.ControlModifier, [[0, 1], [0, 0]]),
         (_Key.Key_Up, _How.AltModifier | _How.ShiftModifier, [[0, 0], [0, -10]]),
     ):
-        np.testing.assert_allclose(after(key, how), moved, atol=0.05)  # to a hundredth of a millimetre
+        # to a hundredth of a millimetre
+        np.testing.assert_allclose(after(key, how), moved, atol=0.05)
     assert bubble_window.session.frame == 2
 
 
 def test_a_button_focused_by_tab_keeps_space_and_enter(qtbot):
     window = QMainWindow()
     qtbot.addWidget(window)
-    button, events = QPushButton("one", window), []
+    button = QPushButton("one", window)
+    events = []
     window.setCentralWidget(button)
     play = QAction("play", window)
     play.setShortcut("Space")
@@ -122,8 +131,11 @@ def test_tab_reaches_every_control_and_tabs_keep_their_keys(bubble_window, press
             break
         seen.append(now)
     assert window.focusWidget() is seen[0], "Tab never comes round"
-    assert {window.tabs.tabBar(), window.alignment.rows["rz"].box, window.timeline.number} <= set(seen)
-    tabs, shown = window.tabs.tabBar(), window.tabs.currentIndex()
+    assert {window.tabs.tabBar(), window.alignment.rows["rz"].box, window.timeline.number} <= set(
+        seen
+    )
+    tabs = window.tabs.tabBar()
+    shown = window.tabs.currentIndex()
     tabs.setFocus(Qt.FocusReason.TabFocusReason)
     press(_Key.Key_Right)
     assert window.tabs.currentIndex() == shown + 1
@@ -150,6 +162,9 @@ def test_wipe_and_alignment_work_by_keyboard(bubble_window, press, qtbot):
     qtbot.waitUntil(box.hasFocus, timeout=240_000)
     for key in (_Key.Key_1, _Key.Key_Period, _Key.Key_5, _Key.Key_Return):
         press(key)
-    qtbot.waitUntil(lambda: bubble_window.session.offsets.translation_mm[0] == pytest.approx(1.5), timeout=240_000)
+    qtbot.waitUntil(
+        lambda: bubble_window.session.offsets.translation_mm[0] == pytest.approx(1.5),
+        timeout=240_000,
+    )
     qtbot.waitUntil(lambda: not box.hasFocus(), timeout=240_000)
     assert wait_until_shown(bubble_window, LIMIT_S)

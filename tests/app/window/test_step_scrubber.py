@@ -1,4 +1,6 @@
-"""The registration step by step: kept where somebody asks, looked at in 2D, 3D, as curves and in words."""
+"""The registration step by step: kept where somebody asks, looked at in 2D, 3D, as curves and in
+words.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +23,14 @@ def posed(open_window, touch_file, ball_file):
 
 
 def test_steps_are_kept_on_request_and_shown_everywhere(posed, qtbot):
-    window, tab = posed.window, posed.window.steps_panel
-    slider, view = window.steps["pose"], window.columns["pose"].view
+    window = posed.window
+    tab = posed.window.steps_panel
+    slider = window.steps["pose"]
+    view = window.columns["pose"].view
     before = posed.views.get_shown_stage("pose")
-    assert (before.step_previews, before.step_history) == ((), None), "nothing is worked out that nobody asked for"
+    assert (before.step_previews, before.step_history) == ((), None), (
+        "nothing is worked out that nobody asked for"
+    )
     assert slider.keep_button.isVisibleTo(window)
     slider.keep_button.click()
     assert wait_until_shown(posed, LIMIT_S)

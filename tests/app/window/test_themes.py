@@ -1,4 +1,6 @@
-"""Light and dark: chosen, remembered, followed, and pictures that have their size at every size of window."""
+"""Light and dark: chosen, remembered, followed, and pictures that have their size at every size
+of window.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ def test_an_invalid_saved_theme_falls_back_to_system(qapp, remembered_here):
     assert kept.theme == "system"
 
 
-@pytest.mark.parametrize("scheme", [Qt.ColorScheme.Dark, Qt.ColorScheme.Light, Qt.ColorScheme.Unknown])
+@pytest.mark.parametrize(
+    "scheme", [Qt.ColorScheme.Dark, Qt.ColorScheme.Light, Qt.ColorScheme.Unknown]
+)
 def test_the_systems_theme_is_followed(qapp, monkeypatch, scheme):
     class Hints:
         def colorScheme(self):
@@ -58,7 +62,9 @@ def test_captions_and_trace_follow_the_theme(bubble_window, qtbot):
     window.actions_by_name["theme_dark"].trigger()
     ink = get_theme_colours(make_palette(dark=True))
     assert to_hex(ink.axes[0]) in window.view_panels["touch"].caption.text()
-    qtbot.waitUntil(lambda: to_hex(ink.secondary_text) in window.trace.findChild(QLabel).text(), timeout=240_000)
+    qtbot.waitUntil(
+        lambda: to_hex(ink.secondary_text) in window.trace.findChild(QLabel).text(), timeout=240_000
+    )
     assert bubble_window.views.scene is before
 
 
@@ -89,16 +95,23 @@ def test_images_get_the_room(open_window, touch_file, qtbot, size, least):
     assert wait_until_shown(controller, LIMIT_S)
 
     def settled() -> bool:
-        strip, rows = window.timeline.errors, window.rows
-        return strip.height() == strip.height_px and abs(rows.sizes()[0] - window.columns["depth"].height()) < 4
+        strip = window.timeline.errors
+        rows = window.rows
+        return (
+            strip.height() == strip.height_px
+            and abs(rows.sizes()[0] - window.columns["depth"].height()) < 4
+        )
 
     qtbot.waitUntil(settled, timeout=240_000)
-    shown = [name for name in window.visible_columns() if window.columns[name].view.preview is not None]
+    shown = [
+        name for name in window.visible_columns() if window.columns[name].view.preview is not None
+    ]
     assert len(shown) >= 6
     for name in shown:
         canvas = window.columns[name].view.canvas
         picture = window.columns[name].view.preview
-        wide, high = canvas.scale * picture.pixels.shape[1], canvas.scale * picture.pixels.shape[0]
+        wide = canvas.scale * picture.pixels.shape[1]
+        high = canvas.scale * picture.pixels.shape[0]
         assert canvas.width() >= least[0]
         assert canvas.height() >= least[1]
         assert wide >= least[0] or high >= least[1], (name, wide, high)

@@ -39,7 +39,15 @@ def test_the_window_shows_a_custom_route(toys):
     assert [window.route.itemData(i) for i in range(window.route.count())] == ["t2d2", "t2t", "toy"]
     toys.change("choose route", route="t2d2")
     assert wait_until_shown(toys, LIMIT_S)
-    assert shown(window) == ["source", "depth", "cloud", "target_depth", "touch", "touch_depth", "pose"]
+    assert shown(window) == [
+        "source",
+        "depth",
+        "cloud",
+        "target_depth",
+        "touch",
+        "touch_depth",
+        "pose",
+    ]
 
 
 def test_a_method_choice_is_undoable_and_saved(toys, tmp_path):

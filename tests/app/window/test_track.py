@@ -15,7 +15,8 @@ from pipeline.cli.main import build_app, run_app
 from pipeline.lab.tracking import track_recording
 from pipeline.lab.tracking.track_record import read_record
 
-LIMIT_S, LIMIT_MS = 240, 240_000
+LIMIT_S = 240
+LIMIT_MS = 240_000
 
 
 def _child(controller, kind):
@@ -30,7 +31,8 @@ def track_window(bubble_window):
 
 
 def _run(controller, qtbot, stage):
-    track, page = _child(controller, TrackController), controller.window.track
+    track = _child(controller, TrackController)
+    page = controller.window.track
     page.stage_box.setCurrentIndex(page.stage_box.findData(stage))
     qtbot.mouseClick(page.run_bar.start_button, Qt.MouseButton.LeftButton)
     qtbot.waitUntil(lambda: track.view is not None, timeout=LIMIT_MS)
@@ -38,9 +40,12 @@ def _run(controller, qtbot, stage):
 
 
 @pytest.mark.parametrize(("stage", "n_tracked"), [("depth", 2), ("touch_depth", 1)])
-def test_the_window_writes_what_the_command_writes_and_reads_it_again(track_window, qtbot, tmp_path, stage, n_tracked):
+def test_the_window_writes_what_the_command_writes_and_reads_it_again(
+    track_window, qtbot, tmp_path, stage, n_tracked
+):
     track = _run(track_window, qtbot, stage)
-    page, record = track_window.window.track, track.view.record
+    page = track_window.window.track
+    record = track.view.record
     assert record.count("tracked") == n_tracked
     assert record.count("no contact") == 3 - n_tracked
     assert page.sentence.text().startswith(f"pressed.h5: {n_tracked} of 3 frames tracked, 0 lost")
@@ -60,7 +65,9 @@ def test_the_window_writes_what_the_command_writes_and_reads_it_again(track_wind
     names = {"track.csv", "track.json", "patch.ply"}
     assert {file.name for file in (tmp_path / "window").iterdir()} == names
     for name in names:
-        assert (tmp_path / "window" / name).read_bytes() == (tmp_path / "command" / name).read_bytes()
+        assert (tmp_path / "window" / name).read_bytes() == (
+            tmp_path / "command" / name
+        ).read_bytes()
 
     track_window.open_path(tmp_path / "window")
     qtbot.waitUntil(lambda: track.view is not None, timeout=LIMIT_MS)
@@ -78,7 +85,8 @@ def read_path(folder):
 def test_a_run_is_cancelled_and_another_recording_drops_the_track(
     track_window, qtbot, touch_file, tmp_path, monkeypatch
 ):
-    page, track = track_window.window.track, _child(track_window, TrackController)
+    page = track_window.window.track
+    track = _child(track_window, TrackController)
     track_frames = track_recording.track_frames
 
     def waits_for_the_end(indices, read_depth, progress, on_frame):
@@ -102,7 +110,9 @@ def test_a_run_is_cancelled_and_another_recording_drops_the_track(
     assert wait_until_shown(track_window, LIMIT_S)
 
 
-def test_a_track_opens_without_a_recording_and_goes_with_the_next_one(open_window, qtbot, touch_file, tmp_path):
+def test_a_track_opens_without_a_recording_and_goes_with_the_next_one(
+    open_window, qtbot, touch_file, tmp_path
+):
     (tmp_path / "track.csv").write_text(
         "frame,state,part,x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n4,tracked,0,1,0,0,0,0,0\n"
     )
@@ -113,7 +123,9 @@ def test_a_track_opens_without_a_recording_and_goes_with_the_next_one(open_windo
     qtbot.waitUntil(lambda: track.view is not None, timeout=LIMIT_MS)
     assert controller.window.track.isVisible()
     assert not controller.window.track.run_bar.start_button.isEnabled()
-    assert controller.window.track.sentence.text().startswith(f"{tmp_path.name}: 1 of 1 frames tracked")
+    assert controller.window.track.sentence.text().startswith(
+        f"{tmp_path.name}: 1 of 1 frames tracked"
+    )
     controller.open_path(touch_file)
     assert track.view is None
     assert controller.window.track.plot.n_steps == 0

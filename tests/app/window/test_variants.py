@@ -13,7 +13,8 @@ from app.session.state import load_session
 from app.shell.tour import wait_until_shown
 from tests.app.window.command_runs import same_as_typed
 
-LIMIT_S, LIMIT_MS = 240, 240_000
+LIMIT_S = 240
+LIMIT_MS = 240_000
 
 
 @pytest.fixture
@@ -21,7 +22,9 @@ def held(open_window, qtbot, touch_file):
     """The small recording, with its settings held."""
     instrument = open_window(touch_file, gl=True, target="gelslim", frame=2)
     assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
-    comparing = next(child for child in instrument.children() if isinstance(child, ComparisonController))
+    comparing = next(
+        child for child in instrument.children() if isinstance(child, ComparisonController)
+    )
     instrument.window.actions_by_name["set_variant_settings"].trigger()
     _settle(qtbot, instrument, comparing)
     return instrument, comparing
@@ -30,7 +33,11 @@ def held(open_window, qtbot, touch_file):
 def _settle(qtbot, instrument, comparing):
     def done() -> bool:
         tiles = _grid(instrument).tiles
-        return instrument.is_idle and not comparing.is_busy and not any(t.problem == "working…" for t in tiles)
+        return (
+            instrument.is_idle
+            and not comparing.is_busy
+            and not any(t.problem == "working…" for t in tiles)
+        )
 
     qtbot.waitUntil(done, timeout=LIMIT_MS)
     qtbot.wait(20)
@@ -60,13 +67,18 @@ def test_current_settings_are_compared_with_held_ones(held, qtbot):
     assert "cloud.stride: 4 | 1" in instrument.window.comparison.current_tab.message.text()
     assert (a.title, b.title) == ("A · Target depth", "B · Target depth")
     assert less.difference is not None
-    assert _grid(instrument).views[2].view.preview is less.difference  # the difference, without asking
-    own = [instrument.views.scene._stage.get_camera(len(instrument.window.columns) + 1 + k) for k in (0, 1)]
+    # the difference, without asking
+    assert _grid(instrument).views[2].view.preview is less.difference
+    own = [
+        instrument.views.scene._stage.get_camera(len(instrument.window.columns) + 1 + k)
+        for k in (0, 1)
+    ]
     assert own[0] == own[1]  # one view
     assert all(cell.view.image is not None for cell in instrument.window.comparison.views_3d)
     for x_mm in (0.5, 1.0):  # both stay in view while the alignment is moved
         instrument.change(
-            "move the alignment", offsets=replace(instrument.session.offsets, translation_mm=(x_mm, 0.0, 0.0))
+            "move the alignment",
+            offsets=replace(instrument.session.offsets, translation_mm=(x_mm, 0.0, 0.0)),
         )
         _settle(qtbot, instrument, comparing)
     assert instrument.window.banner.isHidden(), instrument.window.banner.text
@@ -133,4 +145,7 @@ def test_a_problem_of_b_is_shown_in_its_place(held, qtbot, tmp_path):
     assert "gone.h5" in tiles[1].problem
     comparing.set_variant_recording(SAMPLE_RECORDING)
     _settle(qtbot, instrument, comparing)
-    assert "recording: pressed.h5 | first_touch.h5" in instrument.window.comparison.current_tab.message.text()
+    assert (
+        "recording: pressed.h5 | first_touch.h5"
+        in instrument.window.comparison.current_tab.message.text()
+    )

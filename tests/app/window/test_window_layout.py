@@ -30,7 +30,8 @@ def test_every_image_has_its_room(bubble_window, qtbot, size):
     def roomy() -> bool:
         window.resize(*size)
         return window.size() == QSize(*size) and all(
-            shown[0] >= least[0] - 1 and shown[1] >= min(least[1], least[0] * column.view.height_over_width) - 1
+            shown[0] >= least[0] - 1
+            and shown[1] >= min(least[1], least[0] * column.view.height_over_width) - 1
             for column in window.columns.values()
             if (shown := _shown_px(column.view))
         )
@@ -52,10 +53,15 @@ def test_a_bottom_drawer_leaves_room_for_images_in_a_small_window(bubble_window,
         )
 
     qtbot.waitUntil(roomy, timeout=240_000)
-    assert all(column._sign.isVisible() and not column._word.isVisible() for column in window.columns.values())
+    assert all(
+        column._sign.isVisible() and not column._word.isVisible()
+        for column in window.columns.values()
+    )
     assert all(column.state in column._sign.toolTip() for column in window.columns.values())
     window.drawers.diagnostics.toggleViewAction().trigger()
-    qtbot.waitUntil(lambda: all(column._word.isVisible() for column in window.columns.values()), timeout=240_000)
+    qtbot.waitUntil(
+        lambda: all(column._word.isVisible() for column in window.columns.values()), timeout=240_000
+    )
 
 
 def test_captions_under_3d_views_shorten_with_the_room(bubble_window, qtbot):
@@ -72,12 +78,17 @@ def test_captions_under_3d_views_shorten_with_the_room(bubble_window, qtbot):
 
 
 def test_the_row_is_as_high_as_its_highest_column(bubble_window, qtbot):
-    """All pictures fill their width, and one of them its height too: a note under it takes room of its own."""
+    """All pictures fill their width, and one of them its height too: a note under it takes room
+    of its own.
+    """
     bubble_window.window.resize(1600, 950)
 
     def snug() -> bool:
         views = [column.view for column in bubble_window.window.columns.values()]
-        spare = [view.canvas.size().height() - view.height_over_width * view.canvas.size().width() for view in views]
+        spare = [
+            view.canvas.size().height() - view.height_over_width * view.canvas.size().width()
+            for view in views
+        ]
         return -3 < min(spare) < 3
 
     qtbot.waitUntil(snug, timeout=240_000)
@@ -96,7 +107,9 @@ def test_drawers_start_closed_and_open_by_rail_and_key(bubble_window, qtbot):
     qtbot.waitUntil(lambda: not drawers.alignment.visibleRegion().isEmpty(), timeout=240_000)
     drawers.alignment.toggleViewAction().trigger()
     assert not drawers.alignment.isVisible()
-    assert {action.text() for action in drawers.rail.actions()} == {d.windowTitle() for d in drawers.all_drawers}
+    assert {action.text() for action in drawers.rail.actions()} == {
+        d.windowTitle() for d in drawers.all_drawers
+    }
 
 
 def test_a_window_that_fills_a_small_screen_does_not_grow_with_its_drawers(bubble_window, qtbot):
@@ -126,9 +139,13 @@ def test_the_window_is_no_larger_than_its_screen(open_window):
     assert window.height() <= available.height()
 
 
-@pytest.mark.parametrize(("size", "is_tight"), [((1366, 768), True), ((1600, 950), True), ((1920, 1200), False)])
+@pytest.mark.parametrize(
+    ("size", "is_tight"), [((1366, 768), True), ((1600, 950), True), ((1920, 1200), False)]
+)
 def test_a_first_start_lies_inside_the_screen(open_window, monkeypatch, size, is_tight):
-    """With the title bar that the desktop adds: where that has no room, the desktop fits the window by maximising it."""
+    """With the title bar that the desktop adds: where that has no room, the desktop fits the
+    window by maximising it.
+    """
     room = QRect(0, 0, *size)
     screen = SimpleNamespace(availableSize=room.size, availableGeometry=lambda: room)
     window = open_window().window

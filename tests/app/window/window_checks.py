@@ -1,4 +1,6 @@
-"""Invariants of a window after any input: it becomes idle, every pane shows an image, memory does not grow."""
+"""Invariants of a window after any input: it becomes idle, every pane shows an image, memory
+does not grow.
+"""
 
 from __future__ import annotations
 
@@ -26,14 +28,17 @@ from widgets.views.canvas import Canvas
 from widgets.views.view_3d import View3D
 
 PATIENCE_S = 20.0  # before what goes on is cancelled
-REST_S = 120.0  # seeds, sweeps and a scan of all frames may go on; on a busy machine they take their time
+# seeds, sweeps and a scan of all frames may go on; on a busy machine they take their time
+REST_S = 120.0
 SETTLED_S = 20.0
 _WALKED = (np.ndarray, QImage, Mapping, tuple, list)
 _FILLED = ("computed", "cached", "unchanged", "read", "warning")
 
 
 def resize_window(window: QWidget, size: tuple[int, int], qtbot) -> None:
-    """Give a window a size; on a busy machine a late answer to an earlier request may undo the first try."""
+    """Give a window a size; on a busy machine a late answer to an earlier request may undo the
+    first try.
+    """
 
     def has_size() -> bool:
         window.resize(*size)
@@ -48,8 +53,11 @@ class Watched:
     """Checks one window; `complain` receives every problem."""
 
     def __init__(self, controller: SessionController, complain: Callable[[str], None]) -> None:
-        self._instrument, self._window, self._complain = controller, controller.window, complain
-        self.memory_mb: list[tuple[float, float, float]] = []  # seconds, of the process, of that kept on purpose
+        self._instrument = controller
+        self._window = controller.window
+        self._complain = complain
+        # seconds, of the process, of that kept on purpose
+        self.memory_mb: list[tuple[float, float, float]] = []
         self.solids_drawn = self.panes_looked_at = self.n_cancelled = 0
         self._begun_s = time.monotonic()
         for job in controller.findChildren(LatestJob):
@@ -65,7 +73,11 @@ class Watched:
         """Growth of process memory after the first third of the time, without cached values."""
         held = [process - kept for _, process, kept in self.memory_mb]
         third = max(1, len(held) // 3)
-        return float(np.median(held[-third:]) - np.median(held[third : 2 * third])) if len(held) > 8 else 0.0
+        return (
+            float(np.median(held[-third:]) - np.median(held[third : 2 * third]))
+            if len(held) > 8
+            else 0.0
+        )
 
     def come_to_rest(self) -> None:
         """Everything is still, and what is seen has ink."""
@@ -99,7 +111,10 @@ class Watched:
             time.sleep(0.005)
 
     def _settle(self) -> None:
-        """Let what was typed take effect, and what is seen be drawn; a column that still waits for work is stuck."""
+        """Let what was typed take effect, and what is seen be drawn.
+
+        A column that still waits for work is stuck.
+        """
         end_s = time.monotonic() + SETTLED_S
         while time.monotonic() < end_s:
             QCoreApplication.processEvents()
@@ -110,8 +125,14 @@ class Watched:
         else:
             kept = {"requests": self._instrument.requests}
             columns = {name: column.state for name, column in self._window.columns.items()}
-            kept |= {"newest": self._instrument.job.newest_ticket, "route": self._instrument.session.route}
-            kept |= {"fresh": sorted(self._instrument.views._fresh), "visible": self._window.visible_columns()}
+            kept |= {
+                "newest": self._instrument.job.newest_ticket,
+                "route": self._instrument.session.route,
+            }
+            kept |= {
+                "fresh": sorted(self._instrument.views._fresh),
+                "visible": self._window.visible_columns(),
+            }
             self._complain(f"{self._stuck()} wait for nothing: {kept}, {columns}")
         self._instrument.views.scene.draw_pending()
         QCoreApplication.processEvents()
@@ -130,20 +151,29 @@ class Watched:
     def _busy(self) -> list[LatestJob]:
         """Busy jobs other than the one of the stages."""
         own = self._instrument.job
-        return [job for job in self._instrument.findChildren(LatestJob) if job is not own and job.is_busy]
+        return [
+            job
+            for job in self._instrument.findChildren(LatestJob)
+            if job is not own and job.is_busy
+        ]
 
     def _look_at_panes(self) -> None:
-        """Columns and tiles that are filled show something, and so do 3D views that anybody sees."""
+        """Columns and tiles that are filled show something, and so do 3D views that anybody
+        sees.
+        """
         window = self._window
         for name in window.visible_columns():
-            column, view = window.columns[name], window.columns[name].view
+            column = window.columns[name]
+            view = window.columns[name].view
             self.panes_looked_at += 1
             if column.state in _FILLED and view.isVisible() and not _in_view(view.canvas):
                 continue  # moved out of the pane by hand
             if column.state in _FILLED and not _has_ink(view):
                 self._complain(f"{name} is {column.state} and blank")
         for view in window.comparison.current_tab.grid.views:
-            shown = view.isVisible() and view.view.preview is not None and _in_view(view.view.canvas)
+            shown = (
+                view.isVisible() and view.view.preview is not None and _in_view(view.view.canvas)
+            )
             if shown and not _has_ink(view):
                 self._complain(f"the tile {view.tile.title!r} is blank")
         scene: Any = self._instrument.views.scene
@@ -151,19 +181,27 @@ class Watched:
             return
         self.solids_drawn = scene.n_renders
         for k, solid in enumerate(window.views_3d):
-            if solid.isVisible() and solid.width() > 20 and solid.height() > 20 and not _drawn(solid):
+            if (
+                solid.isVisible()
+                and solid.width() > 20
+                and solid.height() > 20
+                and not _drawn(solid)
+            ):
                 self._complain(f"3D view {k} of {solid.width()} x {solid.height()} has no picture")
 
     def _take_memory(self) -> None:
         """Without garbage and what the allocator only keeps for later; at work it is not taken.
 
-        Looking at every object holds tuples that another thread is just making, and Python refuses to finish those.
+        Looking at every object holds tuples that another thread is just making, and Python refuses
+        to finish those.
         """
         if self._instrument.job.is_busy or self._busy():
             return
         gc.collect()
         ctypes.CDLL(None).malloc_trim(0)
-        self.memory_mb.append((time.monotonic() - self._begun_s, _resident_mb(), kept_bytes() / 2**20))
+        self.memory_mb.append(
+            (time.monotonic() - self._begun_s, _resident_mb(), kept_bytes() / 2**20)
+        )
 
     def _failed(self, _ticket: int, error: object) -> None:
         if isinstance(error, BaseException) and not isinstance(error, TouchError):
@@ -222,7 +260,9 @@ def _held(value: Any, seen: set[int]) -> int:
 
 def _resident_mb() -> float:
     """What the process holds in memory."""
-    line = next(s for s in Path("/proc/self/status").read_text().splitlines() if s.startswith("VmRSS"))
+    line = next(
+        s for s in Path("/proc/self/status").read_text().splitlines() if s.startswith("VmRSS")
+    )
     return float(line.split()[1]) / 1024.0
 
 
@@ -234,7 +274,9 @@ def _in_view(canvas: Canvas) -> bool:
 
 
 def _drawn(solid: View3D) -> bool:
-    """A 3D view has a picture, of more than one colour: its axes and the shade of its backdrop at least."""
+    """A 3D view has a picture, of more than one colour: its axes and the shade of its backdrop
+    at least.
+    """
     return bool(solid.notice) or (solid.image is not None and _varies(solid.image))
 
 
@@ -249,5 +291,7 @@ def _varies(image: QImage) -> bool:
     plain = image.convertToFormat(QImage.Format.Format_RGB888)
     bits: Any = plain.constBits()
     bits.setsize(plain.sizeInBytes())
-    pixels = np.frombuffer(bits, np.uint8).reshape(plain.height(), plain.bytesPerLine())[:, : 3 * plain.width()]
+    pixels = np.frombuffer(bits, np.uint8).reshape(plain.height(), plain.bytesPerLine())[
+        :, : 3 * plain.width()
+    ]
     return bool(pixels.std() > 0.5)

@@ -17,12 +17,20 @@ ONE = Session(recording=Path("a/one.h5"), target="gelslim", frame=3)
 def test_only_what_results_depend_on_is_listed():
     method = CLOUD.methods[0]
     other = replace(
-        ONE, recording=Path("b/two.h5"), frame=4, methods={"target_depth": "paper"}, offsets=Offsets(translation_mm=(1.0, 0.0, 0.0)),
-        params={method.key: replace(method.params(), stride=4)}, cameras_linked=False,
-    )  # fmt: skip
+        ONE,
+        recording=Path("b/two.h5"),
+        frame=4,
+        methods={"target_depth": "paper"},
+        offsets=Offsets(translation_mm=(1.0, 0.0, 0.0)),
+        params={method.key: replace(method.params(), stride=4)},
+        cameras_linked=False,
+    )
     assert describe_differences(ONE, other, BUILT_IN) == (
-        "recording: one.h5 | two.h5", "alignment offsets differ", "cloud.stride: 1 | 4", "target_depth: Surface | Point splat (paper)",
-    )  # fmt: skip
+        "recording: one.h5 | two.h5",
+        "alignment offsets differ",
+        "cloud.stride: 1 | 4",
+        "target_depth: Surface | Point splat (paper)",
+    )
 
 
 def test_equal_settings_do_not_differ_and_missing_stages_are_listed():

@@ -20,11 +20,17 @@ class SilentReporter:
         """Do nothing."""
 
 
-def test_memory_is_released_after_every_computed_frame(touch_file: Path, monkeypatch: pytest.MonkeyPatch):
+def test_memory_is_released_after_every_computed_frame(
+    touch_file: Path, monkeypatch: pytest.MonkeyPatch
+):
     released: list[int] = []
     monkeypatch.setattr(evaluator, "release_free_memory", lambda: released.append(shown))
     asked = evaluator.Evaluator()
     for shown in (1, 2, 1, 2):
-        asked.evaluate_frame(Session(recording=touch_file, target="gelslim", frame=shown), ("depth",), SilentReporter())  # pyright: ignore[reportArgumentType]
+        asked.evaluate_frame(
+            Session(recording=touch_file, target="gelslim", frame=shown),
+            ("depth",),
+            SilentReporter(),
+        )  # pyright: ignore[reportArgumentType]
     asked.close()
     assert released == [1, 2]

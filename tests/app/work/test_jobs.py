@@ -78,7 +78,8 @@ def test_newer_work_interrupts_older_work(job, qtbot):
 
 
 def test_a_job_without_interrupt_lets_the_running_one_finish(job, qtbot):
-    begun, go = threading.Event(), threading.Event()
+    begun = threading.Event()
+    go = threading.Event()
     got: list[str] = []
     job.finished.connect(lambda _ticket, value: got.append(value))
 
@@ -115,7 +116,9 @@ def test_nothing_runs_after_closing(qtbot):
 
 
 def test_compiling_is_reported_at_the_current_fraction(job, qtbot):
-    """A kernel that is compiled at its first call is reported at once, however recent the last report is."""
+    """A kernel that is compiled at its first call is reported at once, however recent the last
+    report is.
+    """
     reports: list[tuple[float, str]] = []
     job.progressed.connect(lambda _ticket, fraction, text: reports.append((fraction, text)))
 
@@ -131,7 +134,9 @@ def test_compiling_is_reported_at_the_current_fraction(job, qtbot):
 
 
 def test_a_job_is_settled_once_its_end_was_received(job, qtbot):
-    """Work that is done is not yet heard of: what it found waits in the queue of the window's thread."""
+    """Work that is done is not yet heard of: what it found waits in the queue of the window's
+    thread.
+    """
     got: list[object] = []
     job.finished.connect(lambda _ticket, value: got.append(value))
     assert job.is_settled
@@ -146,7 +151,9 @@ def test_a_job_is_settled_once_its_end_was_received(job, qtbot):
 def test_a_job_that_outlives_its_window_ends_silently(qapp, monkeypatch):
     reports = []
     monkeypatch.setattr(threading, "excepthook", reports.append)
-    job, begun, go_on = LatestJob("late"), threading.Event(), threading.Event()
+    job = LatestJob("late")
+    begun = threading.Event()
+    go_on = threading.Event()
 
     def late(_report):
         begun.set()

@@ -13,7 +13,9 @@ OPEN = Requests().request(1, 0.0, opens=True, interrupts=True).show_part("source
 
 def request(before: Requests, ticket: int, now_s: float = 10.0, draft_stage: str = "") -> Requests:
     interrupts = before.must_interrupt(now_s, opens=False)
-    return before.request(ticket, now_s, opens=False, interrupts=interrupts, draft_stage=draft_stage)
+    return before.request(
+        ticket, now_s, opens=False, interrupts=interrupts, draft_stage=draft_stage
+    )
 
 
 def test_another_recording_shows_no_older_part():
@@ -61,7 +63,8 @@ CHANGES = st.sampled_from(("request", "draft", "open", "yield", "part", "end", "
 
 @given(st.lists(CHANGES, max_size=30))
 def test_whatever_happens_the_newest_request_is_shown_and_its_end_is_idle(changes):
-    requests, newest = Requests(), 0
+    requests = Requests()
+    newest = 0
     for change in changes:
         newest += change in ("request", "draft", "open", "yield")
         requests = {

@@ -8,13 +8,17 @@ from app.document.requests import find_undo_target, make_request_if_open
 from app.session.state import Session
 
 NOTHING, A, B, C, BAD = (
-    Session(recording=Path(path) if path else None) for path in ("", "a.h5", "b.h5", "c.h5", "bad.h5")
+    Session(recording=Path(path) if path else None)
+    for path in ("", "a.h5", "b.h5", "c.h5", "bad.h5")
 )
 
 
 def place(sessions, at, opened, failing=()):
     return find_undo_target(
-        sessions, at, {make_request_if_open(s) for s in opened}, {make_request_if_open(s) for s in failing}
+        sessions,
+        at,
+        {make_request_if_open(s) for s in opened},
+        {make_request_if_open(s) for s in failing},
     )
 
 

@@ -25,7 +25,9 @@ def hertz(shape, pixel_mm, x_px, y_px, diameter_mm, depth_mm):
     a = np.sqrt(radius * depth_mm)
     r = np.hypot(x - x_px, y - y_px) * pixel_mm
     out = np.maximum(r, a * (1 + 1e-9))
-    outside = ((2 * a * a - out**2) * np.arcsin(a / out) + a * np.sqrt(out**2 - a * a)) / (np.pi * radius)
+    outside = ((2 * a * a - out**2) * np.arcsin(a / out) + a * np.sqrt(out**2 - a * a)) / (
+        np.pi * radius
+    )
     return np.where(r < a, depth_mm - r * r / (2 * radius), outside).astype(np.float32)
 
 
@@ -35,7 +37,9 @@ def presses():
     rng = np.random.default_rng(3)
     places = [(float(rng.uniform(50, 270)), float(rng.uniform(50, 190))) for _ in range(8)]
     pictures = [
-        optics.render(source, hertz(source.camera.shape, source.pixel_mm, x, y, DIAMETER_MM, 0.6), seed=i)
+        optics.render(
+            source, hertz(source.camera.shape, source.pixel_mm, x, y, DIAMETER_MM, 0.6), seed=i
+        )
         for i, (x, y) in enumerate(places)
     ]
     return source, places, pictures
@@ -61,7 +65,11 @@ def sphere_diameter(indentation_mm, contact, pixel_mm):
 
 def test_circles_are_detected_without_hints(presses, look_up):
     _, places, _ = presses
-    off = [np.hypot(p.x_px - x, p.y_px - y) for p, (x, y) in zip(look_up.presses, places, strict=True) if p.used]
+    off = [
+        np.hypot(p.x_px - x, p.y_px - y)
+        for p, (x, y) in zip(look_up.presses, places, strict=True)
+        if p.used
+    ]
     assert len(off) >= len(places) - 1
     assert np.median(off) < CENTRE_TOLERANCE_PX
 
@@ -71,18 +79,30 @@ def test_a_larger_ball_is_measured_with_the_calibration_of_a_smaller_one(presses
     still = optics.render_reference(source)
     errors = []
     for i, (x, y) in enumerate([(120, 90), (180, 140), (150, 120)]):
-        seen = optics.render(source, hertz(source.camera.shape, source.pixel_mm, x, y, 9.5, 0.5), seed=50 + i)
-        result = estimate_depth(
-            TactileFrame(sensor=source.name, image=seen, reference=still), source, look_up, DepthParams()
+        seen = optics.render(
+            source, hertz(source.camera.shape, source.pixel_mm, x, y, 9.5, 0.5), seed=50 + i
         )
-        errors.append(abs(sphere_diameter(result.indentation_mm, result.contact, look_up.pixel_mm)[0] / 9.5 - 1))
+        result = estimate_depth(
+            TactileFrame(sensor=source.name, image=seen, reference=still),
+            source,
+            look_up,
+            DepthParams(),
+        )
+        errors.append(
+            abs(
+                sphere_diameter(result.indentation_mm, result.contact, look_up.pixel_mm)[0] / 9.5
+                - 1
+            )
+        )
     assert np.median(errors) < DIAMETER_TOLERANCE
 
 
 def test_the_same_presses_and_seed_give_the_same_bytes(presses):
     source, _, pictures = presses
     still = optics.render_reference(source)
-    first, second = (calibrate_balls(pictures[:3], still, source, DIAMETER_MM, seed=5) for _ in range(2))
+    first, second = (
+        calibrate_balls(pictures[:3], still, source, DIAMETER_MM, seed=5) for _ in range(2)
+    )
     assert first.model.coefficients.tobytes() == second.model.coefficients.tobytes()
 
 
@@ -115,7 +135,9 @@ def test_an_impossible_diameter_is_refused(presses, diameter_mm):
 def test_pictures_of_another_size_are_refused(presses):
     source = presses[0]
     with pytest.raises(ShapeError, match="press 0"):
-        calibrate_balls([np.zeros((10, 10, 3), np.uint8)], optics.render_reference(source), source, DIAMETER_MM)
+        calibrate_balls(
+            [np.zeros((10, 10, 3), np.uint8)], optics.render_reference(source), source, DIAMETER_MM
+        )
 
 
 def test_no_circle_is_found_where_nothing_has_changed():
@@ -129,15 +151,19 @@ def test_real_presses_of_a_small_ball_measure_a_larger_one(real_data):
     def read(name):
         return np.ascontiguousarray(cv2.imread(str(real_data / "gsmini_balls" / name))[..., ::-1])
 
-    source, still = load_sensor("gelsight_mini"), read("background.png")
+    source = load_sensor("gelsight_mini")
+    still = read("background.png")
     small = [read(f"ball_6.310mm_{i}.png") for i in range(0, 44, 3)]
     found = calibrate_balls(small, still, source, 6.31, pixel_mm=0.0634)
     fits = []
     for i in range(0, 23, 3):
-        frame = TactileFrame(sensor=source.name, image=read(f"ball_9.500mm_{i}.png"), reference=still)
+        frame = TactileFrame(
+            sensor=source.name, image=read(f"ball_9.500mm_{i}.png"), reference=still
+        )
         result = estimate_depth(frame, source, found, DepthParams())
         fits.append(sphere_diameter(result.indentation_mm, result.contact, 0.0634))
-    errors, residuals = np.abs(np.array(fits)[:, 0] / 9.5 - 1), np.array(fits)[:, 1]
+    errors = np.abs(np.array(fits)[:, 0] / 9.5 - 1)
+    residuals = np.array(fits)[:, 1]
     assert np.median(errors) < DIAMETER_TOLERANCE
     assert np.median(residuals) < 0.03  # mm, promised
     assert isinstance(found, calibration.Calibration)

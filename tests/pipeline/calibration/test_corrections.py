@@ -31,7 +31,9 @@ ELSEWHERE = [(160, 120), (60, 130), (270, 120), (160, 50), (165, 200)]
 
 
 def press(unit, x_px, y_px, diameter_mm, seed):
-    return optics.render(unit, hertz(unit.camera.shape, unit.pixel_mm, x_px, y_px, diameter_mm, 0.6), seed=seed)
+    return optics.render(
+        unit, hertz(unit.camera.shape, unit.pixel_mm, x_px, y_px, diameter_mm, 0.6), seed=seed
+    )
 
 
 @pytest.fixture(scope="module")
@@ -84,15 +86,19 @@ def test_no_correction_is_chosen_that_is_worse_than_none(slope, diameter):
 
 
 def test_diameters_that_are_right_by_luck_do_not_keep_slopes_that_are_wrong():
-    slope, diameter = np.array([[0.44, 0.12]] * 4), np.array([[-0.03, 0.9], [0.12, 0.04], [-0.1, 0.14], [-0.2, -0.26]])
+    slope = np.array([[0.44, 0.12]] * 4)
+    diameter = np.array([[-0.03, 0.9], [0.12, 0.04], [-0.1, 0.14], [-0.2, -0.26]])
     assert choose_candidate(HeldOutErrors(slope_rms=slope, diameter_share=diameter)) == 1
 
 
 def test_uninformative_presses_leave_the_built_in_table(monkeypatch):
     unit = load_sensor("gelsight_mini")
-    still, true = optics.render_reference(unit), make_built_in(unit).model
+    still = optics.render_reference(unit)
+    true = make_built_in(unit).model
     pictures = [press(unit, x, y, 6.31, i) for i, (x, y) in enumerate(PLACES[:2])]
-    monkeypatch.setattr(corrections, "compute_slope_error", lambda model, _: 0.0 if model is true else 1.0)
+    monkeypatch.setattr(
+        corrections, "compute_slope_error", lambda model, _: 0.0 if model is true else 1.0
+    )
     found = calibrate_balls(pictures, still, unit, 6.31)
     assert found.uses_built_in
     assert found.is_built_in
@@ -102,15 +108,21 @@ def test_uninformative_presses_leave_the_built_in_table(monkeypatch):
 
 def test_a_sphere_seen_too_flat_is_said_to_be_too_large():
     x, y = np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.5, 0.5, 9))
-    true = -np.stack([x.ravel(), y.ravel()], axis=1) / np.sqrt(1 - x.ravel() ** 2 - y.ravel() ** 2)[:, None]
+    true = (
+        -np.stack([x.ravel(), y.ravel()], axis=1)
+        / np.sqrt(1 - x.ravel() ** 2 - y.ravel() ** 2)[:, None]
+    )
     assert corrections.compute_sphere_error(true, true) == pytest.approx(0.0, abs=1e-9)
-    flat = 0.5 * true / np.sqrt(1.0 + 0.75 * (true**2).sum(axis=1, keepdims=True))  # normals' tilt halved
+    # normals' tilt halved
+    flat = 0.5 * true / np.sqrt(1.0 + 0.75 * (true**2).sum(axis=1, keepdims=True))
     assert corrections.compute_sphere_error(flat, true) == pytest.approx(1.0, rel=0.02)
 
 
 @given(st.integers(1, 60), st.floats(0.01, 0.9))
 def test_the_fewer_presses_the_farther_better_a_correction_has_to_be(count, error):
-    few, many, nobody = np.full(count, error), np.full(4 * count, error), np.zeros(0)
+    few = np.full(count, error)
+    many = np.full(4 * count, error)
+    nobody = np.zeros(0)
     assert not corrections.is_significantly_better(error, many, nobody)
     worth = error * np.exp(-2.5 / np.sqrt(count))
     assert not corrections.is_significantly_better(worth, few, nobody)
@@ -122,9 +134,13 @@ def test_a_correction_that_is_better_by_luck_is_not_taken(count, share, seed):
     without = np.random.default_rng(seed).uniform(0.05, 0.2, count)
     held = share * without
     # Every press a little better is sure from five presses on, half of them worse by as much never.
-    assert corrections.is_significantly_better(share * float(np.median(without)) - 1e-6, without, held) == (count >= 5)
+    assert corrections.is_significantly_better(
+        share * float(np.median(without)) - 1e-6, without, held
+    ) == (count >= 5)
     half = np.concatenate([held, without])
-    assert not corrections.is_significantly_better(0.9 * float(np.median(half)), half, np.concatenate([without, held]))
+    assert not corrections.is_significantly_better(
+        0.9 * float(np.median(half)), half, np.concatenate([without, held])
+    )
 
 
 def test_the_error_said_of_presses_that_change_nothing_is_the_middle_one_and_steadier_for_few():
@@ -136,12 +152,22 @@ def test_the_error_said_of_presses_that_change_nothing_is_the_middle_one_and_ste
 
 
 def test_places_far_from_presses_are_not_covered():
-    everywhere = [Circle(x_px=x, y_px=y, radius_px=20.0) for x in range(40, 320, 80) for y in range(40, 240, 80)]
+    everywhere = [
+        Circle(x_px=x, y_px=y, radius_px=20.0)
+        for x in range(40, 320, 80)
+        for y in range(40, 240, 80)
+    ]
     change = np.zeros((240, 320, 3), np.float32)
     pressed = tuple(BallPress(index=i, change=change, circle=c) for i, c in enumerate(everywhere))
     unknown = ShadingFieldPrior(mean=np.zeros(1), precision=np.eye(1))
-    known = corrections.PressSet(presses=pressed, ball=BallSlopeProfile(radius_px=50.0, sphere_slope_share=None), pixel_mm=0.06, prior=unknown,
-                                built_in=make_built_in(load_sensor("gelsight_mini")).model, seed=0)  # fmt: skip
+    known = corrections.PressSet(
+        presses=pressed,
+        ball=BallSlopeProfile(radius_px=50.0, sphere_slope_share=None),
+        pixel_mm=0.06,
+        prior=unknown,
+        built_in=make_built_in(load_sensor("gelsight_mini")).model,
+        seed=0,
+    )
     virtual = np.full((12, 30), 0.02)
     assert compute_coverage_map(virtual, known).all()
     virtual[:, 3] = 5.0  # no ball is detected there

@@ -22,11 +22,15 @@ def test_an_error_that_all_presses_share_is_removed_the_more_of_them_there_are(r
     x, y = place(count, seed)
     for n, left_share in ((1, 0.5), (count, 0.15)):
         scale = fit_depth_scale(x[:n], y[:n], np.full(n, ratio), SHAPE)
-        assert abs(np.log(scale.factors).mean() - np.log(ratio)) <= left_share * abs(np.log(ratio)) + 1e-6
+        assert (
+            abs(np.log(scale.factors).mean() - np.log(ratio))
+            <= left_share * abs(np.log(ratio)) + 1e-6
+        )
 
 
 def test_presses_correct_the_places_near_them():
-    x, y = np.array([60.0, 70.0, 50.0, 260.0, 270.0, 250.0]), np.array([60.0, 120.0, 180.0] * 2)
+    x = np.array([60.0, 70.0, 50.0, 260.0, 270.0, 250.0])
+    y = np.array([60.0, 120.0, 180.0] * 2)
     scale = fit_depth_scale(x, y, np.array([1.2] * 3 + [0.85] * 3), SHAPE)
     assert scale.factors[8, 2] == pytest.approx(1.2, rel=0.05)
     assert scale.factors[8, 13] == pytest.approx(0.85, rel=0.05)
@@ -44,9 +48,7 @@ def test_errors_that_no_place_explains_scale_depth_by_less_than_they_are(seed):
 def test_unmeasured_presses_are_left_out_and_none_give_no_scale():
     x, y = place(5, 0)
     known = np.array([1.2, np.nan, 1.2, 1.1, np.nan])
-    some, others = (
-        fit_depth_scale(x, y, known, SHAPE),
-        fit_depth_scale(x[[0, 2, 3]], y[[0, 2, 3]], known[[0, 2, 3]], SHAPE),
-    )
+    some = fit_depth_scale(x, y, known, SHAPE)
+    others = fit_depth_scale(x[[0, 2, 3]], y[[0, 2, 3]], known[[0, 2, 3]], SHAPE)
     assert np.array_equal(some.factors, others.factors)
     assert fit_depth_scale(x, y, np.full(5, np.nan), SHAPE) is None

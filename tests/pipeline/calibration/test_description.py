@@ -12,7 +12,9 @@ from pipeline.core.errors import StageWarning
 from pipeline.sensors.spec import load_sensor
 
 PRESS = BallFit(index=0, x_px=10.0, y_px=20.0, radius_px=15.0, residual=0.02, used=True)
-ERROR = ExpectedError(diameter_share=0.083, diameter_p90=0.19, depth_share=0.071, depth_p90=0.16, n_held_out=4)
+ERROR = ExpectedError(
+    diameter_share=0.083, diameter_p90=0.19, depth_share=0.071, depth_p90=0.16, n_held_out=4
+)
 
 
 @pytest.fixture
@@ -32,13 +34,21 @@ def test_presses_that_look_like_another_size_give_a_warning(table):
     for ratio, odd in ((None, False), (0.8, False), (1.3, False), (1.5, True), (0.5, True)):
         report = replace(known, diameter_ratio=ratio)
         assert isinstance(quality_notes.describe_quality(report), StageWarning) is odd
-        assert any("times the given diameter" in line for line in quality_notes.format_calibration(report)) is odd
+        assert (
+            any(
+                "times the given diameter" in line
+                for line in quality_notes.format_calibration(report)
+            )
+            is odd
+        )
     wide = replace(known, pixel_mm=0.105, diameter_ratio=1.5)
     assert "0.07 mm would fit" in quality_notes.describe_size_mismatch(wide)
 
 
 def test_a_table_that_presses_did_not_improve_is_called_uncalibrated(table):
-    note = quality_notes.describe_quality(replace(table, presses=(PRESS,), uses_built_in=True, expected_error=ERROR))
+    note = quality_notes.describe_quality(
+        replace(table, presses=(PRESS,), uses_built_in=True, expected_error=ERROR)
+    )
     assert note.startswith(UNCALIBRATED)
     assert "did not improve" in note
 

@@ -40,7 +40,11 @@ def test_a_weighing_that_contradicts_the_others_is_named():
 
 @pytest.mark.parametrize(
     ("estimated", "weighed", "part"),
-    [([1.0], [1.0], "two weighings"), ([1.0, 2.0], [1.0, -2.0], "above 0 N"), ([0.0, 1.0], [1.0, 2.0], "no contact")],
+    [
+        ([1.0], [1.0], "two weighings"),
+        ([1.0, 2.0], [1.0, -2.0], "above 0 N"),
+        ([0.0, 1.0], [1.0, 2.0], "no contact"),
+    ],
 )
 def test_unusable_weighings_are_refused(estimated, weighed, part):
     with pytest.raises(SettingProblem, match=part):
@@ -57,7 +61,11 @@ def test_a_scale_shares_the_file_of_a_table_or_stands_alone(tmp_path):
     for path in (both, alone):
         read = load_force_scale(path)
         assert read is not None
-        assert (read.sensor, read.factor, read.exponent) == (scale.sensor, scale.factor, scale.exponent)
+        assert (read.sensor, read.factor, read.exponent) == (
+            scale.sensor,
+            scale.factor,
+            scale.exponent,
+        )
         assert calibration_file.is_calibration_file(path)
     assert calibration_file.load_if_present(alone) is None
     kept = calibration_file.load_if_present(both)

@@ -12,7 +12,8 @@ from pipeline.core.errors import CalibrationError, FileProblem
 from pipeline.physics import optics
 from pipeline.sensors.spec import load_sensor
 
-BUILT_IN_SLOPE_TOLERANCE = 0.08  # rms mm/mm inside a contact; LEDs in their own shadow cannot tell steeper slopes apart
+# rms mm/mm inside a contact; LEDs in their own shadow cannot tell steeper slopes apart
+BUILT_IN_SLOPE_TOLERANCE = 0.08
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +27,8 @@ def everywhere(picture):
 
 def ball_slopes(shape, radius_px=60.0, contact_px=35.0):
     y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
-    dx, dy = x - shape[1] / 2, y - shape[0] / 2
+    dx = x - shape[1] / 2
+    dy = y - shape[0] / 2
     inside = np.hypot(dx, dy) < contact_px
     down = np.sqrt(np.maximum(radius_px**2 - dx**2 - dy**2, 1.0))
     return (
@@ -42,10 +44,15 @@ def test_the_built_in_table_inverts_the_forward_model(name):
     look_up = calibration.make_built_in(source)
     gx, gy, inside = ball_slopes(source.camera.shape)
     still = optics.render_reference(source)
-    seen = np.clip(np.rint(still + optics.compute_colour_change(source, gx, gy)), 0, 255).astype(np.uint8)
+    seen = np.clip(np.rint(still + optics.compute_colour_change(source, gx, gy)), 0, 255).astype(
+        np.uint8
+    )
     found_x, found_y = calibration.compute_slopes(look_up, seen, still, everywhere(still))
     core = inside & (np.hypot(gx, gy) < 0.6)  # the last pixels at the rim are blurred on purpose
-    assert np.sqrt(np.mean((found_x - gx)[core] ** 2 + (found_y - gy)[core] ** 2)) < BUILT_IN_SLOPE_TOLERANCE
+    assert (
+        np.sqrt(np.mean((found_x - gx)[core] ** 2 + (found_y - gy)[core] ** 2))
+        < BUILT_IN_SLOPE_TOLERANCE
+    )
 
 
 def test_an_unchanged_picture_has_no_slope_at_all(mini):
@@ -58,13 +65,19 @@ def test_an_unchanged_picture_has_no_slope_at_all(mini):
 def test_slopes_are_finite_and_bounded_for_any_picture(mini):
     rng = np.random.default_rng(0)
     still = optics.render_reference(load_sensor("gelsight_mini"))
-    for picture in (np.zeros_like(still), np.full_like(still, 255), rng.integers(0, 256, still.shape, np.uint8)):
+    for picture in (
+        np.zeros_like(still),
+        np.full_like(still, 255),
+        rng.integers(0, 256, still.shape, np.uint8),
+    ):
         gx, gy = calibration.compute_slopes(mini, picture, still, everywhere(still))
         assert np.hypot(gx, gy).max() <= mini.model.slope_max * (1 + 1e-5)
 
 
 def test_a_saved_calibration_is_loaded_unchanged(mini, tmp_path):
-    press = calibration.BallFit(index=0, x_px=1.5, y_px=2.5, radius_px=20.0, residual=0.03, used=True)
+    press = calibration.BallFit(
+        index=0, x_px=1.5, y_px=2.5, radius_px=20.0, residual=0.03, used=True
+    )
     written = replace(mini, presses=(press,), diameter_ratio=1.25)
     calibration_file.save(written, tmp_path / "mini.npz")
     read = calibration_file.load(tmp_path / "mini.npz")
@@ -88,10 +101,17 @@ def test_a_damaged_file_is_one_sentence(mini, tmp_path):
             calibration_file.load(path)
 
 
-@pytest.mark.parametrize(("field", "value"), [
-    ("pixel_mm", np.nan), ("pixel_mm", 0.0), ("pixel_mm", -0.05), ("slope_max", np.inf), ("slope_max", 0.0),
-    ("residual", np.nan),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("pixel_mm", np.nan),
+        ("pixel_mm", 0.0),
+        ("pixel_mm", -0.05),
+        ("slope_max", np.inf),
+        ("slope_max", 0.0),
+        ("residual", np.nan),
+    ],
+)
 def test_impossible_numbers_are_refused(mini, tmp_path, field, value):
     path = tmp_path / "mini.npz"
     calibration_file.save(mini, path)
@@ -118,11 +138,15 @@ def test_the_slopes_of_a_part_are_those_of_the_whole(mini):
     source = load_sensor("gelsight_mini")
     gx, gy, _ = ball_slopes(source.camera.shape)
     still = optics.render_reference(source)
-    seen = np.clip(np.rint(still + optics.compute_colour_change(source, gx, gy)), 0, 255).astype(np.uint8)
-    part, where = (slice(30, 200), slice(40, 300)), everywhere(still)
+    seen = np.clip(np.rint(still + optics.compute_colour_change(source, gx, gy)), 0, 255).astype(
+        np.uint8
+    )
+    part = (slice(30, 200), slice(40, 300))
+    where = everywhere(still)
     whole = calibration.compute_slopes(mini, seen, still, where)
     found = calibration.compute_slopes(mini, seen[part], still[part], where[part], (30, 40))
-    inner = (slice(10, -10), slice(10, -10))  # smoothing and brightness reach some pixels over the cut
+    # smoothing and brightness reach some pixels over the cut
+    inner = (slice(10, -10), slice(10, -10))
     for a, b in zip(found, whole, strict=True):
         np.testing.assert_allclose(a[inner], b[part][inner], atol=1e-4)
 
@@ -146,11 +170,17 @@ def test_the_compiled_polynomial_equals_the_fitted_one():
     rng = np.random.default_rng(1)
     u, v = slope_model.compute_positions((6, 7))
     samples = slope_model.SlopeSamples(
-        change=rng.normal(0, 0.3, (42, 3)).astype(np.float32), u=np.tile(u, 6), v=np.repeat(v, 7),
+        change=rng.normal(0, 0.3, (42, 3)).astype(np.float32),
+        u=np.tile(u, 6),
+        v=np.repeat(v, 7),
         slopes=rng.normal(0, 0.3, (42, 2)).astype(np.float32),
-    )  # fmt: skip
-    model = slope_model.fit(samples, np.ones(42, np.float32), colour_degree=2, position_degree=1, ridge=0.01)
-    gx, gy = slope_model.evaluate(model, samples.change.reshape(6, 7, 3), u, v, np.ones((6, 7), bool))
+    )
+    model = slope_model.fit(
+        samples, np.ones(42, np.float32), colour_degree=2, position_degree=1, ridge=0.01
+    )
+    gx, gy = slope_model.evaluate(
+        model, samples.change.reshape(6, 7, 3), u, v, np.ones((6, 7), bool)
+    )
     expected = slope_model.predict(model, samples).reshape(6, 7, 2)
     assert np.allclose(gx, expected[..., 0], atol=1e-5)  # float32 sums in another order
     assert np.allclose(gy, expected[..., 1], atol=1e-5)
@@ -199,7 +229,9 @@ def test_the_optional_fields_are_loaded_unchanged(mini, tmp_path):
     assert back.median_pressure_share == 0.6
 
 
-@pytest.mark.parametrize("row", [[0.1, 0.1], [0.1, 0.2, np.nan, 0.2, 4.0], [-0.1, 0.2, 0.1, 0.2, 4.0]])
+@pytest.mark.parametrize(
+    "row", [[0.1, 0.1], [0.1, 0.2, np.nan, 0.2, 4.0], [-0.1, 0.2, 0.1, 0.2, 4.0]]
+)
 def test_an_invalid_expected_error_is_refused(mini, tmp_path, row):
     path = tmp_path / "look_up.npz"
     calibration_file.save(mini, path)

@@ -1,4 +1,6 @@
-"""What the tests of the commands share: a small folder of touches, and a place of its own for what goes wrong."""
+"""What the tests of the commands share: a small folder of touches, and a place of its own for
+what goes wrong.
+"""
 
 from __future__ import annotations
 

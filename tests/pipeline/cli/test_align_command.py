@@ -1,4 +1,6 @@
-"""`tactoscope align` as it is typed, and an alignment file where a recording is translated or a session kept."""
+"""`tactoscope align` as it is typed, and an alignment file where a recording is translated or a
+session kept.
+"""
 
 from __future__ import annotations
 
@@ -19,13 +21,18 @@ from sample_data import make_alignments
 from sample_data.make_samples import RECORDINGS_FOLDER
 
 SAMPLE = RECORDINGS_FOLDER / "digit_gelslim.h5"
-EXACT = load_alignment(make_alignments.alignment_path("digit", "gelslim"), source="digit", target="gelslim")
+EXACT = load_alignment(
+    make_alignments.alignment_path("digit", "gelslim"), source="digit", target="gelslim"
+)
 SAME = 1e-9  # mm and entries of a rotation: what a file rounds away, composed
 
 
 @pytest.fixture
 def typed(capsys):
-    """Run `align` with these words; returns its exit code, what it printed and what it said on stderr."""
+    """Run `align` with these words.
+
+    Returns its exit code, what it printed and what it said on stderr.
+    """
 
     def go(*tokens):
         code = run_app(build_app(), ["align", *(str(t) for t in tokens)])
@@ -50,14 +57,35 @@ def test_scores_are_a_table_of_frames_and_of_axes(typed):
     assert code == 0
     assert "mask IoU" in out
     rows = [line.replace("┃", "│").split("│") for line in out.splitlines() if "│" in line]
-    assert [row[1].strip() for row in rows] == ["2", "3", "median", "x (mm)", "y (mm)", "z (mm)",
-                                                "rx (deg)", "ry (deg)", "rz (deg)"]  # fmt: skip
+    assert [row[1].strip() for row in rows] == [
+        "2",
+        "3",
+        "median",
+        "x (mm)",
+        "y (mm)",
+        "z (mm)",
+        "rx (deg)",
+        "ry (deg)",
+        "rz (deg)",
+    ]
     assert float(rows[0][2]) > 0.9
 
 
-def test_refining_writes_an_alignment_nearer_to_the_exact_one_and_prints_the_change(typed, off, tmp_path):
+def test_refining_writes_an_alignment_nearer_to_the_exact_one_and_prints_the_change(
+    typed, off, tmp_path
+):
     out_file = tmp_path / "refined.toml"
-    refine = ("refine", SAMPLE, "--target", "gelslim", "--alignment", off, "--truth", "--hold-out", "0.5")
+    refine = (
+        "refine",
+        SAMPLE,
+        "--target",
+        "gelslim",
+        "--alignment",
+        off,
+        "--truth",
+        "--hold-out",
+        "0.5",
+    )
     code, out, _ = typed(*refine, "--out", out_file)
     assert code == 0
     assert "held out, after" in out
@@ -68,7 +96,8 @@ def test_refining_writes_an_alignment_nearer_to_the_exact_one_and_prints_the_cha
     assert "digit_gelslim.h5" in found.origin
     left = found.alignment.target_from_source @ rigid.invert(EXACT.alignment.target_from_source)
     middle = np.array([0.0, 0.0, 20.0])
-    assert np.linalg.norm(rigid.apply(left, middle) - middle) < 0.2  # mm, of 1 mm: one touch, seen on both gels
+    # mm, of 1 mm: one touch, seen on both gels
+    assert np.linalg.norm(rigid.apply(left, middle) - middle) < 0.2
     code, _, err = typed(*refine, "--out", out_file)
     assert code == EXIT_USER_ERROR
     assert "exists already and is kept" in err
@@ -78,11 +107,23 @@ def test_refining_writes_an_alignment_nearer_to_the_exact_one_and_prints_the_cha
     ("tokens", "fact"),
     [
         (("score", SAMPLE, "--target", "soft_bubble"), "soft_bubble recorded no frame 0 here"),
-        (("score", SAMPLE, "--target", "gelslim", "--frames", "0-1"), "none of the 2 frames has contact on both"),
-        (("score", SAMPLE, "--target", "gelslim", "--frames", "9"), "no frame 9; the recording has frames 0 to 5"),
-        (("score", SAMPLE, "--target", "gelslim", "--frames", "a"), "numbers and ranges such as 0,3-7"),
+        (
+            ("score", SAMPLE, "--target", "gelslim", "--frames", "0-1"),
+            "none of the 2 frames has contact on both",
+        ),
+        (
+            ("score", SAMPLE, "--target", "gelslim", "--frames", "9"),
+            "no frame 9; the recording has frames 0 to 5",
+        ),
+        (
+            ("score", SAMPLE, "--target", "gelslim", "--frames", "a"),
+            "numbers and ranges such as 0,3-7",
+        ),
         (("refine", SAMPLE, "--target", "gelslim", "--out", "x.txt"), "ends in .toml"),
-        (("refine", SAMPLE, "--target", "gelslim", "--out", "x.toml", "--hold-out", "1"), "below 1, got 1"),
+        (
+            ("refine", SAMPLE, "--target", "gelslim", "--out", "x.toml", "--hold-out", "1"),
+            "below 1, got 1",
+        ),
     ],
 )
 def test_a_mistake_is_one_sentence(typed, tokens, fact):
@@ -93,7 +134,9 @@ def test_a_mistake_is_one_sentence(typed, tokens, fact):
 
 
 def test_an_alignment_of_other_sensors_is_refused(typed, off):
-    code, _, err = typed("score", SAMPLE, "--sensor", "gelslim", "--target", "digit", "--alignment", off)
+    code, _, err = typed(
+        "score", SAMPLE, "--sensor", "gelslim", "--target", "digit", "--alignment", off
+    )
     assert code == EXIT_USER_ERROR
     assert "swap source and target" in err
 
@@ -133,8 +176,11 @@ def test_fit_writes_an_alignment_without_an_initial_one(typed, tmp_path):
     assert code == 0, error
     assert "held out" in said
     assert "standard deviation of 0." in said
-    fitted = load_alignment(out, source="gelslim", target="soft_bubble").alignment.target_from_source
-    exact = np.diag([-1.0, -1.0, 1.0])  # how the sample's bubble is turned; 47 mm lie between the two cameras
+    fitted = load_alignment(
+        out, source="gelslim", target="soft_bubble"
+    ).alignment.target_from_source
+    # how the sample's bubble is turned; 47 mm lie between the two cameras
+    exact = np.diag([-1.0, -1.0, 1.0])
     off = np.degrees(np.arccos(np.clip((np.trace(fitted[:3, :3].T @ exact) - 1) / 2, -1, 1)))
     assert off < 1.0
     assert fitted[:3, 3] == pytest.approx((0.0, 0.0, 47.0), abs=0.3)

@@ -1,4 +1,6 @@
-"""The commands as a user types them: what they leave behind, and one clear sentence for each mistake."""
+"""The commands as a user types them: what they leave behind, and one clear sentence for each
+mistake.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,17 @@ def test_translate_all_leaves_every_frame_whole(touches, tmp_path, capsys):
     out = tmp_path / "out"
     code = run_app(
         build_app(),
-        ["translate", str(touches), "--target", "gelslim", "--all", "--out", str(out), "--sensor", "gelsight_mini"],
+        [
+            "translate",
+            str(touches),
+            "--target",
+            "gelslim",
+            "--all",
+            "--out",
+            str(out),
+            "--sensor",
+            "gelsight_mini",
+        ],
     )
     assert code == 0, capsys.readouterr().err
     report = json.loads((out / "report.json").read_text())
@@ -73,20 +85,47 @@ def test_translate_all_leaves_every_frame_whole(touches, tmp_path, capsys):
 
 
 def test_a_setting_reaches_its_stage_and_an_unknown_one_is_named(touches, tmp_path, said):
-    arguments = ("translate", touches, "--target", "gelslim", "--sensor", "gelsight_mini", "--out", tmp_path / "o")
-    assert run_app(build_app(), [str(a) for a in (*arguments, "--set", "target_depth.jump_mm=2", "--frame", "2")]) == 0
+    arguments = (
+        "translate",
+        touches,
+        "--target",
+        "gelslim",
+        "--sensor",
+        "gelsight_mini",
+        "--out",
+        tmp_path / "o",
+    )
+    assert (
+        run_app(
+            build_app(),
+            [str(a) for a in (*arguments, "--set", "target_depth.jump_mm=2", "--frame", "2")],
+        )
+        == 0
+    )
     assert "jump_mm" in said(*arguments, "--set", "target_depth.colour=red")
     assert said(*arguments, "--set", "projekt.mode=paper").startswith(
         "no stage 'projekt' on this route; there are depth, cloud"
     )
-    assert said(*arguments, "--set", "mode").startswith("a setting is written stage.parameter=value")
+    assert said(*arguments, "--set", "mode").startswith(
+        "a setting is written stage.parameter=value"
+    )
 
 
 def test_the_sample_recording_translates_with_truth(tmp_path, capsys):
     out = tmp_path / "out"
     assert (
         run_app(
-            build_app(), ["translate", str(SAMPLE), "--target", "soft_bubble", "--sensor", "gelslim", "--out", str(out)]
+            build_app(),
+            [
+                "translate",
+                str(SAMPLE),
+                "--target",
+                "soft_bubble",
+                "--sensor",
+                "gelslim",
+                "--out",
+                str(out),
+            ],
         )
         == 0
     )
@@ -96,12 +135,28 @@ def test_the_sample_recording_translates_with_truth(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("known", [False, True])
-def test_calibrating_states_the_expected_error_and_what_one_ball_does_not_determine(known, touches, tmp_path, capsys):
+def test_calibrating_states_the_expected_error_and_what_one_ball_does_not_determine(
+    known, touches, tmp_path, capsys
+):
     (touches / "touch_0.png").unlink()
     pixel = ["--pixel-mm", "0.06"] if known else []
     out = tmp_path / "mini"
-    command = ["calibrate", "balls", str(touches), "--sensor", "gelsight_mini", "--diameter-mm", "8", *pixel,
-               "--reference", str(touches / "background.png"), "--out", str(out), "--pattern", "touch_*"]  # fmt: skip
+    command = [
+        "calibrate",
+        "balls",
+        str(touches),
+        "--sensor",
+        "gelsight_mini",
+        "--diameter-mm",
+        "8",
+        *pixel,
+        "--reference",
+        str(touches / "background.png"),
+        "--out",
+        str(out),
+        "--pattern",
+        "touch_*",
+    ]
     assert run_app(build_app(), command) == 0
     outcome = " ".join(capsys.readouterr().out.split())
     assert "expected error of a ball's diameter" in outcome
@@ -114,23 +169,49 @@ def test_a_sensor_described_by_a_file_of_ones_own_is_calibrated(touches, tmp_pat
     (touches / "touch_0.png").unlink()
     described = find_descriptions()["gelsight_mini"].read_text(encoding="utf-8")
     (tmp_path / "mine.toml").write_text(described, encoding="utf-8")
-    command = ["calibrate", "balls", str(touches), "--sensor", str(tmp_path / "mine.toml"), "--diameter-mm", "8",
-               "--reference", str(touches / "background.png"), "--out", str(tmp_path / "mine.npz"),
-               "--pattern", "touch_*"]  # fmt: skip
+    command = [
+        "calibrate",
+        "balls",
+        str(touches),
+        "--sensor",
+        str(tmp_path / "mine.toml"),
+        "--diameter-mm",
+        "8",
+        "--reference",
+        str(touches / "background.png"),
+        "--out",
+        str(tmp_path / "mine.npz"),
+        "--pattern",
+        "touch_*",
+    ]
     assert run_app(build_app(), command) == 0
     assert calibration_file.load(tmp_path / "mine.npz").sensor == "mine"
 
 
 def test_a_copy_of_a_press_does_not_count(touches, tmp_path, capsys, monkeypatch):
-    mini, presses = load_sensor("gelsight_mini"), list[int]()
+    mini = load_sensor("gelsight_mini")
+    presses = list[int]()
 
     def calibrate_sensor(images, *_, **__):
         presses.append(len(images))
         return calibration_table.make_built_in(mini)
 
     monkeypatch.setattr(calibrate, "calibrate_sensor", calibrate_sensor)
-    command = ["calibrate", "balls", str(touches), "--sensor", "gelsight_mini", "--diameter-mm", "8", "--reference",
-               str(touches / "background.png"), "--out", str(tmp_path / "mini.npz"), "--pattern", "touch_*"]  # fmt: skip
+    command = [
+        "calibrate",
+        "balls",
+        str(touches),
+        "--sensor",
+        "gelsight_mini",
+        "--diameter-mm",
+        "8",
+        "--reference",
+        str(touches / "background.png"),
+        "--out",
+        str(tmp_path / "mini.npz"),
+        "--pattern",
+        "touch_*",
+    ]
     assert run_app(build_app(), command) == 0
     shutil.copy(touches / "touch_1.png", touches / "touch_again.png")
     assert run_app(build_app(), command) == 0
@@ -138,11 +219,28 @@ def test_a_copy_of_a_press_does_not_count(touches, tmp_path, capsys, monkeypatch
     assert "1 images are copies of others and left out" in capsys.readouterr().out
 
 
-def test_calibrating_on_images_with_swapped_colours_gives_a_warning(touches, tmp_path, capsys, monkeypatch):
+def test_calibrating_on_images_with_swapped_colours_gives_a_warning(
+    touches, tmp_path, capsys, monkeypatch
+):
     mini = load_sensor("gelsight_mini")
-    monkeypatch.setattr(calibrate, "calibrate_sensor", lambda *_, **__: calibration_table.make_built_in(mini))
-    command = ["calibrate", "balls", str(touches), "--sensor", "gelsight_mini", "--diameter-mm", "8", "--reference",
-               str(touches / "background.png"), "--out", str(tmp_path / "mini.npz"), "--pattern", "touch_*"]  # fmt: skip
+    monkeypatch.setattr(
+        calibrate, "calibrate_sensor", lambda *_, **__: calibration_table.make_built_in(mini)
+    )
+    command = [
+        "calibrate",
+        "balls",
+        str(touches),
+        "--sensor",
+        "gelsight_mini",
+        "--diameter-mm",
+        "8",
+        "--reference",
+        str(touches / "background.png"),
+        "--out",
+        str(tmp_path / "mini.npz"),
+        "--pattern",
+        "touch_*",
+    ]
     assert run_app(build_app(), command) == 0
     assert "warning" not in capsys.readouterr().out
     for file in touches.iterdir():
@@ -155,9 +253,13 @@ def test_inspect_says_what_a_calibration_is_worth(tmp_path, capsys):
     error = calibration_table.ExpectedError(
         diameter_share=0.08, diameter_p90=0.19, depth_share=0.07, depth_p90=0.17, n_held_out=4
     )
-    press = calibration_table.BallFit(index=0, x_px=9, y_px=9, radius_px=9, residual=0.02, used=True)
+    press = calibration_table.BallFit(
+        index=0, x_px=9, y_px=9, radius_px=9, residual=0.02, used=True
+    )
     known = replace(
-        calibration_table.make_built_in(load_sensor("gelsight_mini")), presses=(press,), expected_error=error
+        calibration_table.make_built_in(load_sensor("gelsight_mini")),
+        presses=(press,),
+        expected_error=error,
     )
     calibration_file.save(known, tmp_path / "mini.npz")
     assert run_app(build_app(), ["inspect", str(tmp_path / "mini.npz")]) == 0
@@ -173,7 +275,8 @@ def test_inspect_says_what_the_sample_is(capsys):
 
 
 def test_doctor_finds_a_complete_installation(capsys):
-    code, printed = run_app(build_app(), ["doctor"]), capsys.readouterr().out
+    code = run_app(build_app(), ["doctor"])
+    printed = capsys.readouterr().out
     assert code == 0, printed
     assert printed.splitlines()[-1] == "everything is installed"
     assert "MISSING" not in printed
@@ -183,7 +286,8 @@ def test_doctor_counts_what_is_missing(capsys, monkeypatch):
     from pipeline.cli import doctor
 
     monkeypatch.setattr(doctor, "_PACKAGES", ("numpy", "no-such-package", "nor-this-one"))
-    code, printed = run_app(build_app(), ["doctor"]), capsys.readouterr().out
+    code = run_app(build_app(), ["doctor"])
+    printed = capsys.readouterr().out
     assert code == 1
     assert "MISSING  no-such-package; run 'make setup'" in printed
     assert printed.splitlines()[-1].startswith("2 things are missing")
@@ -243,9 +347,12 @@ def test_a_recording_of_no_frame_is_no_success(tmp_path, said, capsys):
     path.write_bytes(SAMPLE.read_bytes())
     with h5py.File(path, "r+") as file:
         each = []
-        file["streams"].visititems(lambda _, found: each.append(found) if isinstance(found, h5py.Dataset) else None)
+        file["streams"].visititems(
+            lambda _, found: each.append(found) if isinstance(found, h5py.Dataset) else None
+        )
         for found in each:
-            name, attributes = found.name, dict(found.attrs)
+            name = found.name
+            attributes = dict(found.attrs)
             if not name.endswith("references"):
                 cut = found[:0]
                 del file[name]
@@ -260,7 +367,15 @@ def test_a_recording_of_no_frame_is_no_success(tmp_path, said, capsys):
 
 def test_a_decimal_comma_is_answered_with_the_point(touches, tmp_path, said):
     outcome = said(
-        "translate", touches, "--target=digit", "--out", tmp_path / "out", "--translation-mm", "1,5", "0", "0"
+        "translate",
+        touches,
+        "--target=digit",
+        "--out",
+        tmp_path / "out",
+        "--translation-mm",
+        "1,5",
+        "0",
+        "0",
     )
     assert "use a decimal point: 1.5" in outcome
 
@@ -271,7 +386,16 @@ def test_messages_of_matplotlib_are_hidden(tmp_path, said):
 
 
 def test_following_takes_all_frames(touches, tmp_path, said):
-    asked = ("translate", touches, "--target", "gelslim", "--sensor", "gelsight_mini", "--out", tmp_path / "out")
+    asked = (
+        "translate",
+        touches,
+        "--target",
+        "gelslim",
+        "--sensor",
+        "gelsight_mini",
+        "--out",
+        tmp_path / "out",
+    )
     assert "give it with --all" in said(*asked, "--follow")
 
 
@@ -307,7 +431,16 @@ def test_a_depth_frame_of_nothing_but_nan_is_refused(tmp_path, said):
     rest[1:] = np.nan
     np.savez(path, depth_mm=rest)
     assert said(
-        "translate", path, "--target", "gelslim", "--sensor", "soft_bubble", "--frame", "2", "--out", tmp_path / "o"
+        "translate",
+        path,
+        "--target",
+        "gelslim",
+        "--sensor",
+        "soft_bubble",
+        "--frame",
+        "2",
+        "--out",
+        tmp_path / "o",
     )
 
 
@@ -322,7 +455,17 @@ def test_a_damaged_frame_leaves_the_others_translated(touches, tmp_path, capsys)
     out = tmp_path / "out"
     code = run_app(
         build_app(),
-        ["translate", str(touches), "--target", "gelslim", "--sensor", "gelsight_mini", "--all", "--out", str(out)],
+        [
+            "translate",
+            str(touches),
+            "--target",
+            "gelslim",
+            "--sensor",
+            "gelsight_mini",
+            "--all",
+            "--out",
+            str(out),
+        ],
     )
     assert code == EXIT_USER_ERROR
     frames = json.loads((out / "report.json").read_text())["frames"]
@@ -409,12 +552,26 @@ def test_no_command_writes_over_what_it_reads(tmp_path, said, words):
 
 def test_a_table_is_written_again_next_to_the_recording(touches, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    command = ["export", str(touches), "--sensor", "gelsight_mini", "--target", "soft_bubble", "--pane", "depth",
-               "--frames", "2", "--to", "forces.csv"]  # fmt: skip
+    command = [
+        "export",
+        str(touches),
+        "--sensor",
+        "gelsight_mini",
+        "--target",
+        "soft_bubble",
+        "--pane",
+        "depth",
+        "--frames",
+        "2",
+        "--to",
+        "forces.csv",
+    ]
     assert [run_app(build_app(), command) for _ in range(2)] == [0, 0]
 
 
-@pytest.mark.parametrize("words", [["inspect", ""], ["translate", "x.h5", "--target", "digit", "--out", ""]])
+@pytest.mark.parametrize(
+    "words", [["inspect", ""], ["translate", "x.h5", "--target", "digit", "--out", ""]]
+)
 def test_an_empty_path_is_not_taken_for_the_current_folder(said, words):
     assert "is empty" in said(*words)
 
@@ -423,7 +580,10 @@ def test_a_full_disk_behind_the_output_is_one_sentence():
     command = [sys.executable, "-m", "pipeline", "inspect", str(SAMPLE)]
     with Path("/dev/full").open("wb") as full:
         ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
-    assert (ended.returncode, ended.stderr) == (2, "tactoscope: No space left on device: the output\n")
+    assert (ended.returncode, ended.stderr) == (
+        2,
+        "tactoscope: No space left on device: the output\n",
+    )
 
 
 def test_a_closed_stderr_leaves_the_exit_code():

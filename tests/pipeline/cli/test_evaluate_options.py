@@ -10,7 +10,17 @@ def test_an_unknown_sweep_parameter_is_refused_before_any_work(tmp_path, monkeyp
         raise AssertionError("touches were evaluated first")
 
     monkeypatch.setattr("pipeline.cli.evaluate.evaluate_tables", evaluate_touches)
-    words = ["evaluate", "--split", "unseen_tools", "--sweep", "nonsense", "--json", str(tmp_path / "e.json")]
+    words = [
+        "evaluate",
+        "--split",
+        "unseen_tools",
+        "--sweep",
+        "nonsense",
+        "--json",
+        str(tmp_path / "e.json"),
+    ]
     assert run_app(build_app(), words) == 2
-    assert "'nonsense' cannot be swept; there are steps, guidance" in " ".join(capsys.readouterr().err.split())
+    assert "'nonsense' cannot be swept; there are steps, guidance" in " ".join(
+        capsys.readouterr().err.split()
+    )
     assert not list(tmp_path.iterdir())

@@ -1,4 +1,6 @@
-"""A place that cannot be written is refused before any work; what is written together is written whole or not at all.
+"""A place that cannot be written is refused before any work.
+
+What is written together is written whole or not at all.
 
 A frame that cannot be read is named once, and the others are written.
 """
@@ -37,14 +39,34 @@ def write_damaged(path, indices):
     [
         (("translate", *_ONE, "--out", NOWHERE), "pipeline.cli.translate._select_frame"),
         (("compare", *_ONE, "--out", NOWHERE), "pipeline.cli.compare.compare_methods"),
-        (("attribute", *_ONE, "--json", f"{NOWHERE}/shares.json"), "pipeline.cli.attribute.attribute_error"),
-        (("track", *_ONE[:1], "--sensor", "gelslim", "--out", NOWHERE), "pipeline.cli.track.track_recording"),
-        (("simulate", "--sensors", "gelslim", "--tools", "square", "--out", NOWHERE, "--jobs", "1"),
-         "pipeline.lab.recorder.record_plan"),
+        (
+            ("attribute", *_ONE, "--json", f"{NOWHERE}/shares.json"),
+            "pipeline.cli.attribute.attribute_error",
+        ),
+        (
+            ("track", *_ONE[:1], "--sensor", "gelslim", "--out", NOWHERE),
+            "pipeline.cli.track.track_recording",
+        ),
+        (
+            (
+                "simulate",
+                "--sensors",
+                "gelslim",
+                "--tools",
+                "square",
+                "--out",
+                NOWHERE,
+                "--jobs",
+                "1",
+            ),
+            "pipeline.lab.recorder.record_plan",
+        ),
     ],
-)  # fmt: skip
+)
 @pytest.mark.skipif(os.access(NOWHERE, os.F_OK), reason="this place exists here")
-def test_an_output_that_cannot_be_written_is_refused_before_any_work(words, first_work, monkeypatch, capsys):
+def test_an_output_that_cannot_be_written_is_refused_before_any_work(
+    words, first_work, monkeypatch, capsys
+):
     monkeypatch.setattr(first_work, lambda *_, **__: pytest.fail("work was done first"))
     assert run_app(build_app(), list(words)) == EXIT_USER_ERROR
     assert "is not writable" in capsys.readouterr().err
@@ -64,7 +86,10 @@ def test_an_output_that_cannot_be_written_is_refused_before_any_work(words, firs
 def test_frames_that_cannot_be_read_leave_no_folder(words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     write_damaged(Path("damaged.h5"), range(16))
-    assert run_app(build_app(), [words[0], "damaged.h5", *words[1:], "--sensor", "gelslim"]) == EXIT_USER_ERROR
+    assert (
+        run_app(build_app(), [words[0], "damaged.h5", *words[1:], "--sensor", "gelslim"])
+        == EXIT_USER_ERROR
+    )
     assert "its frames are damaged" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["damaged.h5"]
 
@@ -72,7 +97,11 @@ def test_frames_that_cannot_be_read_leave_no_folder(words, tmp_path, monkeypatch
 @pytest.mark.parametrize(
     ("words", "written", "rows"),
     [
-        (("track", "--out", "o"), "o/track.csv", [("6", "tracked"), ("7", "lost"), ("8", "tracked")]),
+        (
+            ("track", "--out", "o"),
+            "o/track.csv",
+            [("6", "tracked"), ("7", "lost"), ("8", "tracked")],
+        ),
         (
             ("export", "--target", "soft_bubble", "--pane", "depth", "--to", "o.csv"),
             "o.csv",
@@ -81,7 +110,9 @@ def test_frames_that_cannot_be_read_leave_no_folder(words, tmp_path, monkeypatch
         (("export", "--target", "soft_bubble", "--pane", "depth", "--to", "o.avi"), "o.avi", 2),
     ],
 )
-def test_one_frame_that_cannot_be_read_does_not_cost_the_others(words, written, rows, tmp_path, monkeypatch, capsys):
+def test_one_frame_that_cannot_be_read_does_not_cost_the_others(
+    words, written, rows, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     write_damaged(Path("damaged.h5"), [7])
     options = ("--sensor", "gelslim", "--frames", "6-8")
@@ -95,13 +126,20 @@ def test_one_frame_that_cannot_be_read_does_not_cost_the_others(words, written, 
 
 
 def test_a_full_disk_leaves_every_file_as_it_was(tmp_path):
-    table, surface = tmp_path / "track.csv", tmp_path / "patch.ply"
+    table = tmp_path / "track.csv"
+    surface = tmp_path / "patch.ply"
     write_together(tmp_path, {table.name: b"old", surface.name: b"old"}, "the track", Path.iterdir)
     limit, most = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, most))  # a file of this size is where the disk is full
+    # a file of this size is where the disk is full
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, most))
     try:
         with pytest.raises(FileProblem, match="cannot write the track"):
-            write_together(tmp_path, {table.name: b"new", surface.name: bytes(40_000)}, "the track", Path.iterdir)
+            write_together(
+                tmp_path,
+                {table.name: b"new", surface.name: bytes(40_000)},
+                "the track",
+                Path.iterdir,
+            )
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, most))
     assert (table.read_bytes(), surface.read_bytes()) == (b"old", b"old")

@@ -25,7 +25,9 @@ def test_nothing_runs_once_all_is_compiled(monkeypatch, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(("source", "target"), prepare._DIRECTIONS)
-def test_an_installed_package_without_samples_prepares_by_a_simulated_press(monkeypatch, tmp_path, source, target):
+def test_an_installed_package_without_samples_prepares_by_a_simulated_press(
+    monkeypatch, tmp_path, source, target
+):
     monkeypatch.setattr(prepare, "SAMPLE_RECORDING", tmp_path / "missing.h5")
     ran = []
     evaluate = Graph.evaluate
@@ -37,7 +39,11 @@ def test_an_installed_package_without_samples_prepares_by_a_simulated_press(monk
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_no_kernel_is_left_to_compile_after_it(tmp_path):
-    ours = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "user")}
+    ours = {
+        **os.environ,
+        "NUMBA_CACHE_DIR": str(tmp_path),
+        "XDG_CACHE_HOME": str(tmp_path / "user"),
+    }
     command = [sys.executable, "-m", "pipeline", "prepare"]
     first = subprocess.run(command, cwd=ROOT, env=ours, capture_output=True, text=True, check=True)
     again = subprocess.run(command, cwd=ROOT, env=ours, capture_output=True, text=True, check=True)

@@ -1,4 +1,6 @@
-"""`tactoscope simulate` as it is typed: what it leaves behind, Ctrl-C, and one sentence for each mistake."""
+"""`tactoscope simulate` as it is typed: what it leaves behind, Ctrl-C, and one sentence for each
+mistake.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ def typed(capsys):
 
 def test_each_object_becomes_a_recording_that_passes_every_check(typed, tmp_path):
     out = tmp_path / "set"
-    code, said = typed("--sensors", "digit,soft_bubble", "--tools", f"{ONE},{OTHER}", "--poses", 1, "--out", out)
+    code, said = typed(
+        "--sensors", "digit,soft_bubble", "--tools", f"{ONE},{OTHER}", "--poses", 1, "--out", out
+    )
     assert code == 0, said
     assert sorted(p.name for p in out.iterdir()) == sorted(f"{name}.h5" for name in (ONE, OTHER))
     report = inspect_recording(out / f"{ONE}.h5")
@@ -36,8 +40,11 @@ def test_each_object_becomes_a_recording_that_passes_every_check(typed, tmp_path
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
-def test_ctrl_c_and_sigterm_keep_what_is_finished_and_the_same_command_goes_on(typed, tmp_path, monkeypatch, how):
-    out, made = tmp_path / "one.h5", datasets.simulate_moment
+def test_ctrl_c_and_sigterm_keep_what_is_finished_and_the_same_command_goes_on(
+    typed, tmp_path, monkeypatch, how
+):
+    out = tmp_path / "one.h5"
+    made = datasets.simulate_moment
 
     def interrupted(plan, index):
         if index == 1:

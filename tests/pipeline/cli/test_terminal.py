@@ -22,7 +22,9 @@ def test_a_line_is_shown_letter_by_letter(say, capfd):
     assert not any(mark in said for mark in "\x1b\x07\r\x9b\u202e\x7f")
 
 
-def test_the_replay_command_can_be_copied_whatever_the_folder_is_called(monkeypatch, capsys, tmp_path):
+def test_the_replay_command_can_be_copied_whatever_the_folder_is_called(
+    monkeypatch, capsys, tmp_path
+):
     monkeypatch.setattr(export, "write_bundle", lambda *_, **__: None)
     folder = tmp_path / 'it\'s a "bundle"'
     export.bundle(SAMPLE, target="gelslim", out=folder, frame=3)

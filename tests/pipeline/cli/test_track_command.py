@@ -19,7 +19,10 @@ def run(*tokens):
 
 
 def test_motion_and_surface_of_the_sample_are_written(tmp_path, capsys):
-    assert run("track", SAMPLE, "--sensor", "gelslim", "--frames", "6-8", "--out", tmp_path / "out") == 0
+    assert (
+        run("track", SAMPLE, "--sensor", "gelslim", "--frames", "6-8", "--out", tmp_path / "out")
+        == 0
+    )
     summary = json.loads((tmp_path / "out" / "track.json").read_text())
     assert (summary["frames"], summary["lost"], summary["parts"]) == (3, 0, 1)
     assert summary["error"]["path_mm"] > 1.0
@@ -30,7 +33,9 @@ def test_motion_and_surface_of_the_sample_are_written(tmp_path, capsys):
     assert len((tmp_path / "out" / "track.csv").read_text().splitlines()) == 4
 
 
-@pytest.mark.parametrize(("option", "value", "named"), [("--frames", "90", "90"), ("--target", "nobody", "nobody")])
+@pytest.mark.parametrize(
+    ("option", "value", "named"), [("--frames", "90", "90"), ("--target", "nobody", "nobody")]
+)
 def test_a_wrong_option_is_named(tmp_path, capsys, option, value, named):
     assert run("track", SAMPLE, "--sensor", "gelslim", option, value, "--out", tmp_path) == 2
     assert named in capsys.readouterr().err

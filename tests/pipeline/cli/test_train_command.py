@@ -1,4 +1,6 @@
-"""`tactoscope train`: from a recipe to weights with their card, and what it says where that cannot be."""
+"""`tactoscope train`: from a recipe to weights with their card, and what it says where that
+cannot be.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,19 @@ def typed(monkeypatch, tmp_path, capsys):
 
 def test_a_training_ends_in_weights_with_a_card_and_can_be_exported_smaller(typed, tmp_path):
     out = tmp_path / "out"
-    asked = ("discs", "--recipe", tmp_path / "discs.toml", "--out", out, "--steps", 30, "--seed", 5, "--workers", 0)
+    asked = (
+        "discs",
+        "--recipe",
+        tmp_path / "discs.toml",
+        "--out",
+        out,
+        "--steps",
+        30,
+        "--seed",
+        5,
+        "--workers",
+        0,
+    )
     code, said, _ = typed(*asked)
     assert code == 0
     assert "unseen tools: overlap, 1" in said
@@ -39,11 +53,19 @@ def test_a_training_ends_in_weights_with_a_card_and_can_be_exported_smaller(type
     assert (weights.kind, weights.config) == ("toy_net", {"width": 4})
     assert weights.card["examples seen"] == "120"
     assert json.loads(weights.card["recipe"])["training"]["seed"] == 5
-    assert {"task", "command", "minutes", "machine", "unseen grasps: overlap, 1"} <= weights.card.keys()
+    assert {
+        "task",
+        "command",
+        "minutes",
+        "machine",
+        "unseen grasps: overlap, 1",
+    } <= weights.card.keys()
     assert "| steps | 30 |\n" in (out / "weights.md").read_text()
     code, said, _ = typed("export", out, "--to", tmp_path / "half.safetensors", "--half")
     assert code == 0
-    assert (tmp_path / "half.safetensors").stat().st_size < (out / "weights.safetensors").stat().st_size
+    assert (tmp_path / "half.safetensors").stat().st_size < (
+        out / "weights.safetensors"
+    ).stat().st_size
     assert load_weights(tmp_path / "half.safetensors").card == weights.card
     code, _, said = typed(*asked)
     assert (code, "give --resume" in said) == (EXIT_USER_ERROR, True)
@@ -65,7 +87,9 @@ def test_a_training_ends_in_weights_with_a_card_and_can_be_exported_smaller(type
     ],
 )
 def test_options_that_cannot_be_are_one_sentence(typed, tmp_path, words, sentence):
-    code, _, said = typed("discs", "--recipe", tmp_path / "discs.toml", "--out", tmp_path / "out", *words)
+    code, _, said = typed(
+        "discs", "--recipe", tmp_path / "discs.toml", "--out", tmp_path / "out", *words
+    )
     assert code == EXIT_USER_ERROR
     assert sentence in said
     assert not (tmp_path / "out" / "state.pt").exists()
@@ -81,7 +105,8 @@ def test_what_is_no_training_cannot_be_exported(typed, tmp_path):
 def test_ctrl_c_keeps_all_that_was_learned(typed, tmp_path, monkeypatch):
     import signal
 
-    sample, count = toy.Discs.sample, iter(range(1000))
+    sample = toy.Discs.sample
+    count = iter(range(1000))
 
     def interrupted(self, rng):
         if next(count) == 50:
@@ -89,7 +114,15 @@ def test_ctrl_c_keeps_all_that_was_learned(typed, tmp_path, monkeypatch):
         return sample(self, rng)
 
     monkeypatch.setattr(toy.Discs, "sample", interrupted)
-    asked = ("discs", "--recipe", tmp_path / "discs.toml", "--out", tmp_path / "out", "--workers", 0)
+    asked = (
+        "discs",
+        "--recipe",
+        tmp_path / "discs.toml",
+        "--out",
+        tmp_path / "out",
+        "--workers",
+        0,
+    )
     assert typed(*asked)[0] == EXIT_INTERRUPTED
     assert typed(*asked, "--resume")[0] == 0
     assert load_weights(tmp_path / "out" / "weights.safetensors").card["steps"] == "60"

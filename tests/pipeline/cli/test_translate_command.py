@@ -1,4 +1,6 @@
-"""`tactoscope translate --all`: finished frames are not computed again, and a bad frame does not end the run."""
+"""`tactoscope translate --all`: finished frames are not computed again, and a bad frame does not
+end the run.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,10 @@ RESUMED = "were finished by an earlier run and are kept"
 @pytest.fixture(autouse=True)
 def blank_sheets(monkeypatch):
     """Sheets take longest to draw, and nothing here looks at one."""
-    monkeypatch.setattr("pipeline.translation.reports.sheet.write_sheet", lambda path, *_: path.write_bytes(b"a sheet"))
+    monkeypatch.setattr(
+        "pipeline.translation.reports.sheet.write_sheet",
+        lambda path, *_: path.write_bytes(b"a sheet"),
+    )
 
 
 @pytest.fixture
@@ -32,10 +37,23 @@ def typed(touches, tmp_path, capsys):
     """Translate the touches with these words more; returns exit code, stdout and stderr."""
 
     def go(*more):
-        asked = ("translate", touches, "--target", "gelslim", "--sensor", "gelsight_mini", "--out", tmp_path / "out")
+        asked = (
+            "translate",
+            touches,
+            "--target",
+            "gelslim",
+            "--sensor",
+            "gelsight_mini",
+            "--out",
+            tmp_path / "out",
+        )
         code = run_app(build_app(), [str(a) for a in (*asked, *(more or ("--all",)))])
         said = capsys.readouterr()
-        return code, said.out, "".join(line for line in said.err.splitlines(keepends=True) if "tactoscope: " in line)
+        return (
+            code,
+            said.out,
+            "".join(line for line in said.err.splitlines(keepends=True) if "tactoscope: " in line),
+        )
 
     return go
 
@@ -51,7 +69,8 @@ def frames(out):
 
 def test_a_second_run_keeps_finished_frames_and_says_so(typed, tmp_path):
     typed()
-    before, report = times(tmp_path / "out"), frames(tmp_path / "out")
+    before = times(tmp_path / "out")
+    report = frames(tmp_path / "out")
     code, out, _ = typed()
     assert code == 0
     assert f"3 of them {RESUMED}" in out
@@ -62,7 +81,9 @@ def test_a_second_run_keeps_finished_frames_and_says_so(typed, tmp_path):
 def test_force_is_computed_on_request_alone_and_a_skip_is_said(typed, tmp_path, monkeypatch):
     calls = []
     measure = translate.measure_force
-    monkeypatch.setattr(translate, "measure_force", lambda *given: calls.append(1) or measure(*given))
+    monkeypatch.setattr(
+        translate, "measure_force", lambda *given: calls.append(1) or measure(*given)
+    )
     _, out, _ = typed("--frame", "2")
     assert "force: skipped" in out
     assert not calls
@@ -82,7 +103,10 @@ def test_a_fallback_is_named_when_computed_and_when_resumed(typed):
     for _ in range(2):
         _, out, _ = typed("--frame", "1", "--method", "depth=depth_anything")
         said = " ".join(out.split())
-        assert "fallback used in 1 of 1 frames: depth: physics: no network for this sensor; no weights of" in said
+        assert (
+            "fallback used in 1 of 1 frames: depth: physics: no network for this sensor; no "
+            "weights of" in said
+        )
         assert out.count("warning: depth:") == 1
 
 
@@ -94,12 +118,14 @@ def test_warnings_that_differ_by_a_number_are_listed_once_with_the_first_frames(
         [report(0, "10 poses fit"), report(1, "12 poses fit", "slides"), report(4, "12 poses fit")]
     )
     assert lines == [
-        "warning: pose: 10 poses fit (3 frames: 0, 1, 4; numbers of frame 0)", "warning: pose: slides (frame 1)"
-    ]  # fmt: skip
+        "warning: pose: 10 poses fit (3 frames: 0, 1, 4; numbers of frame 0)",
+        "warning: pose: slides (frame 1)",
+    ]
 
 
 def test_an_interrupted_run_continues(typed, tmp_path, monkeypatch):
-    whole, written = translate.write_frame, []
+    whole = translate.write_frame
+    written = []
 
     def until_killed(*args):
         if len(written) == 2:
@@ -114,7 +140,10 @@ def test_an_interrupted_run_continues(typed, tmp_path, monkeypatch):
     assert code == 0
     assert f"2 of them {RESUMED}" in out
     after = times(tmp_path / "out")
-    assert [name for name in after if after[name] == before.get(name)] == ["frame_0000", "frame_0001"]
+    assert [name for name in after if after[name] == before.get(name)] == [
+        "frame_0000",
+        "frame_0001",
+    ]
     assert [f["index"] for f in frames(tmp_path / "out")] == [0, 1, 2]
 
 
@@ -130,7 +159,9 @@ def test_an_interrupted_run_continues(typed, tmp_path, monkeypatch):
         "the arrays are cut short",
     ],
 )
-def test_a_frame_with_other_inputs_or_incomplete_files_is_computed_again(changed, typed, touches, tmp_path):
+def test_a_frame_with_other_inputs_or_incomplete_files_is_computed_again(
+    changed, typed, touches, tmp_path
+):
     typed("--frame", "2")
     before = times(tmp_path / "out")
     more = ("--frame", "2")
@@ -142,7 +173,9 @@ def test_a_frame_with_other_inputs_or_incomplete_files_is_computed_again(changed
             save(touches / "touch_2.png", dent(0.5))
         case "the reference":
             picture = cv2.imread(str(touches / "background.png"))
-            cv2.imwrite(str(touches / "background.png"), np.where(picture < 255, picture + 1, picture))
+            cv2.imwrite(
+                str(touches / "background.png"), np.where(picture < 255, picture + 1, picture)
+            )
         case "the sheet is empty":
             (frame / "sheet.png").write_bytes(b"")
         case "the sheet is cut":
@@ -181,7 +214,9 @@ def test_a_recording_is_never_the_output(touches, capsys):
 
 
 def test_following_continues_from_the_pose_on_disk(tmp_path, capsys):
-    """What follows a frame of an earlier run comes out as in one go: the same arrays, bit by bit."""
+    """What follows a frame of an earlier run comes out as in one go: the same arrays, bit by
+    bit.
+    """
     from sample_data.make_samples import RECORDINGS_FOLDER
 
     asked = [
@@ -209,11 +244,16 @@ def test_following_continues_from_the_pose_on_disk(tmp_path, capsys):
 
 
 def test_memory_does_not_grow_with_the_frames(typed, touches, monkeypatch):
-    """Bytes held after each frame: in the last third of the run as many as before, when all caches are full."""
-    n_frames, held = 24, []
+    """Bytes held after each frame: in the last third of the run as many as before, when all
+    caches are full.
+    """
+    n_frames = 24
+    held = []
     for i in range(3, n_frames):
         save(touches / f"touch_{i}.png", dent(0.3 + 0.005 * i, seed=i))
-    monkeypatch.setattr(translate, "write_frame", lambda *_: held.append(tracemalloc.get_traced_memory()[0]))
+    monkeypatch.setattr(
+        translate, "write_frame", lambda *_: held.append(tracemalloc.get_traced_memory()[0])
+    )
     monkeypatch.setattr(translate, "CACHE_BYTES", 8_000_000)
     tracemalloc.start()
     try:
@@ -221,7 +261,8 @@ def test_memory_does_not_grow_with_the_frames(typed, touches, monkeypatch):
     finally:
         tracemalloc.stop()
     assert len(held) == n_frames
-    # The arrays of 8 frames are 16 MB; how much of a frame a full cache still holds varies by a quarter of one.
+    # The arrays of 8 frames are 16 MB; how much of a frame a full cache still holds varies by a
+    # quarter of one.
     assert max(held[16:]) < max(held[8:16]) + 1_000_000
 
 
@@ -238,14 +279,17 @@ def test_whatever_one_frame_raises_the_others_are_translated(typed, tmp_path, mo
     assert code == EXIT_UNEXPECTED
     assert "1 of 3 frames written" in out
     assert [line.partition(":")[2].strip() for line in err.splitlines()] == [
-        f"frame {i}: unexpected error (ZeroDivisionError: a frame); the details are in '{log}'" for i in (1, 2)
+        f"frame {i}: unexpected error (ZeroDivisionError: a frame); the details are in '{log}'"
+        for i in (1, 2)
     ]
     assert [("problem" in f) for f in frames(tmp_path / "out")] == [False, True, True]
     assert log.read_text().count("ZeroDivisionError: a frame") == 2
     assert "in sometimes" in log.read_text()
 
 
-def test_an_error_outside_the_frames_is_one_sentence_with_its_details_in_a_file(typed, monkeypatch, log):
+def test_an_error_outside_the_frames_is_one_sentence_with_its_details_in_a_file(
+    typed, monkeypatch, log
+):
     monkeypatch.setattr(translate, "write_report", lambda *_args: {}["key"])
     code, _, err = typed()
     assert code == EXIT_UNEXPECTED
@@ -253,7 +297,9 @@ def test_an_error_outside_the_frames_is_one_sentence_with_its_details_in_a_file(
     assert "Traceback" in log.read_text()
 
 
-def test_if_the_log_cannot_be_written_the_details_go_to_another_folder(typed, monkeypatch, tmp_path):
+def test_if_the_log_cannot_be_written_the_details_go_to_another_folder(
+    typed, monkeypatch, tmp_path
+):
     (tmp_path / "state").write_text("a file")
     (tmp_path / "temporary").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))

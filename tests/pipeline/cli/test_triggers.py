@@ -1,6 +1,8 @@
-"""What a user can get wrong on the command line: each is one sentence and exit code 2, and leaves nothing behind.
+"""What a user can get wrong on the command line: each is one sentence and exit code 2, and leaves
+nothing behind.
 
-A trigger prepares its files in a folder and returns the words that are typed. The folder is compared before and after.
+A trigger prepares its files in a folder and returns the words that are typed. The folder is
+compared before and after.
 """
 
 from __future__ import annotations
@@ -40,8 +42,16 @@ def touched(here, *more, out=None):
 
 def translated(recording, *more, out=None, sensor="gelsight_mini"):
     return (
-        "translate", recording, "--target", "gelslim", "--sensor", sensor, "--out", out or recording.parent / "out", *more
-    )  # fmt: skip
+        "translate",
+        recording,
+        "--target",
+        "gelslim",
+        "--sensor",
+        sensor,
+        "--out",
+        out or recording.parent / "out",
+        *more,
+    )
 
 
 def described(here, old, new, *, of="gelsight_mini"):
@@ -59,7 +69,11 @@ def asked_of(here, sensor):
 
 def number_of(key, value, of="gelsight_mini"):
     """The line of a description that gives `key`, and that line with another value."""
-    line = next(line for line in (SENSORS / f"{of}.toml").read_text().splitlines() if line.startswith(f"{key} "))
+    line = next(
+        line
+        for line in (SENSORS / f"{of}.toml").read_text().splitlines()
+        if line.startswith(f"{key} ")
+    )
     head, _, tail = line.partition("value = ")
     return line, f"{head}value = {value}{tail[tail.index(',') :]}"
 
@@ -132,7 +146,17 @@ def out_has_a_name_too_long(here):
 
 @trigger
 def alignment_out_is_proc(here):
-    return ("align", "refine", SAMPLE, "--target", "soft_bubble", "--frames", "2", "--out", "/proc/refined.toml")
+    return (
+        "align",
+        "refine",
+        SAMPLE,
+        "--target",
+        "soft_bubble",
+        "--frames",
+        "2",
+        "--out",
+        "/proc/refined.toml",
+    )
 
 
 @trigger
@@ -172,13 +196,32 @@ def bench_plots_is_a_file(here):
 
 def balls(here, *more, out=None, diameter="6.31"):
     return (
-        "calibrate", "balls", here / "touch", "--sensor", "gelsight_mini", "--diameter-mm", diameter,
-        "--reference", here / "touch" / "background.png", "--out", out or here / "lookup.npz", *more,
-    )  # fmt: skip
+        "calibrate",
+        "balls",
+        here / "touch",
+        "--sensor",
+        "gelsight_mini",
+        "--diameter-mm",
+        diameter,
+        "--reference",
+        here / "touch" / "background.png",
+        "--out",
+        out or here / "lookup.npz",
+        *more,
+    )
 
 
 def simulated(here, *more, tools="sphere_r6", out=None):
-    return ("simulate", "--sensors", "gelslim", "--tools", tools, "--out", out or here / "made.h5", *more)
+    return (
+        "simulate",
+        "--sensors",
+        "gelslim",
+        "--tools",
+        tools,
+        "--out",
+        out or here / "made.h5",
+        *more,
+    )
 
 
 # --- numbers
@@ -230,7 +273,17 @@ def frame_and_all(here):
 
 
 def scored(frames):
-    return ("align", "score", SAMPLE, "--target", "soft_bubble", "--sensor", "gelslim", "--frames", frames)
+    return (
+        "align",
+        "score",
+        SAMPLE,
+        "--target",
+        "soft_bubble",
+        "--sensor",
+        "gelslim",
+        "--frames",
+        frames,
+    )
 
 
 @trigger
@@ -255,12 +308,31 @@ def frames_have_five_thousand_digits(here):
 
 @trigger
 def a_share_that_is_no_number(here):
-    return ("align", "refine", SAMPLE, "--target", "soft_bubble", "--hold-out", "nan", "--out", here / "a.toml")
+    return (
+        "align",
+        "refine",
+        SAMPLE,
+        "--target",
+        "soft_bubble",
+        "--hold-out",
+        "nan",
+        "--out",
+        here / "a.toml",
+    )
 
 
 @trigger
 def a_tolerance_below_zero(here):
-    return ("align", "refine", SAMPLE, "--target", "soft_bubble", "--tolerance=-1", "--out", here / "a.toml")
+    return (
+        "align",
+        "refine",
+        SAMPLE,
+        "--target",
+        "soft_bubble",
+        "--tolerance=-1",
+        "--out",
+        here / "a.toml",
+    )
 
 
 @trigger
@@ -603,7 +675,9 @@ def frames_of_one_axis(here):
 
 @trigger
 def a_reference_of_another_size(here):
-    return sample(here, lambda f: replaced(f, "streams/gelslim/references", np.zeros((1, 3, 4, 3), np.uint8)))
+    return sample(
+        here, lambda f: replaced(f, "streams/gelslim/references", np.zeros((1, 3, 4, 3), np.uint8))
+    )
 
 
 @trigger
@@ -679,9 +753,13 @@ def test_a_mistake_is_one_sentence_and_leaves_nothing_behind(name, tmp_path, cap
     assert len(lines[0]) < 700
     assert "Traceback" not in said + err
     left = {name: size for name, size in contents(here).items() if before.get(name) != size}
-    assert not {name for name in left if not name.endswith("report.json")}, "something is left behind"
+    assert not {name for name in left if not name.endswith("report.json")}, (
+        "something is left behind"
+    )
 
 
 def contents(folder):
     """Files below a folder and their sizes, without following what they link to."""
-    return {str(p.relative_to(folder)): p.lstat().st_size for p in folder.rglob("*") if not p.is_dir()}
+    return {
+        str(p.relative_to(folder)): p.lstat().st_size for p in folder.rglob("*") if not p.is_dir()
+    }

@@ -19,15 +19,32 @@ PANES = ("source", "depth", "cloud", "target_depth", "touch", "touch_depth", "po
 
 
 def export(path: Path) -> Path:
-    words = ["export", str(SAMPLE), "--target", "soft_bubble", "--sensor", "gelslim", "--method", "touch=physics"]
-    assert run_app(build_app(), [*words, "--frames", ",".join(map(str, FRAMES)), "--to", str(path)]) == 0
+    words = [
+        "export",
+        str(SAMPLE),
+        "--target",
+        "soft_bubble",
+        "--sensor",
+        "gelslim",
+        "--method",
+        "touch=physics",
+    ]
+    assert (
+        run_app(build_app(), [*words, "--frames", ",".join(map(str, FRAMES)), "--to", str(path)])
+        == 0
+    )
     return path
 
 
 @pytest.fixture(scope="module")
 def evaluated():
     translation = open_translation(
-        Request(recording=SAMPLE, target="soft_bubble", source="gelslim", methods=(("touch", "physics"),))
+        Request(
+            recording=SAMPLE,
+            target="soft_bubble",
+            source="gelslim",
+            methods=(("touch", "physics"),),
+        )
     )
     yield translation, translation.evaluate(8)
     translation.close()
@@ -38,7 +55,9 @@ def test_rerun_reads_all_stages_on_one_time_line(tmp_path, evaluated):
     rr = pytest.importorskip("rerun")
     chunks = rr.chunk.RrdReader(export(tmp_path / "a.rrd")).stream().to_chunks()
     entities = {chunk.entity_path.strip("/") for chunk in chunks}
-    assert {f"{pane}/{kind}" for pane in PANES for kind in ("image", "points")} | {"object"} <= entities
+    assert {f"{pane}/{kind}" for pane in PANES for kind in ("image", "points")} | {
+        "object"
+    } <= entities
     clouds = [c.to_record_batch() for c in chunks if c.entity_path.strip("/") == "cloud/points"]
     frames = {int(n) for batch in clouds for n in batch.column("frame").to_pylist()}
     assert frames == set(FRAMES)
@@ -55,7 +74,9 @@ def test_mcap_holds_images_depth_points_and_pose(tmp_path, evaluated):
     from mcap_protobuf.decoder import DecoderFactory
 
     with export(tmp_path / "a.mcap").open("rb") as file:
-        messages = list(reader.make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages())
+        messages = list(
+            reader.make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+        )
     topics = {channel.topic: schema.name for schema, channel, _, _ in messages}
     assert {f"/{pane}/image" for pane in PANES} <= topics.keys()
     assert topics["/depth/depth"] == "foxglove.RawImage"
@@ -69,7 +90,9 @@ def test_mcap_holds_images_depth_points_and_pose(tmp_path, evaluated):
     np.testing.assert_allclose(1e3 * cloud["xyz"], results["cloud"].output.points_mm, atol=1e-4)
     position = last["/object"][1].pose.position
     pose = results["pose"].output.sensor_from_object
-    np.testing.assert_allclose([1e3 * position.x, 1e3 * position.y, 1e3 * position.z], pose[:3, 3], atol=1e-6)
+    np.testing.assert_allclose(
+        [1e3 * position.x, 1e3 * position.y, 1e3 * position.z], pose[:3, 3], atol=1e-6
+    )
 
 
 def test_a_disk_that_is_full_is_named(tmp_path, monkeypatch):
@@ -84,7 +107,9 @@ def test_a_disk_that_is_full_is_named(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(("write", "module"), [(write_rrd, "rerun"), (write_mcap, "mcap_protobuf.writer")])
+@pytest.mark.parametrize(
+    ("write", "module"), [(write_rrd, "rerun"), (write_mcap, "mcap_protobuf.writer")]
+)
 def test_a_missing_package_is_named(tmp_path, monkeypatch, write, module):
     monkeypatch.setitem(sys.modules, module, None)
     path = tmp_path / "a.x"

@@ -35,9 +35,13 @@ def cluster():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         made = distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1",
+            n_workers=2,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=None,
+            host="127.0.0.1",
             env={"PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "OMP_NUM_THREADS": "1"},
-        )  # fmt: skip
+        )
         yield made
         made.close()
 
@@ -64,7 +68,8 @@ def test_a_killed_worker_loses_nothing_and_what_is_here_is_not_done_again(cluste
 
         def step(self, fraction, text):
             if fraction >= 0.25 and not self.killed:
-                self.killed, self.here = True, round(12 * fraction)
+                self.killed = True
+                self.here = round(12 * fraction)
                 os.kill(pids(cluster)[0], signal.SIGKILL)
                 self.done = len(list(tmp_path.iterdir()))
 
@@ -75,7 +80,8 @@ def test_a_killed_worker_loses_nothing_and_what_is_here_is_not_done_again(cluste
     assert found == [n * n for n in range(12)]
     done = [name.name.split("_")[0] for name in tmp_path.iterdir()]
     assert set(done) == {str(n) for n in range(12)}
-    # Done again is at most what the killed worker had finished, or was about to, and had not handed over.
+    # Done again is at most what the killed worker had finished, or was about to, and had not handed
+    # over.
     assert len(done) - 12 <= watching.done - watching.here + 1
 
 
@@ -109,7 +115,10 @@ def test_work_whose_workers_all_leave_ends_with_a_sentence(monkeypatch, tmp_path
                 if fraction > 0.0 and leaving.workers:
                     leaving.scale(0)
 
-        with connect_cluster(leaving.scheduler_address) as elsewhere, pytest.raises(NotConverged, match="no worker"):
+        with (
+            connect_cluster(leaving.scheduler_address) as elsewhere,
+            pytest.raises(NotConverged, match="no worker"),
+        ):
             elsewhere.map(noted, [(n, str(tmp_path)) for n in range(40)], Dismisses())
     assert 0 < len(list(tmp_path.iterdir())) < 40
 
@@ -141,7 +150,12 @@ def test_a_recording_made_elsewhere_has_the_same_bytes(cluster, tmp_path):
     paths = tmp_path / "here.h5", tmp_path / "there.h5"
     common = ["simulate", "--sensors", "digit", "--tools", ONE, "--poses", "3", "--jobs", "1"]
     assert run_app(build_app(), [*common, "--out", str(paths[0])]) == 0
-    assert run_app(build_app(), [*common, "--out", str(paths[1]), "--scheduler", cluster.scheduler_address]) == 0
+    assert (
+        run_app(
+            build_app(), [*common, "--out", str(paths[1]), "--scheduler", cluster.scheduler_address]
+        )
+        == 0
+    )
     here, there = (hdf5.read(path) for path in paths)
     for index in range(3):
         a, b = (file.stream("digit").frame(index) for file in (here, there))
@@ -152,8 +166,12 @@ def test_a_recording_made_elsewhere_has_the_same_bytes(cluster, tmp_path):
 @pytest.mark.slow  # each process loads and draws for the first time: 20 s of processor time
 @pytest.mark.timeout(600)
 @pytest.mark.filterwarnings("ignore")
-def test_frames_translated_elsewhere_are_those_translated_here_though_a_worker_dies(cluster, tmp_path, monkeypatch):
-    """One of two workers is killed once a frame is there: none is lost, what was done is not done again."""
+def test_frames_translated_elsewhere_are_those_translated_here_though_a_worker_dies(
+    cluster, tmp_path, monkeypatch
+):
+    """One of two workers is killed once a frame is there: none is lost, what was done is not
+    done again.
+    """
     monkeypatch.chdir(tmp_path)  # workers have another folder
     shutil.copy(UNTOUCHED, "still.h5")
     frames = "frame_0000", "frame_0001", "frame_0002"
@@ -168,7 +186,10 @@ def test_frames_translated_elsewhere_are_those_translated_here_though_a_worker_d
 
     killer = threading.Thread(target=kill_one, daemon=True)
     killer.start()
-    assert run_app(build_app(), [*common, "--out", "there", "--scheduler", cluster.scheduler_address]) == 0
+    assert (
+        run_app(build_app(), [*common, "--out", "there", "--scheduler", cluster.scheduler_address])
+        == 0
+    )
     assert not killer.is_alive()
     assert {path: path.stat().st_mtime_ns for path in written} == written
     assert run_app(build_app(), [*common, "--out", "here"]) == 0
@@ -179,7 +200,16 @@ def test_frames_translated_elsewhere_are_those_translated_here_though_a_worker_d
 
 
 def test_single_frames_stay_here(capsys):
-    common = ["translate", str(UNTOUCHED), "--target", "digit", "--out", "x", "--scheduler", "tcp://127.0.0.1:1"]
+    common = [
+        "translate",
+        str(UNTOUCHED),
+        "--target",
+        "digit",
+        "--out",
+        "x",
+        "--scheduler",
+        "tcp://127.0.0.1:1",
+    ]
     for more in ([], ["--all", "--follow"]):
         assert run_app(build_app(), [*common, *more]) == EXIT_USER_ERROR
         assert "--scheduler distributes single frames" in capsys.readouterr().err
@@ -187,7 +217,10 @@ def test_single_frames_stay_here(capsys):
 
 def test_an_address_without_a_scheduler_is_one_sentence(capsys, monkeypatch):
     monkeypatch.setattr("pipeline.core.cluster.CONNECT_S", 0.3)
-    with pytest.raises(SettingProblem, match="no scheduler answers"), connect_cluster("tcp://127.0.0.1:1"):
+    with (
+        pytest.raises(SettingProblem, match="no scheduler answers"),
+        connect_cluster("tcp://127.0.0.1:1"),
+    ):
         pass
     tokens = [
         "simulate",
@@ -208,16 +241,28 @@ def test_an_address_without_a_scheduler_is_one_sentence(capsys, monkeypatch):
 
 @pytest.mark.parametrize(
     "address",
-    ["tls://127.0.0.1:1", "ucx://127.0.0.1:1", "zz://", "inproc://x", "tcp://127.0.0.1", "tcp://127.0.0.1:99999", "", "tcp://[:1",
-     "127.0.0.1:1", "tcp://\udcff:1"],
-)  # fmt: skip
+    [
+        "tls://127.0.0.1:1",
+        "ucx://127.0.0.1:1",
+        "zz://",
+        "inproc://x",
+        "tcp://127.0.0.1",
+        "tcp://127.0.0.1:99999",
+        "",
+        "tcp://[:1",
+        "127.0.0.1:1",
+        "tcp://\udcff:1",
+    ],
+)
 def test_an_address_of_no_scheduler_is_one_sentence(address, capfd):
     with pytest.raises(SettingProblem, match="scheduler"), connect_cluster(address):
         pass
     assert capfd.readouterr().err == ""
 
 
-@pytest.mark.parametrize("greeting", [None, b"", b"HTTP/1.1 200 OK\r\n\r\n", b"\xff" * 64, bytes(64)])
+@pytest.mark.parametrize(
+    "greeting", [None, b"", b"HTTP/1.1 200 OK\r\n\r\n", b"\xff" * 64, bytes(64)]
+)
 def test_a_server_that_is_no_scheduler_is_one_sentence(greeting, monkeypatch, capfd):
     """It says nothing, closes the connection, or speaks another language."""
     monkeypatch.setattr("pipeline.core.cluster.CONNECT_S", 0.5)

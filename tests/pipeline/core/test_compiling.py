@@ -1,4 +1,6 @@
-"""The cache of compiled kernels: named by its sources, tolerant of damage, reported while it is filled."""
+"""The cache of compiled kernels: named by its sources, tolerant of damage, reported while it is
+filled.
+"""
 
 from __future__ import annotations
 
@@ -43,12 +45,19 @@ kernel_compiler._SERVE = "raise SystemExit"
 PIPELINE = Path(compiling.__file__).parents[1]
 
 
-def call_kernel(cache: Path, before: str = "", clone: Path = PIPELINE.parent) -> tuple[list[str], float, int, Path]:
+def call_kernel(
+    cache: Path, before: str = "", clone: Path = PIPELINE.parent
+) -> tuple[list[str], float, int, Path]:
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
     done = subprocess.run(
-        [sys.executable, "-c", before + KERNEL_CALL], env=environment, capture_output=True, text=True, check=True,
-        timeout=100, cwd=clone,
-    )  # fmt: skip
+        [sys.executable, "-c", before + KERNEL_CALL],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=100,
+        cwd=clone,
+    )
     sentences, spent_s, n, folder = json.loads(done.stdout)
     return sentences, spent_s, n, Path(folder)
 
@@ -76,7 +85,11 @@ def test_a_kernel_is_compiled_here_where_no_process_can(tmp_path):
 
 def test_damaged_cache_files_are_compiled_again(tmp_path):
     folder = call_kernel(tmp_path)[3]
-    files = [path for path in folder.rglob("*") if path.is_file() and "measure_level_distance" in path.name]
+    files = [
+        path
+        for path in folder.rglob("*")
+        if path.is_file() and "measure_level_distance" in path.name
+    ]
     assert files
     for path in files:
         path.write_bytes(path.read_bytes()[:40])
@@ -133,7 +146,9 @@ def test_a_changed_source_has_another_folder_and_those_unused_for_longest_are_re
     assert [folder.exists() for folder in folders] == [True] + [False] * 3 + [True] * 16
 
 
-def test_a_folder_that_cannot_be_written_is_replaced_by_a_temporary_one(package, tmp_path, monkeypatch):
+def test_a_folder_that_cannot_be_written_is_replaced_by_a_temporary_one(
+    package, tmp_path, monkeypatch
+):
     _, find_folder = package
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     folder = find_folder()
@@ -159,7 +174,9 @@ def test_the_compiler_takes_no_module_from_the_folder_it_runs_in(tmp_path, monke
     process = kernel_compiler._CompilerProcess()
     try:
         assert process.compile(
-            measure_level_distance.__module__, "measure_level_distance", measure_level_distance.signatures[0]
+            measure_level_distance.__module__,
+            "measure_level_distance",
+            measure_level_distance.signatures[0],
         )
     finally:
         process.stop()
@@ -171,10 +188,14 @@ def test_a_compiler_that_is_stopped_is_given_up(monkeypatch):
     from pipeline.core.geometry.membrane_kernels import measure_level_distance
 
     measure_level_distance(np.zeros(6, np.float32), 1.0, np.empty(2))
-    monkeypatch.setattr(kernel_compiler, "_SERVE", "import os, signal; os.kill(os.getpid(), signal.SIGSTOP)")
+    monkeypatch.setattr(
+        kernel_compiler, "_SERVE", "import os, signal; os.kill(os.getpid(), signal.SIGSTOP)"
+    )
     process = kernel_compiler._CompilerProcess()
     assert not process.compile(
-        measure_level_distance.__module__, "measure_level_distance", measure_level_distance.signatures[0]
+        measure_level_distance.__module__,
+        "measure_level_distance",
+        measure_level_distance.signatures[0],
     )
     assert process._process is None
 
@@ -184,14 +205,18 @@ def test_two_clones_and_a_moved_one_share_their_kernels(tmp_path):
     cache = tmp_path / "cache"
     for number, place in enumerate(("one", "two")):
         clone = tmp_path / place
-        shutil.copytree(PIPELINE, clone / "pipeline", ignore=shutil.ignore_patterns("shipped", "__pycache__"))
+        shutil.copytree(
+            PIPELINE, clone / "pipeline", ignore=shutil.ignore_patterns("shipped", "__pycache__")
+        )
         assert (call_kernel(cache, clone=clone)[2] == 0) == (number > 0)
     (tmp_path / "two").rename(tmp_path / "moved")
     assert call_kernel(cache, clone=tmp_path / "moved")[2] == 0
 
 
 @pytest.mark.parametrize("of", ["group", "others", "link", "owner"])
-def test_kernels_that_another_user_may_have_written_are_not_run(package, tmp_path, of, monkeypatch, caplog):
+def test_kernels_that_another_user_may_have_written_are_not_run(
+    package, tmp_path, of, monkeypatch, caplog
+):
     _, find_folder = package
     monkeypatch.setattr(compiling, "find_user_folder", lambda _: tmp_path / "own")
     folder = find_folder()

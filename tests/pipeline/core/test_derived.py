@@ -48,7 +48,9 @@ def test_functions_do_not_share_values():
 def test_a_sensor_that_is_equal_by_content_has_the_same_reference_image():
     sensor = load_sensor("digit")
     image = optics.render_reference(sensor)
-    assert optics.render_reference(replace(sensor, rest_depth_mm=sensor.rest_depth_mm.copy())) is image
+    assert (
+        optics.render_reference(replace(sensor, rest_depth_mm=sensor.rest_depth_mm.copy())) is image
+    )
     assert optics.render_reference(replace(sensor, markers=None)).shape == image.shape
     assert DERIVED.n_bytes >= measure_bytes(image)
     assert DERIVED.n_bytes <= DERIVED.most_bytes

@@ -21,9 +21,12 @@ class Value:
 
 
 VALUE = Value(
-    heights_mm=freeze(np.linspace(0.0, 1.0, 7)), blocks=freeze(np.arange(6, dtype=np.int16).reshape(2, 3)),
-    step_mm=0.1, count=3, notes=("open at the back", "ä"),
-)  # fmt: skip
+    heights_mm=freeze(np.linspace(0.0, 1.0, 7)),
+    blocks=freeze(np.arange(6, dtype=np.int16).reshape(2, 3)),
+    step_mm=0.1,
+    count=3,
+    notes=("open at the back", "ä"),
+)
 
 
 def asked(folder, made_of="a mesh", value=VALUE, code=CODE):
@@ -80,7 +83,9 @@ def test_a_damaged_file_is_made_again_wherever_the_damage_is(tmp_path, damage):
                 "flipped": whole[:at] + bytes([whole[at] ^ 255]) + whole[at + 1 :],
                 "cut": whole[:at],
                 "empty": b"",
-                "another's": whole.replace(path.stem.encode("utf-32-le"), ("f" * 32).encode("utf-32-le")),
+                "another's": whole.replace(
+                    path.stem.encode("utf-32-le"), ("f" * 32).encode("utf-32-le")
+                ),
             }[damage]
         )
         found, made = asked(tmp_path)

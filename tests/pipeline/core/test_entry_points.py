@@ -30,9 +30,15 @@ GOOD = {
     "tactoscope.panels": Panel(title="lab", build=lambda _: None),  # type: ignore[arg-type, return-value]
 }
 READ = {
-    "tactoscope.formats": lambda: entry_points.load_entry_points("tactoscope.formats", formats.RecordingFormat),
-    "tactoscope.sensor_kinds": lambda: entry_points.load_entry_points("tactoscope.sensor_kinds", kinds.SensorKind),
-    "tactoscope.tasks": lambda: entry_points.load_entry_points("tactoscope.tasks", task.ManipulationTask),
+    "tactoscope.formats": lambda: entry_points.load_entry_points(
+        "tactoscope.formats", formats.RecordingFormat
+    ),
+    "tactoscope.sensor_kinds": lambda: entry_points.load_entry_points(
+        "tactoscope.sensor_kinds", kinds.SensorKind
+    ),
+    "tactoscope.tasks": lambda: entry_points.load_entry_points(
+        "tactoscope.tasks", task.ManipulationTask
+    ),
     "tactoscope.methods": lambda: entry_points.load_entry_points(
         "tactoscope.methods", catalogue.Method, catalogue._check_params
     ),
@@ -62,7 +68,9 @@ def install(monkeypatch):
     others = importlib.metadata.entry_points
 
     def point(group: str, name: str) -> None:
-        entries = [importlib.metadata.EntryPoint(name="lab", value=f"lab_module:{name}", group=group)]
+        entries = [
+            importlib.metadata.EntryPoint(name="lab", value=f"lab_module:{name}", group=group)
+        ]
         monkeypatch.setattr(
             importlib.metadata,
             "entry_points",
@@ -81,7 +89,10 @@ def test_a_value_of_the_declared_types_is_added_and_any_other_left_out(group, in
     for field in dataclasses.fields(GOOD[group]):
         right = getattr(GOOD[group], field.name)
         bad = object() if isinstance(right, dict) else {1: 2}
-        spoilt += [dataclasses.replace(GOOD[group], **{field.name: one}) for one in (object(), [], bad, -1j)]
+        spoilt += [
+            dataclasses.replace(GOOD[group], **{field.name: one})
+            for one in (object(), [], bad, -1j)
+        ]
     for value in spoilt:
         caplog.clear()
         install(group, value)
@@ -96,7 +107,9 @@ def test_a_place_of_sensors_that_is_no_path_is_left_out(value, install):
     assert list_sensor_names() == names
 
 
-@pytest.mark.parametrize("error", [SystemExit(5), Unprintable(), ImportError("\x1b[2J"), RecursionError()])
+@pytest.mark.parametrize(
+    "error", [SystemExit(5), Unprintable(), ImportError("\x1b[2J"), RecursionError()]
+)
 @pytest.mark.parametrize("group", READ)
 def test_a_module_that_raises_is_left_out(group, error, install, monkeypatch, caplog):
     def fail(_: object) -> None:
@@ -114,7 +127,12 @@ def test_a_module_that_raises_is_left_out(group, error, install, monkeypatch, ca
 def test_commands_run_whatever_is_installed(group, install, capsys):
     install(group, 5)
     assert run_app(build_app(), ["--help"]) == 0
-    assert run_app(build_app(), ["inspect", str(ROOT / "sample_data" / "recordings" / "no_contact.h5")]) == 0
+    assert (
+        run_app(
+            build_app(), ["inspect", str(ROOT / "sample_data" / "recordings" / "no_contact.h5")]
+        )
+        == 0
+    )
     capsys.readouterr()
 
 
@@ -134,7 +152,11 @@ def leave(_: object) -> bool:
 
 def test_a_format_whose_test_fails_refuses_no_other_format(install, tmp_path, caplog):
     mine = dataclasses.replace(
-        formats.FORMATS[0], key="lab", matches=f"{__name__}:leave", folder=f"{__name__}:leave", suffixes=(".h5", ".png")
+        formats.FORMATS[0],
+        key="lab",
+        matches=f"{__name__}:leave",
+        folder=f"{__name__}:leave",
+        suffixes=(".h5", ".png"),
     )
     install("tactoscope.formats", mine)
     path = ROOT / "sample_data" / "recordings" / "no_contact.h5"

@@ -64,7 +64,9 @@ def test_what_cannot_be_written_into_a_folder_is_told_by_its_place_to_be(tmp_pat
         (part / "arrays.npz").mkdir()
         write_arrays(part / "arrays.npz", {})
 
-    with pytest.raises(FileProblem, match=r"cannot write the arrays \(.*\): '.*/frame/arrays.npz'") as raised:
+    with pytest.raises(
+        FileProblem, match=r"cannot write the arrays \(.*\): '.*/frame/arrays.npz'"
+    ) as raised:
         write_folder(tmp_path / "frame", fill)
     assert raised.value.path == tmp_path / "frame" / "arrays.npz"
 
@@ -117,12 +119,15 @@ def test_a_file_that_another_process_writes_is_no_leftover(tmp_path, monkeypatch
 
 def test_many_writers_of_one_folder_do_not_take_each_other_for_leftovers(tmp_path):
     with ThreadPoolExecutor(4) as writers:
-        list(writers.map(lambda number: write_json(tmp_path / f"{number}.json", number), range(300)))
+        list(
+            writers.map(lambda number: write_json(tmp_path / f"{number}.json", number), range(300))
+        )
     assert sorted(json.loads(path.read_text()) for path in tmp_path.iterdir()) == list(range(300))
 
 
 def test_a_replaced_file_keeps_its_permissions_and_a_link_stays_one(tmp_path):
-    path, link = tmp_path / "a", tmp_path / "link"
+    path = tmp_path / "a"
+    link = tmp_path / "link"
     path.write_text("old")
     path.chmod(0o600)
     link.symlink_to("a")
@@ -149,7 +154,12 @@ def test_what_is_read_is_not_written_over(tmp_path):
     for name in ("a.npz", "folder/frame.png"):
         (tmp_path / name).write_text("mine")
     (tmp_path / "link").symlink_to("a.npz")
-    for out, path in (("a.npz", "link"), ("folder", "folder"), ("folder/frame.png", "folder"), ("a.npz", "./a.npz")):
+    for out, path in (
+        ("a.npz", "link"),
+        ("folder", "folder"),
+        ("folder/frame.png", "folder"),
+        ("a.npz", "./a.npz"),
+    ):
         with pytest.raises(FileProblem, match="would replace what is read"):
             require_separate(tmp_path / out, [tmp_path / path])
     for out, path in (
@@ -167,7 +177,10 @@ def test_json_says_null_for_what_is_not_a_number(tmp_path):
 
 
 def test_arrays_come_back_without_pickle(tmp_path):
-    arrays = {"depth.indentation_mm": np.arange(6, dtype=np.float32).reshape(2, 3), "n": np.asarray(3)}
+    arrays = {
+        "depth.indentation_mm": np.arange(6, dtype=np.float32).reshape(2, 3),
+        "n": np.asarray(3),
+    }
     write_arrays(tmp_path / "a.npz", arrays)
     with np.load(tmp_path / "a.npz", allow_pickle=False) as back:
         assert set(back) == set(arrays)
@@ -206,17 +219,26 @@ def test_a_device_or_a_folder_is_not_replaced_by_a_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "read", [lambda p: read_bytes(p, "it"), lambda p: read_toml(p, "it"), lambda p: read_json(p, "it")]
+    "read",
+    [lambda p: read_bytes(p, "it"), lambda p: read_toml(p, "it"), lambda p: read_json(p, "it")],
 )
 def test_pipes_devices_folders_and_loops_are_refused_at_once(tmp_path, read):
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "loop").symlink_to("loop")
-    for path in (tmp_path / "pipe", Path("/dev/zero"), tmp_path, tmp_path / "loop", tmp_path / ("x" * 300)):
+    for path in (
+        tmp_path / "pipe",
+        Path("/dev/zero"),
+        tmp_path,
+        tmp_path / "loop",
+        tmp_path / ("x" * 300),
+    ):
         with pytest.raises(FileProblem, match="cannot read it"):
             read(path)
 
 
-@pytest.mark.parametrize("text", ["a = " + "[" * 20_000, "a = " + "1" * 5_000, "a = \xff", "a = [", "a = 1\na = 2"])
+@pytest.mark.parametrize(
+    "text", ["a = " + "[" * 20_000, "a = " + "1" * 5_000, "a = \xff", "a = [", "a = 1\na = 2"]
+)
 def test_toml_and_json_that_no_one_can_read_are_refused(tmp_path, text):
     path = tmp_path / "a"
     path.write_bytes(text.encode("latin-1"))
@@ -230,7 +252,11 @@ def test_toml_and_json_that_no_one_can_read_are_refused(tmp_path, text):
 def test_a_toml_file_of_another_use_is_named_with_it(tmp_path):
     path = tmp_path / "mine.toml"
     for text, what, words in (
-        ('task = "residual"', "the alignment", "cannot read the alignment: this file is the recipe of a training"),
+        (
+            'task = "residual"',
+            "the alignment",
+            "cannot read the alignment: this file is the recipe of a training",
+        ),
         ('mesh = "key.stl"\ndepth_mm = 8', "the alignment", "a tool for insertion"),
         ('extends = "digit"', "the recipe", "the description of a sensor, to be given as --sensor"),
     ):
@@ -249,7 +275,9 @@ def test_a_git_lfs_pointer_is_named_with_the_remedy(tmp_path):
 @given(st.text())
 def test_text_from_outside_is_one_line_that_moves_no_cursor(text):
     shown = str(FileProblem(text, "a.h5"))
-    assert not any(c in shown for c in map(chr, [*range(32), 127, *range(128, 160), 0x202E, 0x2028]))
+    assert not any(
+        c in shown for c in map(chr, [*range(32), 127, *range(128, 160), 0x202E, 0x2028])
+    )
     assert len(shown.splitlines()) == 1
     shown.encode("utf-8")
     assert escape_text(escape_text(text)) == escape_text(text)
@@ -257,11 +285,17 @@ def test_text_from_outside_is_one_line_that_moves_no_cursor(text):
 
 def test_an_error_travels_between_processes_whole():
     error = pickle.loads(pickle.dumps(FileProblem("it is damaged", "a.h5", field="frame 3")))
-    assert (str(error), error.path, error.field) == ("it is damaged: 'a.h5'", Path("a.h5"), "frame 3")
+    assert (str(error), error.path, error.field) == (
+        "it is damaged: 'a.h5'",
+        Path("a.h5"),
+        "frame 3",
+    )
 
 
 def test_there_is_one_way_to_put_a_file_in_its_place():
-    """Renaming over a file and opening one to write are for `base/files.py` alone, but for the log of the unforeseen."""
+    """Renaming over a file and opening one to write are for `base/files.py` alone, but for the
+    log of the unforeseen.
+    """
     found = [
         f"{file.relative_to(ROOT)}:{node.lineno}"
         for package in PACKAGES
@@ -270,17 +304,22 @@ def test_there_is_one_way_to_put_a_file_in_its_place():
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and _writes(node)
     ]
     assert [
-        place for place in found if not place.startswith(("pipeline/core/files.py", "pipeline/core/error_log.py"))
+        place
+        for place in found
+        if not place.startswith(("pipeline/core/files.py", "pipeline/core/error_log.py"))
     ] == []
 
 
 def _writes(call: ast.Call) -> bool:
     modes = [a.value for a in call.args if isinstance(a, ast.Constant) and isinstance(a.value, str)]
-    name, on_text = call.func.attr, isinstance(call.func.value, ast.Constant)
+    name = call.func.attr
+    on_text = isinstance(call.func.value, ast.Constant)
     if name in ("write_text", "write_bytes", "fsync", "rename"):
         return not (isinstance(call.func.value, ast.Name) and call.func.value.id == "files")
     renames = name == "replace" and len(call.args) == 1 and not call.keywords and not on_text
-    return renames or (name == "open" and any(set(mode) & set("wax+") and len(mode) < 4 for mode in modes))
+    return renames or (
+        name == "open" and any(set(mode) & set("wax+") and len(mode) < 4 for mode in modes)
+    )
 
 
 def test_what_is_put_aside_is_not_lost_to_what_was_put_aside_before(tmp_path):
@@ -293,7 +332,9 @@ def test_what_is_put_aside_is_not_lost_to_what_was_put_aside_before(tmp_path):
         set_aside(path)
 
 
-@pytest.mark.parametrize("damage", ["missing", "empty", "zeroed", "noise", "cut", "one array", "a folder"])
+@pytest.mark.parametrize(
+    "damage", ["missing", "empty", "zeroed", "noise", "cut", "one array", "a folder"]
+)
 def test_what_is_kept_and_damaged_in_any_way_is_as_good_as_not_there(tmp_path, damage):
     path = tmp_path / "kept.npz"
     np.savez_compressed(path, a=np.arange(999.0), b=np.ones(3))
@@ -314,7 +355,9 @@ def test_what_is_kept_and_damaged_in_any_way_is_as_good_as_not_there(tmp_path, d
             assert found is None or all(len(array) in (3, 999) for array in found.values())
         path.write_bytes(rng.bytes(len(whole)))
     else:
-        path.write_bytes({"empty": b"", "zeroed": bytes(len(whole)), "cut": whole[: len(whole) // 2]}[damage])
+        path.write_bytes(
+            {"empty": b"", "zeroed": bytes(len(whole)), "cut": whole[: len(whole) // 2]}[damage]
+        )
     assert read_cached_arrays(path) is None
 
 
@@ -325,7 +368,9 @@ def test_what_cannot_be_read_back_replaces_nothing(tmp_path):
     def refuse(written: Path) -> None:
         raise FileProblem("it holds nothing", written)
 
-    with pytest.raises(FileProblem, match=r"cannot be read back as it was written \(it holds nothing\): '.*a.json'"):
+    with pytest.raises(
+        FileProblem, match=r"cannot be read back as it was written \(it holds nothing\): '.*a.json'"
+    ):
         write_json(path, {}, "the thing", refuse)
     assert path.read_text() == "old"
     with pytest.raises(FileProblem, match="cannot be read back"):

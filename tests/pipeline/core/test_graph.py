@@ -14,7 +14,15 @@ from pipeline.core.cache import Cache, CacheEntry
 from pipeline.core.digests import DigestCache, compute_digest
 from pipeline.core.errors import SettingProblem
 from pipeline.core.geometry.meshes import Mesh
-from pipeline.core.graph import EarlyAnswer, Fallback, Graph, Method, Skipped, chain_nodes, skip_if_exact
+from pipeline.core.graph import (
+    EarlyAnswer,
+    Fallback,
+    Graph,
+    Method,
+    Skipped,
+    chain_nodes,
+    skip_if_exact,
+)
 from pipeline.core.params import setting
 from pipeline.core.progress import SILENT, Cancelled
 
@@ -48,7 +56,14 @@ class Ran:
             progress.step(0.5, "half way")
             return work(*values, params)
 
-        return Method(stage=name, name="only", title=name, run=skip_if_exact(shortcut, run), params=Add, reads=reads)
+        return Method(
+            stage=name,
+            name="only",
+            title=name,
+            run=skip_if_exact(shortcut, run),
+            params=Add,
+            reads=reads,
+        )
 
 
 @pytest.fixture
@@ -61,13 +76,18 @@ def graph(ran):
     return Graph(
         (
             ran.stage("double", ("x",), lambda x, p: Number(value=2 * x.value * p.amount)),
-            ran.stage("sign", ("double",), lambda d, p: Number(value=float(np.sign(d.value)), notes=("signed",))),
+            ran.stage(
+                "sign",
+                ("double",),
+                lambda d, p: Number(value=float(np.sign(d.value)), notes=("signed",)),
+            ),
             ran.stage("last", ("sign", "y"), lambda s, y, p: Number(value=s.value + y.value)),
         )
     )
 
 
-X, Y = Number(value=3.0), Number(value=10.0)
+X = Number(value=3.0)
+Y = Number(value=10.0)
 
 
 def test_only_what_is_wanted_and_what_it_rests_on_runs(graph, ran):
@@ -107,11 +127,17 @@ def test_a_stage_that_the_route_leaves_out_is_evaluated_unseen_with_defaults(ran
         ran.stage("last", ("double", "y"), lambda d, y, p: Number(value=d.value + y.value)),
         defaults=(of_others, double),
     )
-    seen, inputs = [], {"x": X, "y": Y, "source": Source(kind="this")}
-    graph, params = Graph((last,)), {"double": Add(amount=5.0)}
-    results = graph.evaluate(["last"], inputs, params, on_stage=lambda result: seen.append(result.name))
+    seen = []
+    inputs = {"x": X, "y": Y, "source": Source(kind="this")}
+    graph = Graph((last,))
+    params = {"double": Add(amount=5.0)}
+    results = graph.evaluate(
+        ["last"], inputs, params, on_stage=lambda result: seen.append(result.name)
+    )
     assert list(results) == seen == ["last"]
-    assert results["last"].output.value == 16.0, "parameters of a column that is not there do not reach it"
+    assert results["last"].output.value == 16.0, (
+        "parameters of a column that is not there do not reach it"
+    )
     assert graph.evaluate(["last"], inputs, {})["last"].state == "cached"
     assert ran.names == ["double", "last"]
     whole = graph.with_methods((double, last)).evaluate(["last"], inputs, params)
@@ -121,7 +147,9 @@ def test_a_stage_that_the_route_leaves_out_is_evaluated_unseen_with_defaults(ran
 
 
 def test_a_shortcut_answers_without_running_and_says_so(ran):
-    stage = ran.stage("s", ("x",), lambda x, p: X, shortcut=lambda x, p: Y if x.value == 0 else None)
+    stage = ran.stage(
+        "s", ("x",), lambda x, p: X, shortcut=lambda x, p: Y if x.value == 0 else None
+    )
     graph = Graph((stage,))
     for _ in range(2):
         assert graph.evaluate(["s"], {"x": Number(value=0.0)}, {})["s"].state == "skipped"
@@ -129,7 +157,9 @@ def test_a_shortcut_answers_without_running_and_says_so(ran):
     assert graph.evaluate(["s"], {"x": X}, {})["s"].state == "computed"
 
 
-def test_a_progress_that_cancels_stops_before_the_next_stage_and_leaves_the_cache_usable(graph, ran):
+def test_a_progress_that_cancels_stops_before_the_next_stage_and_leaves_the_cache_usable(
+    graph, ran
+):
     class StopInSecond:
         def step(self, fraction, text):
             if "sign" in text:
@@ -226,12 +256,15 @@ def test_known_digests_are_those_of_the_contents_and_the_longest_unused_goes_fir
 
 @pytest.mark.parametrize("of", ["itself", "a view", "a frozen view", "a value"])
 def test_what_can_be_changed_in_place_is_digested_anew(of):
-    known, array = DigestCache(), np.arange(6.0)
+    known = DigestCache()
+    array = np.arange(6.0)
     value = {
         "itself": lambda: array,
         "a view": lambda: array.reshape(2, 3),
         "a frozen view": lambda: freeze(array[1:]),
-        "a value": lambda: Mesh(vertices_mm=freeze(array[None]), triangles=freeze(np.zeros((1, 3), np.int32))),
+        "a value": lambda: Mesh(
+            vertices_mm=freeze(array[None]), triangles=freeze(np.zeros((1, 3), np.int32))
+        ),
     }[of]()
     before = known.compute_digest(value)
     array[3] = 70.0
@@ -239,11 +272,19 @@ def test_what_can_be_changed_in_place_is_digested_anew(of):
 
 
 def test_masked_arrays_differ_by_their_masks_and_by_what_these_leave_to_see():
-    data, hidden = np.arange(4.0), np.array([False, True, False, False])
+    data = np.arange(4.0)
+    hidden = np.array([False, True, False, False])
     masked = np.ma.MaskedArray(data, hidden)
-    others = (data, np.ma.MaskedArray(data), np.ma.MaskedArray(data, ~hidden), np.ma.MaskedArray(data + 1, hidden))
+    others = (
+        data,
+        np.ma.MaskedArray(data),
+        np.ma.MaskedArray(data, ~hidden),
+        np.ma.MaskedArray(data + 1, hidden),
+    )
     assert len({compute_digest(value) for value in (masked, *others)}) == 5
-    assert compute_digest(masked) == compute_digest(np.ma.MaskedArray(np.where(hidden, np.nan, data), hidden))
+    assert compute_digest(masked) == compute_digest(
+        np.ma.MaskedArray(np.where(hidden, np.nan, data), hidden)
+    )
 
 
 def test_known_digests_may_be_asked_for_by_several_threads():
@@ -256,9 +297,11 @@ def test_known_digests_may_be_asked_for_by_several_threads():
 
 def test_sensors_stay_known_however_many_frames_pass(monkeypatch, ran):
     graph = Graph((ran.stage("s", ("x", "sensor"), lambda x, s, p: x),))
-    sensor, asked = Number(value=1.0), []
+    sensor = Number(value=1.0)
+    asked = []
     monkeypatch.setattr(
-        "pipeline.core.digests.compute_digest", lambda value: asked.append(value) or compute_digest(value)
+        "pipeline.core.digests.compute_digest",
+        lambda value: asked.append(value) or compute_digest(value),
     )
     for k in range(100):
         graph.evaluate(["s"], {"x": Number(value=float(k)), "sensor": sensor}, {})
@@ -277,7 +320,8 @@ def test_a_shortcut_that_gives_the_same_object_again_stops_the_recomputation_bel
 
 
 def test_what_is_compiled_on_the_way_is_not_the_stages_time(ran, monkeypatch):
-    now_s, compiled_s = [100.0], [3.0]
+    now_s = [100.0]
+    compiled_s = [3.0]
 
     def work(_x, _params):
         now_s[0] += 7.0
@@ -286,13 +330,16 @@ def test_what_is_compiled_on_the_way_is_not_the_stages_time(ran, monkeypatch):
 
     monkeypatch.setattr("pipeline.core.graph.time", SimpleNamespace(perf_counter=lambda: now_s[0]))
     monkeypatch.setattr("pipeline.core.compiling.spent_s", lambda: compiled_s[0])
-    results = Graph((ran.stage("one", ("x",), work),)).evaluate(("one",), {"x": Number(value=1.0)}, {})
+    results = Graph((ran.stage("one", ("x",), work),)).evaluate(
+        ("one",), {"x": Number(value=1.0)}, {}
+    )
     assert results["one"].ms == pytest.approx(2000.0)
 
 
 @pytest.mark.parametrize("change", [{"name": "other"}])
 def test_another_method_runs_again_on_what_is_cached(ran, change):
-    cache, method = Cache(1 << 20), ran.stage("double", ("x",), lambda x, p: Number(value=2 * x.value))
+    cache = Cache(1 << 20)
+    method = ran.stage("double", ("x",), lambda x, p: Number(value=2 * x.value))
     for known in (method, method, replace(method, **change)):
         Graph((known,), cache=cache).evaluate(("double",), {"x": X}, {})
     assert ran.names == ["double", "double"]
@@ -306,15 +353,21 @@ class ChainParams:
 
 @pytest.fixture
 def chain(ran):
-    """scale x, take the sign, shift: a chain of three nodes, of which the first reads one parameter alone."""
+    """scale x, take the sign, shift: a chain of three nodes, of which the first reads one
+    parameter alone.
+    """
 
     def make(scaled=lambda x, p: Number(value=x.value * p.scale)):
         nodes = (
             replace(
-                ran.stage("c.scaled", ("x",), scaled), params=ChainParams, select_params=lambda p: replace(p, shift=0.0)
+                ran.stage("c.scaled", ("x",), scaled),
+                params=ChainParams,
+                select_params=lambda p: replace(p, shift=0.0),
             ),
             replace(
-                ran.stage("c.sign", ("c.scaled",), lambda s, _p: Number(value=float(np.sign(s.value)))),
+                ran.stage(
+                    "c.sign", ("c.scaled",), lambda s, _p: Number(value=float(np.sign(s.value)))
+                ),
                 select_params=lambda _p: Add(),
             ),
             replace(
@@ -342,9 +395,15 @@ def chain(ran):
 
 
 def test_a_chain_repeats_only_the_nodes_that_read_a_changed_parameter(chain, ran):
-    graph, inputs = Graph((chain(),)), {"x": X, "y": Y}
+    graph = Graph((chain(),))
+    inputs = {"x": X, "y": Y}
     first = graph.evaluate(["c"], inputs, {})["c"]
-    assert (first.output.value, first.notes, first.state, first.name) == (11.5, ("end",), "computed", "c")
+    assert (first.output.value, first.notes, first.state, first.name) == (
+        11.5,
+        ("end",),
+        "computed",
+        "c",
+    )
     assert [n.name for n in first.nodes] == ["c.scaled", "c.sign", "c.shifted"]
     ran.names.clear()
     shifted = graph.evaluate(["c"], inputs, {"c": ChainParams(shift=1.0)})["c"]
@@ -365,15 +424,20 @@ def test_a_node_that_answers_for_the_chain_ends_it(chain, ran, kind):
             else Fallback(result=value, reason="another")
         )
 
-    method, inputs = chain(answer), {"x": X, "y": Y}
+    method = chain(answer)
+    inputs = {"x": X, "y": Y}
     found = Graph((method,)).evaluate(["c"], inputs, {})["c"]
     assert (found.output.value, ran.names) == (-3.0, ["c.scaled"])
-    assert (found.state == "skipped", found.fallback) == (kind is Skipped, "" if kind is Skipped else "another")
+    assert (found.state == "skipped", found.fallback) == (
+        kind is Skipped,
+        "" if kind is Skipped else "another",
+    )
     assert method.run(X, Y, ChainParams(), SILENT) == answer(X, None)
 
 
 def test_an_early_answer_of_a_node_is_the_value_of_the_chain(chain, ran):
-    method, inputs = chain(lambda x, _p: EarlyAnswer(output=Number(value=-x.value))), {"x": X, "y": Y}
+    method = chain(lambda x, _p: EarlyAnswer(output=Number(value=-x.value)))
+    inputs = {"x": X, "y": Y}
     graph = Graph((method,))
     for state in ("computed", "cached"):
         found = graph.evaluate(["c"], inputs, {})["c"]
@@ -384,13 +448,33 @@ def test_an_early_answer_of_a_node_is_the_value_of_the_chain(chain, ran):
 @given(x=st.floats(-1e3, 1e3), scale=st.floats(-10, 10), shift=st.floats(-10, 10))
 def test_a_chain_run_by_itself_equals_its_nodes_in_the_graph(x, scale, shift):
     nodes = (
-        Method(stage="c.a", name="a", title="a", run=lambda x, p, _: Number(value=x.value * p.scale), params=ChainParams, reads=("x",)),
-        Method(stage="c.b", name="b", title="b", run=lambda a, p, _: Number(value=a.value + p.shift), params=ChainParams, reads=("c.a",)),
-    )  # fmt: skip
+        Method(
+            stage="c.a",
+            name="a",
+            title="a",
+            run=lambda x, p, _: Number(value=x.value * p.scale),
+            params=ChainParams,
+            reads=("x",),
+        ),
+        Method(
+            stage="c.b",
+            name="b",
+            title="b",
+            run=lambda a, p, _: Number(value=a.value + p.shift),
+            params=ChainParams,
+            reads=("c.a",),
+        ),
+    )
     method = Method(
-        stage="c", name="c", title="c", run=chain_nodes(nodes, ("x",)), params=ChainParams, reads=("x",), nodes=nodes
+        stage="c",
+        name="c",
+        title="c",
+        run=chain_nodes(nodes, ("x",)),
+        params=ChainParams,
+        reads=("x",),
+        nodes=nodes,
     )
     params = ChainParams(scale=scale, shift=shift)
-    assert Graph((method,)).evaluate(["c"], {"x": Number(value=x)}, {"c": params})["c"].output == method.run(
-        Number(value=x), params, SILENT
-    )
+    assert Graph((method,)).evaluate(["c"], {"x": Number(value=x)}, {"c": params})[
+        "c"
+    ].output == method.run(Number(value=x), params, SILENT)

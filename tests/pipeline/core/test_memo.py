@@ -44,13 +44,16 @@ def test_an_answer_is_made_once_however_many_threads_ask_for_it():
 
     with ThreadPoolExecutor(8) as pool:
         keys = [0, 1, 2] * 20
-        assert list(pool.map(lambda key: memo.get_or_make(key, lambda: make(key)), keys)) == [str(key) for key in keys]
+        assert list(pool.map(lambda key: memo.get_or_make(key, lambda: make(key)), keys)) == [
+            str(key) for key in keys
+        ]
     assert sorted(made) == [0, 1, 2]
 
 
 def test_a_failure_is_the_asker_s_own_and_the_next_one_makes_the_answer():
     memo: Memo[str, int] = Memo(8)
-    started, waiting = threading.Event(), threading.Event()
+    started = threading.Event()
+    waiting = threading.Event()
 
     def fail() -> int:
         started.set()
@@ -83,6 +86,7 @@ def test_a_function_remembers_its_last_answers_within_their_bytes():
 
 
 def test_an_array_is_weighed_once_and_where_it_was_made():
-    made, own = np.zeros(1000, np.float32), np.zeros(500, np.float32)
+    made = np.zeros(1000, np.float32)
+    own = np.zeros(500, np.float32)
     assert measure_bytes((made, made)) == 4000
     assert measure_bytes((made, own), besides=[made]) == 2000

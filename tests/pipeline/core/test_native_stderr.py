@@ -30,7 +30,9 @@ def test_a_damaged_file_writes_nothing_to_the_terminal(tmp_path, capfd, suffix):
     if suffix in (".avi", ".mp4"):
         write_video(path, [GREY] * 3, 10.0)
     else:
-        assert cv2.imwrite(str(path), np.random.default_rng(0).integers(0, 255, GREY.shape, np.uint8))
+        assert cv2.imwrite(
+            str(path), np.random.default_rng(0).integers(0, 255, GREY.shape, np.uint8)
+        )
     for content in damage(path.read_bytes()):
         path.write_bytes(content)
         try:
@@ -46,7 +48,8 @@ def test_a_damaged_file_writes_nothing_to_the_terminal(tmp_path, capfd, suffix):
 
 
 def test_the_program_speaks_again_after_the_last_of_two_that_overlap(capfd):
-    outer, inner = silence_native_libraries(), silence_native_libraries()
+    outer = silence_native_libraries()
+    inner = silence_native_libraries()
     outer.__enter__()
     inner.__enter__()
     outer.__exit__(None, None, None)

@@ -34,7 +34,9 @@ def test_a_number_written_as_text_is_read_exactly(heat):
     assert replace_value(Oven(), "heat_deg", repr(heat)).heat_deg == heat
 
 
-@pytest.mark.parametrize(("text", "value"), [("true", True), ("off", False), ("1", True), ("No", False)])
+@pytest.mark.parametrize(
+    ("text", "value"), [("true", True), ("off", False), ("1", True), ("No", False)]
+)
 def test_switches_take_the_usual_words(text, value):
     assert replace_value(Oven(), "fan", text).fan is value
 
@@ -58,11 +60,15 @@ def test_a_wrong_setting_is_named_with_what_is_allowed(name, value, sentence):
     assert str(caught.value) == sentence
 
 
-@pytest.mark.parametrize("params", [DepthParams(), PhysicalRenderParams()], ids=lambda p: type(p).__name__)
+@pytest.mark.parametrize(
+    "params", [DepthParams(), PhysicalRenderParams()], ids=lambda p: type(p).__name__
+)
 def test_words_that_may_be_chosen_are_those_of_the_type(params):
     hints = get_type_hints(type(params))
     words = {
-        name: setting.choices for name, (value, setting) in list_settings(params).items() if isinstance(value, str)
+        name: setting.choices
+        for name, (value, setting) in list_settings(params).items()
+        if isinstance(value, str)
     }
     assert words
     assert words == {name: get_args(hints[name]) for name in words}

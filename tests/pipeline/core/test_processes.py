@@ -48,7 +48,9 @@ def stop_half_way(done):
 
 
 def test_a_worker_that_ends_while_it_sends_a_result_does_not_keep_the_process(tmp_path):
-    ended = multiprocessing.get_context("spawn").Process(target=stop_half_way, args=(tmp_path / "done",))
+    ended = multiprocessing.get_context("spawn").Process(
+        target=stop_half_way, args=(tmp_path / "done",)
+    )
     ended.start()
     try:
         ended.join()

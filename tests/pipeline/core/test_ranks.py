@@ -11,8 +11,12 @@ from pipeline.core import arrays
 
 @settings(max_examples=60)
 @given(
-    n=st.integers(1, 300), seed=st.integers(0, 99), size=st.floats(-30, 30), rounds=st.booleans(), share=st.floats(0, 1)
-)  # fmt: skip
+    n=st.integers(1, 300),
+    seed=st.integers(0, 99),
+    size=st.floats(-30, 30),
+    rounds=st.booleans(),
+    share=st.floats(0, 1),
+)
 def test_medians_equal_numpys_and_percentiles_do_to_rounding(n, seed, size, rounds, share):
     rng = np.random.default_rng(seed)
     values = (rng.normal(size=n) * 10.0**size).astype(np.float32)

@@ -36,7 +36,11 @@ def run(code: str) -> list[str]:
 def test_linear_algebra_has_one_thread_and_the_same_bytes_whatever_is_loaded_first():
     ours, theirs, between = (
         run(f"import {order}\n")
-        for order in ("pipeline, numpy, scipy.linalg", "numpy, scipy.linalg, pipeline", "numpy, pipeline, scipy.linalg")
+        for order in (
+            "pipeline, numpy, scipy.linalg",
+            "numpy, scipy.linalg, pipeline",
+            "numpy, pipeline, scipy.linalg",
+        )
     )
     assert ours[0] == "[1, 1]"
     assert ours == theirs == between
@@ -44,5 +48,8 @@ def test_linear_algebra_has_one_thread_and_the_same_bytes_whatever_is_loaded_fir
 
 @pytest.mark.parametrize("first", ["numpy", "pipeline.stages.depth.photometric"])
 def test_a_worker_has_the_limit_of_its_parent(first):
-    code = f"import {first}\nimport pipeline.core.processes, numpy, scipy.linalg\npipeline.base.processes.limit_threads()\n"
+    code = (
+        f"import {first}\nimport pipeline.core.processes, numpy, "
+        "scipy.linalg\npipeline.base.processes.limit_threads()\n"
+    )
     assert set(json.loads(run(code)[0])) == {1}

@@ -1,4 +1,6 @@
-"""Archives of torch are read as torch reads them, and whatever else they name stays without effect."""
+"""Archives of torch are read as torch reads them, and whatever else they name stays without
+effect.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ def read(path, *keys):
 
 def test_a_nested_state_dict_is_a_mapping(tmp_path):
     state = torch.nn.Sequential(torch.nn.Linear(2, 3), torch.nn.BatchNorm1d(3)).state_dict()
-    torch.save({"epoch": 3, "state_dict": state, "of": defaultdict(list, a=[1])}, tmp_path / "s.ckpt")
+    torch.save(
+        {"epoch": 3, "state_dict": state, "of": defaultdict(list, a=[1])}, tmp_path / "s.ckpt"
+    )
     content = load_torch_file(tmp_path / "s.ckpt")
     assert list(content["state_dict"]) == list(state)
     assert content["epoch"] == 3
@@ -50,7 +54,10 @@ class Rebuilds(Runs):
     """The same, with a state, elements and items for what the call gives."""
 
     def __reduce__(self):
-        code = f"__import__('os').makedirs({str(self.marker)!r}, exist_ok=True) or __import__('argparse').Namespace()"
+        code = (
+            f"__import__('os').makedirs({str(self.marker)!r}, exist_ok=True) or "
+            "__import__('argparse').Namespace()"
+        )
         return eval, (code,), {"x": 1}
 
 
@@ -64,8 +71,13 @@ class MakesNamespace(Runs):
 @pytest.mark.parametrize("hostile", [Runs, Rebuilds])
 @pytest.mark.parametrize("protocol", [2, 4])
 def test_nothing_that_a_file_names_is_run(tmp_path, hostile, protocol):
-    marker, path = tmp_path / "ran", tmp_path / "hostile.pt"
-    torch.save({"weight": torch.ones(2), "x": hostile(marker), "y": [hostile(marker)]}, path, pickle_protocol=protocol)
+    marker = tmp_path / "ran"
+    path = tmp_path / "hostile.pt"
+    torch.save(
+        {"weight": torch.ones(2), "x": hostile(marker), "y": [hostile(marker)]},
+        path,
+        pickle_protocol=protocol,
+    )
     with contextlib.suppress(FileProblem):
         assert read(path, "weight").tolist() == [1.0, 1.0]
     assert not marker.exists()
@@ -92,12 +104,24 @@ def rewritten(path: Path, description: bytes) -> Path:
 GLOBAL = b"cposix\nsystem\n"
 
 
-@pytest.mark.parametrize("description", [
-    GLOBAL + b"(S'touch MARKER'\ntR.", b"(S'touch MARKER'\niposix\nsystem\n.", GLOBAL + b"(S'touch MARKER'\nt\x81.",
-    b"\x80\x04\x8c\x05posix\x8c\x06system\x93\x8c\x0ctouch MARKER\x85R.", GLOBAL + b"}(S'__setstate__'\nNub.",
-    GLOBAL + b"N}(S'__init__'\nNu\x86b.", b"cbuiltins\ngetattr\n(S'a'\nS'__class__'\ntR.", b"\x82\x01.",
-    b"ccollections\nOrderedDict\n)R}(S'__class__'\nNub.", b"(lp0\ng0\na.", b"", b"\x80",
-], ids=range(12))  # fmt: skip
+@pytest.mark.parametrize(
+    "description",
+    [
+        GLOBAL + b"(S'touch MARKER'\ntR.",
+        b"(S'touch MARKER'\niposix\nsystem\n.",
+        GLOBAL + b"(S'touch MARKER'\nt\x81.",
+        b"\x80\x04\x8c\x05posix\x8c\x06system\x93\x8c\x0ctouch MARKER\x85R.",
+        GLOBAL + b"}(S'__setstate__'\nNub.",
+        GLOBAL + b"N}(S'__init__'\nNu\x86b.",
+        b"cbuiltins\ngetattr\n(S'a'\nS'__class__'\ntR.",
+        b"\x82\x01.",
+        b"ccollections\nOrderedDict\n)R}(S'__class__'\nNub.",
+        b"(lp0\ng0\na.",
+        b"",
+        b"\x80",
+    ],
+    ids=range(12),
+)
 def test_any_description_is_inert_or_refused(tmp_path, monkeypatch, description):
     monkeypatch.chdir(tmp_path)
     ran = []
@@ -113,7 +137,10 @@ def test_unknown_classes_are_not_imported(tmp_path, monkeypatch):
     module = types.ModuleType("not_installed")
     module.ModelCheckpoint = type("ModelCheckpoint", (), {"__module__": "not_installed"})
     monkeypatch.setitem(sys.modules, "not_installed", module)
-    torch.save({"callbacks": {module.ModelCheckpoint: {"best": 1}}, "w": torch.ones(1)}, tmp_path / "a.ckpt")
+    torch.save(
+        {"callbacks": {module.ModelCheckpoint: {"best": 1}}, "w": torch.ones(1)},
+        tmp_path / "a.ckpt",
+    )
     monkeypatch.delitem(sys.modules, "not_installed")
     assert read(tmp_path / "a.ckpt", "w").tolist() == [1.0]
     assert "not_installed" not in sys.modules
@@ -129,7 +156,15 @@ def described(offset=0, shape=(4,), strides=(1,), count=4, kind="FloatStorage"):
         return b"(" + b"".join(b"\x8a\x08" + struct.pack("<q", value) for value in values) + b"t"
 
     long = b"\x8a\x08" + struct.pack("<q", count)
-    storage = b"(" + text("storage") + f"ctorch\n{kind}\n".encode() + text("0") + text("cpu") + long + b"tQ"
+    storage = (
+        b"("
+        + text("storage")
+        + f"ctorch\n{kind}\n".encode()
+        + text("0")
+        + text("cpu")
+        + long
+        + b"tQ"
+    )
     offset = b"\x8a\x08" + struct.pack("<q", offset)
     backward_hooks = b"\x89ccollections\nOrderedDict\n)R"
     figures = storage + offset + numbers(*shape) + numbers(*strides) + backward_hooks
@@ -140,10 +175,18 @@ def test_the_made_description_is_one(tmp_path):
     assert read(rewritten(tmp_path / "x", described())).tolist() == [1.0] * 4
 
 
-@pytest.mark.parametrize("figures", [
-    {"offset": 1}, {"offset": -1}, {"shape": (5,)}, {"strides": (2,)}, {"strides": (-1,)}, {"shape": (2, 2), "strides": (4, 1)},
-    {"count": 1 << 50, "shape": (1 << 50,)},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "figures",
+    [
+        {"offset": 1},
+        {"offset": -1},
+        {"shape": (5,)},
+        {"strides": (2,)},
+        {"strides": (-1,)},
+        {"shape": (2, 2), "strides": (4, 1)},
+        {"count": 1 << 50, "shape": (1 << 50,)},
+    ],
+)
 def test_a_tensor_beyond_its_storage_is_refused(tmp_path, figures):
     with pytest.raises(FileProblem, match="damaged"):
         read(rewritten(tmp_path / "x", described(**figures)))

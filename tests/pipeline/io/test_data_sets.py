@@ -45,7 +45,9 @@ def write_mcap(path, frames, *, as_json=False):
             schema = writer.register_schema("foxglove.CompressedImage", "jsonschema", b"{}")
             channel = writer.register_channel("/left/tactile", "json", schema)
             for index, frame in enumerate(frames):
-                data = json.dumps({"format": "png", "data": base64.b64encode(encode(frame)).decode()}).encode()
+                data = json.dumps(
+                    {"format": "png", "data": base64.b64encode(encode(frame)).decode()}
+                ).encode()
                 writer.add_message(channel, log_time=index * 10**8, data=data, publish_time=0)
             writer.finish()
         return
@@ -71,7 +73,8 @@ def write_mcap(path, frames, *, as_json=False):
 def test_topics_of_ros_2_are_streams(tmp_path):
     from mcap_ros2.writer import Writer
 
-    path, frames = tmp_path / "a.mcap", draw_frames(5)
+    path = tmp_path / "a.mcap"
+    frames = draw_frames(5)
     header = "builtin_interfaces/Time stamp\nstring frame_id\n"
     stamp = "int32 sec\nuint32 nanosec\n"
     line = "=" * 80 + "\n"
@@ -99,7 +102,8 @@ def test_topics_of_ros_2_are_streams(tmp_path):
 @pytest.mark.parametrize("as_json", [False, True])
 def test_mcap_topics_are_streams(tmp_path, as_json):
     pytest.importorskip("mcap_protobuf")
-    path, frames = tmp_path / "a.mcap", draw_frames(8)
+    path = tmp_path / "a.mcap"
+    frames = draw_frames(8)
     write_mcap(path, frames, as_json=as_json)
     recording = open_recording(path)
     (stream,) = recording.streams
@@ -126,49 +130,70 @@ def test_a_damaged_mcap_is_refused(tmp_path):
     path = tmp_path / "a.mcap"
     write_mcap(path, draw_frames(4))
     content = path.read_bytes()
-    rng, n_refused, frames = np.random.default_rng(0), 0, draw_frames(4)
+    rng = np.random.default_rng(0)
+    n_refused = 0
+    frames = draw_frames(4)
     chunk = 17 + int.from_bytes(content[9:17], "little")  # after the header
     end = chunk + 9 + int.from_bytes(content[chunk + 1 : chunk + 9], "little")
     n_hits = 0
     for _ in range(60):
         spoilt = bytearray(content)
-        at, n_left = int(rng.integers(len(spoilt))), int(rng.integers(1, len(spoilt)))
+        at = int(rng.integers(len(spoilt)))
+        n_left = int(rng.integers(1, len(spoilt)))
         spoilt[at] ^= 0xFF
         path.write_bytes(bytes(spoilt[:n_left]))
-        n_hits += n_left < end or chunk + 25 <= at < end  # the chunk holds the topic and all its images
+        # the chunk holds the topic and all its images
+        n_hits += n_left < end or chunk + 25 <= at < end
         try:
             with closing(open_recording(path)) as recording:
                 assert recording.streams[0].n_frames == 4
                 for index in range(4):  # what opens is right
-                    np.testing.assert_array_equal(recording.streams[0].frame(index).image, frames[index])
+                    np.testing.assert_array_equal(
+                        recording.streams[0].frame(index).image, frames[index]
+                    )
         except FileProblem:
             n_refused += 1
-    assert n_hits <= n_refused <= n_hits + 5  # the few others hit the head of the file or the list of topics
+    # the few others hit the head of the file or the list of topics
+    assert n_hits <= n_refused <= n_hits + 5
     assert 20 < n_hits < 55
 
 
 def write_lerobot(folder, cameras, n):
     (folder / "meta").mkdir(parents=True)
     info = {
-        "codebase_version": "v3.0", "fps": 20, "total_episodes": 2, "total_frames": n,
-        "features": {name: {"dtype": kind, "shape": SHAPE} for name, kind in cameras.items()} | {"action": {"dtype": "float32"}},
-    }  # fmt: skip
+        "codebase_version": "v3.0",
+        "fps": 20,
+        "total_episodes": 2,
+        "total_frames": n,
+        "features": {name: {"dtype": kind, "shape": SHAPE} for name, kind in cameras.items()}
+        | {"action": {"dtype": "float32"}},
+    }
     (folder / "meta" / "info.json").write_text(json.dumps(info))
 
 
 def test_lerobot_videos_follow_each_other(tmp_path):
-    write_lerobot(tmp_path / "set", {"observation.images.tactile_left": "video", "observation.images.top": "video"}, 12)
+    write_lerobot(
+        tmp_path / "set",
+        {"observation.images.tactile_left": "video", "observation.images.top": "video"},
+        12,
+    )
     frames = draw_frames(12)
     for k in range(2):
         place = tmp_path / "set" / "videos" / "observation.images.tactile_left" / "chunk-000"
         place.mkdir(parents=True, exist_ok=True)
-        writer = cv2.VideoWriter(str(place / f"file-00{k}.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 20, (320, 240))
+        writer = cv2.VideoWriter(
+            str(place / f"file-00{k}.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 20, (320, 240)
+        )
         for frame in frames[6 * k : 6 * k + 6]:
             writer.write(np.ascontiguousarray(frame[:, :, ::-1]))
         writer.release()
     recording = open_recording(tmp_path / "set")
     (stream,) = recording.streams
-    assert (stream.name, stream.sensor, stream.n_frames) == ("observation.images.tactile_left", "gelsight_mini", 12)
+    assert (stream.name, stream.sensor, stream.n_frames) == (
+        "observation.images.tactile_left",
+        "gelsight_mini",
+        12,
+    )
     for index in (11, 2, 6):
         image = stream.frame(index).image.astype(float)
         assert np.abs(image - frames[index]).mean() < 6
@@ -183,14 +208,22 @@ TACTILE = "observation.images.tactile_left"
 def write_episodes(folder, lengths, starts, *, version=3):
     """The table of episodes, which lie from these times on in the first file of the camera."""
     rows = [
-        {"episode_index": k, "length": n, f"videos/{TACTILE}/chunk_index": 0, f"videos/{TACTILE}/file_index": 0,
-         f"videos/{TACTILE}/from_timestamp": start}
+        {
+            "episode_index": k,
+            "length": n,
+            f"videos/{TACTILE}/chunk_index": 0,
+            f"videos/{TACTILE}/file_index": 0,
+            f"videos/{TACTILE}/from_timestamp": start,
+        }
         for k, (n, start) in enumerate(zip(lengths, starts, strict=True))
-    ]  # fmt: skip
+    ]
     if version == 2:
-        (folder / "meta" / "episodes.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+        (folder / "meta" / "episodes.jsonl").write_text(
+            "".join(json.dumps(row) + "\n" for row in rows)
+        )
         return
-    parquet, place = pytest.importorskip("pyarrow.parquet"), folder / "meta" / "episodes" / "chunk-000"
+    parquet = pytest.importorskip("pyarrow.parquet")
+    place = folder / "meta" / "episodes" / "chunk-000"
     place.mkdir(parents=True)
     import pyarrow
 
@@ -221,7 +254,9 @@ def test_lerobot_episodes_lie_where_their_table_says(tmp_path, lengths, starts, 
     write_episodes(folder, lengths, starts)
     with closing(open_recording(folder)) as recording:
         stream = recording.stream(TACTILE)
-        found = [round((float(stream.frame(k).image.mean()) - 40) / 8) for k in range(stream.n_frames)]
+        found = [
+            round((float(stream.frame(k).image.mean()) - 40) / 8) for k in range(stream.n_frames)
+        ]
     assert found == list(wanted)
     (folder / "meta" / "episodes" / "chunk-000" / "file-000.parquet").write_bytes(b"PAR1 no table")
     with pytest.raises(FileProblem, match="table of episodes cannot be read"):
@@ -229,16 +264,22 @@ def test_lerobot_episodes_lie_where_their_table_says(tmp_path, lengths, starts, 
 
 
 def test_lerobot_episodes_of_version_2_are_found_by_number(tmp_path):
-    """The second file is longer than its episode, and a frame that a file lacks is named when it is read."""
+    """The second file is longer than its episode, and a frame that a file lacks is named when it
+    is read.
+    """
     folder = tmp_path / "set"
     write_lerobot(folder, {TACTILE: "video"}, 9)
     for k, n in enumerate((4, 7, 2)):
         frames = [np.full(SHAPE, 40 + 80 * k + 10 * i, np.uint8) for i in range(n)]
         write_video(folder / "videos" / "chunk-000" / TACTILE / f"episode_{k:06d}.mp4", frames)
     write_episodes(folder, [4, 2, 3], [0.0] * 3, version=2)
-    lines = [json.loads(line) for line in (folder / "meta" / "episodes.jsonl").read_text().splitlines()]
+    lines = [
+        json.loads(line) for line in (folder / "meta" / "episodes.jsonl").read_text().splitlines()
+    ]
     plain = [{key: row[key] for key in ("episode_index", "length")} for row in lines]
-    (folder / "meta" / "episodes.jsonl").write_text("".join(json.dumps(row) + "\n" for row in plain))
+    (folder / "meta" / "episodes.jsonl").write_text(
+        "".join(json.dumps(row) + "\n" for row in plain)
+    )
     with closing(open_recording(folder)) as recording:
         stream = recording.stream(TACTILE)
         found = [float(stream.frame(k).image.mean()) for k in range(8)]
@@ -252,11 +293,14 @@ def test_lerobot_images_in_tables(tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     import pyarrow
 
-    name, frames = "observation.images.digit_thumb", draw_frames(7)
+    name = "observation.images.digit_thumb"
+    frames = draw_frames(7)
     write_lerobot(tmp_path / "set", {name: "image"}, 7)
     place = tmp_path / "set" / "data" / "chunk-000"
     place.mkdir(parents=True)
-    table = pyarrow.table({name: [{"bytes": encode(f), "path": None} for f in frames], "frame_index": list(range(7))})
+    table = pyarrow.table(
+        {name: [{"bytes": encode(f), "path": None} for f in frames], "frame_index": list(range(7))}
+    )
     parquet.write_table(table, place / "file-000.parquet", row_group_size=3)
     (stream,) = open_recording(tmp_path / "set").streams
     assert stream.n_frames == 7
@@ -288,7 +332,10 @@ def test_missing_packages_are_named(tmp_path, monkeypatch):
 
 def test_tacquad_touches_pair_their_sensors(tmp_path):
     touch = tmp_path / "tacquad" / "data_indoor" / "apple_0"
-    frames = {"gelsight": draw_frames(12), "digit": [np.ascontiguousarray(np.rot90(f)) for f in draw_frames(20, 5)]}
+    frames = {
+        "gelsight": draw_frames(12),
+        "digit": [np.ascontiguousarray(np.rot90(f)) for f in draw_frames(20, 5)],
+    }
     for name, images in frames.items():
         (touch / name).mkdir(parents=True)
         for index, image in enumerate(images):
@@ -296,7 +343,10 @@ def test_tacquad_touches_pair_their_sensors(tmp_path):
     for name in ("duragel", "img_digit", "img_gelsight"):
         (touch / name).mkdir()
     recording = open_recording(touch)
-    assert [(s.name, s.n_frames) for s in recording.streams] == [("gelsight_mini", 12), ("digit", 12)]
+    assert [(s.name, s.n_frames) for s in recording.streams] == [
+        ("gelsight_mini", 12),
+        ("digit", 12),
+    ]
     (tmp_path / "tacquad" / "contact_indoor.csv").write_text("apple_0,7,11,11,19,0,5\n")
     recording = open_recording(tmp_path / "tacquad")
     mini, digit = recording.streams
@@ -315,9 +365,14 @@ def test_dialogs_and_help_name_them():
         assert title in describe_formats()
 
 
-@pytest.mark.parametrize(("row", "unlisted"), [
-    ("pear_0,7,11,11,19,0,5", "gelsight_mini and digit"), ("apple_0,7,11,99,12,0,5", "digit"), (None, "gelsight_mini and digit"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("row", "unlisted"),
+    [
+        ("pear_0,7,11,11,19,0,5", "gelsight_mini and digit"),
+        ("apple_0,7,11,99,12,0,5", "digit"),
+        (None, "gelsight_mini and digit"),
+    ],
+)
 def test_a_tacquad_touch_that_the_table_lacks_is_paired_with_a_warning(tmp_path, row, unlisted):
     touch = tmp_path / "tacquad" / "data_indoor" / "apple_0"
     for sensor, numbers in (("gelsight", range(5, 15)), ("digit", range(10, 20))):

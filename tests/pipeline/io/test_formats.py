@@ -1,4 +1,6 @@
-"""The table of formats: dialogs and help follow from it, and another package adds a format or a sensor."""
+"""The table of formats: dialogs and help follow from it, and another package adds a format or a
+sensor.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +30,12 @@ def read_text_depth(path: Path) -> Recording:
 
 
 TEXT_DEPTH = RecordingFormat(
-    key="text_depth", title="Text depth", content="one depth image", suffixes=(".depth",),
+    key="text_depth",
+    title="Text depth",
+    content="one depth image",
+    suffixes=(".depth",),
     reader=f"{__name__}:read_text_depth",
-)  # fmt: skip
+)
 BROKEN = "no.such.module:FORMAT"
 
 
@@ -39,8 +44,12 @@ def add_entry_points(monkeypatch):
     """Entry points of another package, as `importlib.metadata` lists them."""
     entry_points.load_entry_points.cache_clear()
     added: list[importlib.metadata.EntryPoint] = []
-    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [e for e in added if e.group == group])
-    yield lambda *points: added.extend(importlib.metadata.EntryPoint(name="lab", value=v, group=g) for g, v in points)
+    monkeypatch.setattr(
+        importlib.metadata, "entry_points", lambda group: [e for e in added if e.group == group]
+    )
+    yield lambda *points: added.extend(
+        importlib.metadata.EntryPoint(name="lab", value=v, group=g) for g, v in points
+    )
     entry_points.load_entry_points.cache_clear()
 
 

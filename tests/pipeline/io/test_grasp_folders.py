@@ -1,4 +1,6 @@
-"""Folders of the touch2touch data set: splits, wrong pairs and companions of the published layouts."""
+"""Folders of the touch2touch data set: splits, wrong pairs and companions of the published
+layouts.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ from tests.pipeline.io.test_tensors import bubble, gelslim, saved
 TOOLS = ("pattern_33", "hex", "peg1")
 
 
-def save_pair(root: Path, split: str, tool: str, number: int, *, nested: bool = False, **changes) -> None:
+def save_pair(
+    root: Path, split: str, tool: str, number: int, *, nested: bool = False, **changes
+) -> None:
     for kind, word, sample in (("bubbles", "bubble", bubble), ("gelslims", "gelslim", gelslim)):
         plural = "bubbles" if kind == "bubbles" else "gelslim"
         name = (
@@ -31,7 +35,10 @@ def save_pair(root: Path, split: str, tool: str, number: int, *, nested: bool = 
 
 @pytest.fixture
 def data(tmp_path: Path) -> Path:
-    """18 pairs trained on, 6 new grasps and 6 of an unseen tool; the numbers of all splits are the same."""
+    """18 pairs trained on, 6 new grasps and 6 of an unseen tool.
+
+    The numbers of all splits are the same.
+    """
     root = tmp_path / "data"
     for tool in TOOLS[:2]:
         for number in range(9):
@@ -50,8 +57,13 @@ def test_splits_are_kept_and_counted(data: Path):
     assert list(counts.items()) == [("train", 18), ("test/test_only", 6), ("test/train_only", 6)]
     assert {g.tool for g in recording.grasps if g.split == "test/test_only"} == {"peg1"}
     (note,) = (n for n in recording.notes if "grasps of" in n)
-    assert note == "30 grasps of 3 tools, two fingers each: 18 train + 6 test/test_only + 6 test/train_only"
-    last = recording.grasps.index(next(g for g in recording.grasps if g.name == "hex 2 (test/train_only)"))
+    assert (
+        note
+        == "30 grasps of 3 tools, two fingers each: 18 train + 6 test/test_only + 6 test/train_only"
+    )
+    last = recording.grasps.index(
+        next(g for g in recording.grasps if g.name == "hex 2 (test/train_only)")
+    )
     assert recording.stream("gelslim right").frame(last).image[0, 0, 0] == 102
     assert "test/train_only" in recording.stream("soft_bubble left").frame(last).origin
 
@@ -78,11 +90,14 @@ def test_split_json_names_the_splits_of_what_is_trained_on(data: Path):
     recording = open_recording(data)
     counts = Counter(grasp.split for grasp in recording.grasps)
     assert counts == {"train": 16, "val": 1, "test": 1, "test/test_only": 6, "test/train_only": 6}
-    assert any("1 grasps of split.json are not in the folder: gone 1" in note for note in recording.notes)
+    assert any(
+        "1 grasps of split.json are not in the folder: gone 1" in note for note in recording.notes
+    )
 
 
 @pytest.mark.parametrize(
-    "text", ["[]", "{", '{"train": 3}', '{"train": [["hex"]]}', '{"a": [["hex", 1]], "b": [["hex", 1]]}']
+    "text",
+    ["[]", "{", '{"train": 3}', '{"train": [["hex"]]}', '{"a": [["hex", 1]], "b": [["hex", 1]]}'],
 )
 def test_a_split_file_of_another_kind_is_refused_by_its_name(data: Path, text: str):
     (data / "split.json").write_text(text)
@@ -106,7 +121,9 @@ def test_undistorted_images_predictions_and_depth_do_not_mix_with_the_grasps(tmp
     notes = " ".join(recording.notes)
     assert "gelslims is read; gelslims_undistorted is left out" in notes
     assert "1 files are left out, which hold neither" in notes
-    truth, other = (recording.stream(f"soft_bubble {finger}").truth(0) for finger in ("right", "left"))
+    truth, other = (
+        recording.stream(f"soft_bubble {finger}").truth(0) for finger in ("right", "left")
+    )
     assert truth is not None
     assert other is not None
     assert truth.contact.sum() == 1
@@ -116,7 +133,8 @@ def test_undistorted_images_predictions_and_depth_do_not_mix_with_the_grasps(tmp
 
 
 def test_grasps_of_one_finger_are_one_pair_each(tmp_path: Path):
-    root, right = tmp_path / "data", ("bubble_imprint", "bubble_depth_ref", "K", "gelslim", "gelslim_ref")
+    root = tmp_path / "data"
+    right = ("bubble_imprint", "bubble_depth_ref", "K", "gelslim", "gelslim_ref")
     for number in range(2):
         save_pair(root, "train", "hex", number)
     for file in root.rglob("*.pt"):
@@ -126,15 +144,23 @@ def test_grasps_of_one_finger_are_one_pair_each(tmp_path: Path):
     assert [s.name for s in recording.streams] == ["gelslim right", "soft_bubble right"]
     assert recording.notes[0].startswith("2 grasps of 1 tool, one finger each")
     assert recording.stream("gelslim right").frame(1).image[0, 0, 0] == 101
-    assert recording.stream("soft_bubble right").frame(0).image[70, 80] == pytest.approx(70.0, abs=1e-3)
+    assert recording.stream("soft_bubble right").frame(0).image[70, 80] == pytest.approx(
+        70.0, abs=1e-3
+    )
     file = next((root / "train" / "gelslims").glob("*_0.pt"))
     saved(file, {**torch.load(file), "gelslim_ref": torch.zeros(3, 3, 320, 427)})
-    with pytest.raises(FileProblem, match=r"gelslim_ref must have shape \(2, 3, 320, 427\), got \(3, 3"):
+    with pytest.raises(
+        FileProblem, match=r"gelslim_ref must have shape \(2, 3, 320, 427\), got \(3, 3"
+    ):
         open_recording(root).stream("gelslim right").frame(0)
 
 
-@pytest.mark.parametrize("names", [("gelslims_no_distortion",), ("gelslims", "gelslims_no_distortion")])
-def test_undistorted_images_are_read_where_there_are_no_others(tmp_path: Path, names: tuple[str, ...]):
+@pytest.mark.parametrize(
+    "names", [("gelslims_no_distortion",), ("gelslims", "gelslims_no_distortion")]
+)
+def test_undistorted_images_are_read_where_there_are_no_others(
+    tmp_path: Path, names: tuple[str, ...]
+):
     for number in range(2):
         saved(tmp_path / "train" / "bubbles" / f"hex_data_{number}.pt", bubble(number))
         for k, name in enumerate(names):

@@ -24,12 +24,18 @@ N_FRAMES = 12
 FLOAT_ROUNDING_MM = 2e-6  # of float32 below 32 mm
 
 
-def gel_frame(index: int, shape: tuple[int, int] = (40, 60), reference: bool = True) -> TactileFrame:
+def gel_frame(
+    index: int, shape: tuple[int, int] = (40, 60), reference: bool = True
+) -> TactileFrame:
     rng = np.random.default_rng(index)
     image = rng.integers(0, 256, (*shape, 3), dtype=np.uint8)
     untouched = np.random.default_rng(99).integers(0, 256, (*shape, 3), dtype=np.uint8)
     return TactileFrame(
-        sensor="gelslim", image=image, reference=untouched if reference else None, index=index, time_s=0.1 * index
+        sensor="gelslim",
+        image=image,
+        reference=untouched if reference else None,
+        index=index,
+        time_s=0.1 * index,
     )
 
 
@@ -39,7 +45,11 @@ def bubble_frame(index: int) -> TactileFrame:
     depth[0, 0] = np.nan
     camera = Camera(rows=14, cols=17, fx_px=18.0, fy_px=19.0, cx_px=8.0, cy_px=6.5)
     return TactileFrame(
-        sensor="soft_bubble", image=depth, reference=np.full((14, 17), 80, np.float32), index=index, camera=camera
+        sensor="soft_bubble",
+        image=depth,
+        reference=np.full((14, 17), 80, np.float32),
+        index=index,
+        camera=camera,
     )
 
 
@@ -47,7 +57,9 @@ def gel_truth(index: int, shape: tuple[int, int] = (40, 60)) -> Truth:
     depth = np.random.default_rng(index).uniform(-0.1, 1.9, shape).astype(np.float32)
     depth[3, 4] = np.nan
     return Truth(
-        indentation_mm=depth, contact=depth > 1.0, sensor_from_object=rigid.from_parts((1.0, 2.0, index), (0, 0, 5))
+        indentation_mm=depth,
+        contact=depth > 1.0,
+        sensor_from_object=rigid.from_parts((1.0, 2.0, index), (0, 0, 5)),
     )
 
 
@@ -57,12 +69,16 @@ MESH = Mesh(
     name="corner",
 )
 PAIR = Pairing(
-    source="gelslim", target="bubble", target_from_source=rigid.from_parts((1.0, -2.0, 60.0), (0.0, 0.0, 180.0))
+    source="gelslim",
+    target="bubble",
+    target_from_source=rigid.from_parts((1.0, -2.0, 60.0), (0.0, 0.0, 180.0)),
 )
 
 
 def written(path: Path, n_frames: int = N_FRAMES, **options) -> Path:
-    with RecordingWriter(path, object_mesh=MESH, pairings=(PAIR,), notes=("made by a test",), **options) as writer:
+    with RecordingWriter(
+        path, object_mesh=MESH, pairings=(PAIR,), notes=("made by a test",), **options
+    ) as writer:
         for index in range(n_frames):
             writer.append("gelslim", gel_frame(index), gel_truth(index))
             writer.append("bubble", bubble_frame(index))
@@ -82,7 +98,10 @@ def recording(file: Path):
 
 
 def readable(recording: Recording, name: str) -> list[int]:
-    """The frames of a stream that can be read and hold what was written; any wrong pixel fails the test."""
+    """The frames of a stream that can be read and hold what was written.
+
+    Any wrong pixel fails the test.
+    """
     good: list[int] = []
     stream = recording.stream(name)
     for index in range(stream.n_frames):
@@ -107,8 +126,11 @@ def test_frames_are_read_as_written(recording: Recording):
 
 
 def test_truth_is_read_within_a_twentieth_of_a_micrometre(recording: Recording):
-    truth, want = recording.stream("gelslim").truth(5), gel_truth(5)
-    np.testing.assert_allclose(truth.indentation_mm, want.indentation_mm, atol=GEL_STEP_MM / 2 + FLOAT_ROUNDING_MM)
+    truth = recording.stream("gelslim").truth(5)
+    want = gel_truth(5)
+    np.testing.assert_allclose(
+        truth.indentation_mm, want.indentation_mm, atol=GEL_STEP_MM / 2 + FLOAT_ROUNDING_MM
+    )
     assert np.isnan(truth.indentation_mm[3, 4])
     np.testing.assert_array_equal(truth.contact, want.contact)
     np.testing.assert_array_equal(truth.sensor_from_object, want.sensor_from_object)
@@ -122,8 +144,10 @@ def test_mesh_camera_and_pairing_are_read_as_written(recording: Recording):
     assert recording.object_mesh.name == "corner"
     assert recording.stream("bubble").frame(0).camera == bubble_frame(0).camera
     assert recording.stream("gelslim").frame(0).camera is None
-    there, back = recording.target_from_source("gelslim", "bubble"), recording.target_from_source("bubble", "gelslim")
-    np.testing.assert_allclose(there @ back, np.eye(4), atol=1e-9)  # float64 rounding of lengths below 100 mm
+    there = recording.target_from_source("gelslim", "bubble")
+    back = recording.target_from_source("bubble", "gelslim")
+    # float64 rounding of lengths below 100 mm
+    np.testing.assert_allclose(there @ back, np.eye(4), atol=1e-9)
     assert recording.target_from_source("gelslim", "digit") is None
 
 
@@ -134,7 +158,11 @@ def test_row_differences_are_lossless_and_smaller_for_smooth_images(tmp_path: Pa
     sizes = []
     for coding in ("plain", "row differences"):
         with RecordingWriter(tmp_path / "x.h5", coding=coding) as writer:
-            writer.append("gel", TactileFrame(sensor="gelslim", image=image, reference=None), gel_truth(0, (120, 160)))
+            writer.append(
+                "gel",
+                TactileFrame(sensor="gelslim", image=image, reference=None),
+                gel_truth(0, (120, 160)),
+            )
         sizes.append((tmp_path / "x.h5").stat().st_size)
         opened = open_recording(tmp_path / "x.h5")
         np.testing.assert_array_equal(opened.streams[0].frame(0).image, image)
@@ -155,7 +183,9 @@ def test_stepped_depth_is_off_by_half_a_step_at_most(tmp_path_factory, step_mm: 
         writer.append("bubble", TactileFrame(sensor="soft_bubble", image=depth, reference=depth))
     opened = open_recording(path)
     float_rounding_mm = 8e-6  # of float32 at 65 mm
-    np.testing.assert_allclose(opened.streams[0].frame(0).image, depth, atol=step_mm / 2 + float_rounding_mm)
+    np.testing.assert_allclose(
+        opened.streams[0].frame(0).image, depth, atol=step_mm / 2 + float_rounding_mm
+    )
     opened.close()
 
 
@@ -167,7 +197,8 @@ def test_a_length_that_does_not_fit_its_steps_is_refused(tmp_path: Path):
     ):
         writer.append("gelslim", gel_frame(0), truth)
     assert list(tmp_path.iterdir()) == []
-    assert BUBBLE_STEP_MM * np.iinfo(np.int16).max > 22.5  # mm, the deepest imprint of the published pairs
+    # mm, the deepest imprint of the published pairs
+    assert BUBBLE_STEP_MM * np.iinfo(np.int16).max > 22.5
 
 
 def test_truth_that_begins_late_is_unknown_before(tmp_path: Path):
@@ -193,7 +224,9 @@ def test_append_continues_a_recording(tmp_path: Path):
     opened = open_recording(path)
     assert readable(opened, "gelslim") == [0, 1, 2, 3]
     assert readable(opened, "bubble") == [0, 1, 2]
-    np.testing.assert_array_equal(opened.stream("gelslim").frame(3).reference, gel_frame(3).reference)
+    np.testing.assert_array_equal(
+        opened.stream("gelslim").frame(3).reference, gel_frame(3).reference
+    )
     opened.close()
 
 
@@ -207,7 +240,9 @@ def test_append_stores_no_reference_twice(tmp_path: Path, step_mm: float):
     with h5py.File(path) as file:
         assert [len(file[f"streams/{name}/references"]) for name in ("gelslim", "bubble")] == [1, 1]
     opened = open_recording(path)
-    np.testing.assert_array_equal(opened.stream("gelslim").frame(3).reference, gel_frame(3).reference)
+    np.testing.assert_array_equal(
+        opened.stream("gelslim").frame(3).reference, gel_frame(3).reference
+    )
     opened.close()
 
 
@@ -228,7 +263,9 @@ def test_frames_share_an_equal_reference_and_keep_different_ones(tmp_path: Path)
     with RecordingWriter(path) as writer:
         for index in range(4):
             still = np.full((8, 9, 3), 100 + index // 2, np.uint8)
-            writer.append("gel", TactileFrame(sensor="gelslim", image=still, reference=still, index=index))
+            writer.append(
+                "gel", TactileFrame(sensor="gelslim", image=still, reference=still, index=index)
+            )
     stream = open_recording(path).streams[0]
     references = [stream.frame(index).reference for index in (0, 1, 2, 3, 0)]
     assert references[0] is references[1]
@@ -243,13 +280,16 @@ def test_a_rewritten_recording_is_equal(tmp_path: Path, recording: Recording):
                 writer.append(stream.name, stream.frame(index), stream.truth(index))
     copy = open_recording(tmp_path / "copy.h5")
     assert readable(copy, "gelslim") == readable(copy, "bubble") == list(range(N_FRAMES))
-    a, b = copy.stream("gelslim").truth(7), recording.stream("gelslim").truth(7)
+    a = copy.stream("gelslim").truth(7)
+    b = recording.stream("gelslim").truth(7)
     np.testing.assert_array_equal(a.indentation_mm, b.indentation_mm)
     copy.close()
 
 
 @pytest.mark.parametrize("share", [0.9, 0.6, 0.45])
-def test_a_truncated_file_keeps_its_earlier_frames(tmp_path: Path, file: Path, share: float, monkeypatch):
+def test_a_truncated_file_keeps_its_earlier_frames(
+    tmp_path: Path, file: Path, share: float, monkeypatch
+):
     data = file.read_bytes()
     path = tmp_path / "cut.h5"
     path.write_bytes(data[: int(len(data) * share)])
@@ -258,13 +298,15 @@ def test_a_truncated_file_keeps_its_earlier_frames(tmp_path: Path, file: Path, s
     assert any("cut short" in note for note in opened.notes)
     good = readable(opened, "gelslim")
     assert good == list(range(len(good)))  # frames lie in order, so what is left is a beginning
-    assert len(good) >= int(N_FRAMES * share) - 4  # the table of contents, set aside in front, takes their room
+    # the table of contents, set aside in front, takes their room
+    assert len(good) >= int(N_FRAMES * share) - 4
     frame = opened.stream("gelslim").frame(0)
     np.testing.assert_array_equal(frame.reference, gel_frame(0).reference)
     assert opened.stream("gelslim").frame(good[-1]).time_s == pytest.approx(0.1 * good[-1])
     assert opened.stream("gelslim").truth(0).sensor_from_object is not None
     with pytest.raises(
-        FileProblem, match=rf"frame {len(good)} of 'gelslim': its frames are damaged or cut off.*cut\.h5"
+        FileProblem,
+        match=rf"frame {len(good)} of 'gelslim': its frames are damaged or cut off.*cut\.h5",
     ):
         opened.stream("gelslim").frame(len(good))
     opened.close()
@@ -273,7 +315,9 @@ def test_a_truncated_file_keeps_its_earlier_frames(tmp_path: Path, file: Path, s
 def test_a_file_cut_within_its_table_of_contents_is_refused(tmp_path: Path, file: Path):
     path = tmp_path / "stub.h5"
     path.write_bytes(file.read_bytes()[:700])
-    with pytest.raises(FileProblem, match=r"cut short before its table of contents|table of contents is damaged"):
+    with pytest.raises(
+        FileProblem, match=r"cut short before its table of contents|table of contents is damaged"
+    ):
         open_recording(path)
 
 
@@ -286,7 +330,9 @@ def test_a_flipped_byte_costs_one_frame_and_is_named(tmp_path: Path, file: Path)
     path.write_bytes(data)
     opened = open_recording(path)
     assert readable(opened, "gelslim") == [i for i in range(N_FRAMES) if i != 4]
-    with pytest.raises(FileProblem, match=r"frame 4 of 'gelslim': its frames are damaged") as caught:
+    with pytest.raises(
+        FileProblem, match=r"frame 4 of 'gelslim': its frames are damaged"
+    ) as caught:
         opened.stream("gelslim").frame(4)
     assert caught.value.field == "frame 4 gelslim/frames"
     with pytest.raises(FileProblem, match=r"frame 2 of 'gelslim': its truth/contact"):
@@ -296,7 +342,9 @@ def test_a_flipped_byte_costs_one_frame_and_is_named(tmp_path: Path, file: Path)
 
 def test_no_flipped_byte_changes_an_image_unnoticed(tmp_path: Path):
     path = written(tmp_path / "a.h5", 3)
-    data, rng, n_read = path.read_bytes(), np.random.default_rng(5), 0
+    data = path.read_bytes()
+    rng = np.random.default_rng(5)
+    n_read = 0
     for _ in range(40):
         flipped = bytearray(data)
         flipped[int(rng.integers(8, len(data)))] ^= 1 << int(rng.integers(8))
@@ -314,7 +362,10 @@ def test_no_flipped_byte_changes_an_image_unnoticed(tmp_path: Path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda f: f.attrs.__setitem__("format_version", 2), "format version 2 and this program reads up to 1"),
+        (
+            lambda f: f.attrs.__setitem__("format_version", 2),
+            "format version 2 and this program reads up to 1",
+        ),
         (lambda f: f.attrs.__delitem__("format"), "not a tactoscope recording"),
         (
             lambda f: f["streams/bubble/frames"].attrs.__setitem__("unit", "m"),
@@ -324,10 +375,15 @@ def test_no_flipped_byte_changes_an_image_unnoticed(tmp_path: Path):
             lambda f: f["streams/gelslim/truth/indentation"].attrs.__delitem__("unit"),
             "streams/gelslim/truth/indentation has no unit",
         ),
-        (lambda f: f["streams/bubble/camera_matrix"].__setitem__((0, 0), 0.0), "camera_matrix is singular"),
+        (
+            lambda f: f["streams/bubble/camera_matrix"].__setitem__((0, 0), 0.0),
+            "camera_matrix is singular",
+        ),
     ],
 )
-def test_content_that_does_not_fit_the_format_is_refused_by_name(tmp_path: Path, change, message: str):
+def test_content_that_does_not_fit_the_format_is_refused_by_name(
+    tmp_path: Path, change, message: str
+):
     path = written(tmp_path / "a.h5", 1)
     with h5py.File(path, "r+") as f:
         change(f)
@@ -339,7 +395,10 @@ def test_content_that_does_not_fit_the_format_is_refused_by_name(tmp_path: Path,
 @pytest.mark.parametrize("truth", [{"force_n": np.zeros(4)}, {"sensor_from_object": np.eye(3)}])
 def test_truth_of_another_shape_is_not_written(tmp_path: Path, truth):
     picture = TactileFrame(sensor="digit", image=np.zeros((4, 6, 3), np.uint8), reference=None)
-    with pytest.raises(ShapeError, match="of frame 0 must have shape"), RecordingWriter(tmp_path / "a.h5") as writer:
+    with (
+        pytest.raises(ShapeError, match="of frame 0 must have shape"),
+        RecordingWriter(tmp_path / "a.h5") as writer,
+    ):
         writer.append("digit", picture, Truth(**truth))
 
 
@@ -349,9 +408,13 @@ def test_truth_of_the_right_shape_is_read_as_written(tmp_path: Path, truth):
     with RecordingWriter(tmp_path / "a.h5") as writer:
         writer.append("digit", picture, Truth(**truth))
     ((name, value),) = truth.items()
-    np.testing.assert_array_equal(getattr(open_recording(tmp_path / "a.h5").stream().truth(0), name), value)
+    np.testing.assert_array_equal(
+        getattr(open_recording(tmp_path / "a.h5").stream().truth(0), name), value
+    )
 
 
 def test_a_missing_frame_names_the_range(recording: Recording):
-    with pytest.raises(FileProblem, match=f"there is no frame {N_FRAMES}, frames are 0 to {N_FRAMES - 1}"):
+    with pytest.raises(
+        FileProblem, match=f"there is no frame {N_FRAMES}, frames are 0 to {N_FRAMES - 1}"
+    ):
         recording.stream("gelslim").frame(N_FRAMES)

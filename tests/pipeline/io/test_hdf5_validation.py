@@ -1,4 +1,6 @@
-"""Recordings from strangers: whatever one dataset is turned into, the file is refused or read as the layout says."""
+"""Recordings from strangers: whatever one dataset is turned into, the file is refused or read as
+the layout says.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ SECRET = b"what only the reader of the recording may see" * 100
 def datasets_of(path: Path) -> list[str]:
     names: list[str] = []
     with h5py.File(path) as file:
-        file.visititems(lambda name, part: names.append(name) if isinstance(part, h5py.Dataset) else None)
+        file.visititems(
+            lambda name, part: names.append(name) if isinstance(part, h5py.Dataset) else None
+        )
     return names
 
 
@@ -31,9 +35,16 @@ def cut_down(path: Path) -> Path:
     """The real recording with its first two frames alone, so that a test may change it often."""
     with (
         closing(hdf5.read(REAL)) as real,
-        RecordingWriter(path, object_mesh=real.object_mesh, symmetry=real.symmetry, pairings=real.pairings, notes=real.notes,
-               coding="row differences", depth_step_mm=0.05) as writer,
-    ):  # fmt: skip
+        RecordingWriter(
+            path,
+            object_mesh=real.object_mesh,
+            symmetry=real.symmetry,
+            pairings=real.pairings,
+            notes=real.notes,
+            coding="row differences",
+            depth_step_mm=0.05,
+        ) as writer,
+    ):
         for stream in real.streams:
             for index in range(2):
                 writer.append(stream.name, stream.frame(index), stream.truth(index))
@@ -66,7 +77,10 @@ NUMBERS = ("u1", "i1", "u2", "i4", "i8", "u8", "f2", "f4", "f8", ">f4", ">i4", "
 
 
 def read_all(path: Path) -> bool:
-    """Whether the recording is refused, as a whole or in part; what is not must be as the contract has it."""
+    """Whether the recording is refused, as a whole or in part.
+
+    What is not must be as the contract has it.
+    """
     refused = False
     try:
         recording = open_recording(path)
@@ -78,7 +92,8 @@ def read_all(path: Path) -> bool:
         for stream in recording.streams:
             for index in range(stream.n_frames):
                 try:
-                    frame, truth = stream.frame(index), stream.truth(index)
+                    frame = stream.frame(index)
+                    truth = stream.truth(index)
                 except FileProblem:
                     refused = True
                     continue
@@ -88,8 +103,14 @@ def read_all(path: Path) -> bool:
                 assert isinstance(frame.time_s, float)
                 if truth is not None:
                     assert truth.indentation_mm is None or truth.indentation_mm.shape == rows_cols
-                    assert truth.contact is None or (truth.contact.shape, truth.contact.dtype) == (rows_cols, np.bool_)
-                    assert truth.sensor_from_object is None or truth.sensor_from_object.shape == (4, 4)
+                    assert truth.contact is None or (truth.contact.shape, truth.contact.dtype) == (
+                        rows_cols,
+                        np.bool_,
+                    )
+                    assert truth.sensor_from_object is None or truth.sensor_from_object.shape == (
+                        4,
+                        4,
+                    )
         mesh = recording.object_mesh
         assert mesh is None or mesh.vertices_mm[mesh.triangles].shape == (len(mesh.triangles), 3, 3)
         assert all(pair.target_from_source.shape == (4, 4) for pair in recording.pairings)
@@ -97,12 +118,24 @@ def read_all(path: Path) -> bool:
 
 
 ROWS = {"one row too many", "one row too few", "no rows"}
-ANY_ROWS = {"references", "rotations", "vertices", "triangles", "indentation", "contact", "sensor_from_object", "force"}
+ANY_ROWS = {
+    "references",
+    "rotations",
+    "vertices",
+    "triangles",
+    "indentation",
+    "contact",
+    "sensor_from_object",
+    "force",
+}
 
 
 @pytest.mark.parametrize("name", datasets_of(REAL))
 def test_datasets_of_another_type_or_shape_are_refused(tmp_path: Path, small: Path, name: str):
-    """Every type that is no number and every other shape is refused; another width of number is read or refused."""
+    """Every type that is no number and every other shape is refused.
+
+    Another width of number is read or refused.
+    """
     refusals = 0
     with h5py.File(small) as file:
         values = file[name][()]
@@ -150,27 +183,45 @@ STREAM = "streams/gelslim"
 def elsewhere(file: h5py.File, folder: Path, how: str) -> None:
     """Have the frames lie in another file."""
     frames = file[f"{STREAM}/frames"]
-    shape, unit = frames.shape, frames.attrs["unit"]
+    shape = frames.shape
+    unit = frames.attrs["unit"]
     secret = folder / "secret"
     secret.write_bytes(SECRET)
     del file[f"{STREAM}/frames"]
     group = file[STREAM]
     if how == "external storage":
-        made = group.create_dataset("frames", shape, "u1", external=[(str(secret), 0, h5py.h5f.UNLIMITED)])
+        made = group.create_dataset(
+            "frames", shape, "u1", external=[(str(secret), 0, h5py.h5f.UNLIMITED)]
+        )
     elif how == "virtual":
         layout = h5py.VirtualLayout(shape, "u1")
-        layout[:] = h5py.VirtualSource(str(REAL), "streams/gelslim/frames", shape=(60, *shape[1:]))[: shape[0]]
+        layout[:] = h5py.VirtualSource(str(REAL), "streams/gelslim/frames", shape=(60, *shape[1:]))[
+            : shape[0]
+        ]
         made = group.create_virtual_dataset("frames", layout)
     else:
-        link = h5py.ExternalLink(str(REAL), "/streams/gelslim/frames") if how == "external link" else None
+        link = (
+            h5py.ExternalLink(str(REAL), "/streams/gelslim/frames")
+            if how == "external link"
+            else None
+        )
         group["frames"] = link or h5py.SoftLink("/streams/gelslim/references")
         return
     made.attrs["unit"] = unit
 
 
-@pytest.mark.parametrize(("how", "problem"), [("external storage", "lies in another file"), ("virtual", "lies in another file"),
-                                           ("external link", "is a link"), ("soft link", "is a link")])  # fmt: skip
-def test_frames_that_lie_in_another_file_are_refused(tmp_path: Path, small: Path, how: str, problem: str):
+@pytest.mark.parametrize(
+    ("how", "problem"),
+    [
+        ("external storage", "lies in another file"),
+        ("virtual", "lies in another file"),
+        ("external link", "is a link"),
+        ("soft link", "is a link"),
+    ],
+)
+def test_frames_that_lie_in_another_file_are_refused(
+    tmp_path: Path, small: Path, how: str, problem: str
+):
     message = refusal(edited(small, tmp_path, lambda file: elsewhere(file, tmp_path, how)))
     assert f"{STREAM}/frames" in message
     assert problem in message
@@ -178,38 +229,53 @@ def test_frames_that_lie_in_another_file_are_refused(tmp_path: Path, small: Path
 
 @pytest.mark.parametrize(
     ("name", "shape", "kind"),
-    [(f"{STREAM}/frames", (2, 1 << 20, 1 << 20, 3), "u1"), ("object/vertices", (1 << 40, 3), "f8"),
-     (f"{STREAM}/timestamps", (1 << 40,), "f8"), ("object/symmetry/rotations", (1 << 40, 3, 3), "f8")],
-)  # fmt: skip
+    [
+        (f"{STREAM}/frames", (2, 1 << 20, 1 << 20, 3), "u1"),
+        ("object/vertices", (1 << 40, 3), "f8"),
+        (f"{STREAM}/timestamps", (1 << 40,), "f8"),
+        ("object/symmetry/rotations", (1 << 40, 3, 3), "f8"),
+    ],
+)
 def test_declared_sizes_are_refused_before_allocation(
     tmp_path: Path, small: Path, name: str, shape: tuple[int, ...], kind: str
 ):
     def declare(file: h5py.File) -> None:
         unit = file[name].attrs["unit"]
         del file[name]
-        file.create_dataset(name, shape, kind, chunks=(1, *(min(n, 16) for n in shape[1:]))).attrs["unit"] = unit
+        file.create_dataset(name, shape, kind, chunks=(1, *(min(n, 16) for n in shape[1:]))).attrs[
+            "unit"
+        ] = unit
 
     path = edited(small, tmp_path, declare)
     assert path.stat().st_size < 2 * small.stat().st_size + 10_000
     message = refusal(path)
     assert name in message
-    assert any(text in message for text in ("cannot be as large as", "must have shape", "GB of memory, more than"))
+    assert any(
+        text in message
+        for text in ("cannot be as large as", "must have shape", "GB of memory, more than")
+    )
 
 
 def test_chunks_that_are_too_large_are_refused(tmp_path: Path, small: Path):
     def declare(file: h5py.File) -> None:
-        file[STREAM].create_dataset("more", (1, 1 << 15, 1 << 15), "f4", chunks=(1, 1 << 15, 1 << 14))
+        file[STREAM].create_dataset(
+            "more", (1, 1 << 15, 1 << 15), "f4", chunks=(1, 1 << 15, 1 << 14)
+        )
 
     assert "chunks that are too large" in refusal(edited(small, tmp_path, declare))
 
 
-@pytest.mark.parametrize("named", ["/etc/own.toml", "../gelslim", "digit.toml", "dig it", "\x1b[31m"])
+@pytest.mark.parametrize(
+    "named", ["/etc/own.toml", "../gelslim", "digit.toml", "dig it", "\x1b[31m"]
+)
 def test_a_recording_names_a_sensor_and_no_file(tmp_path: Path, small: Path, named: str):
     path = edited(small, tmp_path, lambda file: file[STREAM].attrs.__setitem__("sensor", named))
     assert "is no sensor name" in refusal(path)
 
 
-@pytest.mark.parametrize("value", [["a text"] * 3000, np.zeros((300, 300)), np.zeros(1, [("a", "f4", 9)])])
+@pytest.mark.parametrize(
+    "value", [["a text"] * 3000, np.zeros((300, 300)), np.zeros(1, [("a", "f4", 9)])]
+)
 def test_an_attribute_that_unfolds_is_refused_by_its_type(tmp_path: Path, small: Path, value):
     """One text, referred to thousands of times in a file of 8 MB, would fill gigabytes."""
     path = edited(small, tmp_path, lambda file: file[STREAM].attrs.__setitem__("more", value))
@@ -217,7 +283,9 @@ def test_an_attribute_that_unfolds_is_refused_by_its_type(tmp_path: Path, small:
 
 
 def test_a_group_that_holds_itself_is_refused(tmp_path: Path, small: Path):
-    path = edited(small, tmp_path, lambda file: file["streams"].__setitem__("again", file["streams"]))
+    path = edited(
+        small, tmp_path, lambda file: file["streams"].__setitem__("again", file["streams"])
+    )
     assert "parts" in refusal(path)
 
 

@@ -17,7 +17,9 @@ N_TOUCHES = 3
 
 
 def write(path: Path, *colour: int) -> None:
-    assert cv2.imwrite(str(path), np.full((*SHAPE, len(colour)) if len(colour) > 1 else SHAPE, colour, np.uint8))
+    assert cv2.imwrite(
+        str(path), np.full((*SHAPE, len(colour)) if len(colour) > 1 else SHAPE, colour, np.uint8)
+    )
 
 
 @pytest.fixture
@@ -30,10 +32,13 @@ def clip(tmp_path: Path) -> Path:
 
 def test_grey_images_next_to_colour_ones_are_left_out(clip: Path):
     recording = open_recording(clip, sensor="gelslim")
-    assert [recording.streams[0].frame(i).origin[-13:] for i in range(recording.streams[0].n_frames)] == [
-        f"touch_{i:03d}.png" for i in range(N_TOUCHES)
-    ]
-    assert any(note.startswith("3 grey images such as lab_depth_000.png are left out") for note in recording.notes)
+    assert [
+        recording.streams[0].frame(i).origin[-13:] for i in range(recording.streams[0].n_frames)
+    ] == [f"touch_{i:03d}.png" for i in range(N_TOUCHES)]
+    assert any(
+        note.startswith("3 grey images such as lab_depth_000.png are left out")
+        for note in recording.notes
+    )
 
 
 def test_grey_images_alone_stay(tmp_path: Path):
@@ -80,7 +85,9 @@ def test_a_sequence_that_begins_with_frames_alike_has_their_median_as_reference(
 def test_a_frame_without_reference_says_so_by_its_own_error(tmp_path: Path):
     for i in range(N_TOUCHES):
         write(tmp_path / f"touch_{i}.png", 10, 60, 60 + 60 * i)
-    translation = open_translation(Request(recording=tmp_path, source="gelslim", target="soft_bubble"))
+    translation = open_translation(
+        Request(recording=tmp_path, source="gelslim", target="soft_bubble")
+    )
     with pytest.raises(MissingReference):
         _ = translation[0].depth
     translation.recording.close()

@@ -40,7 +40,8 @@ def test_frames_come_in_natural_order_with_the_background_as_reference(folder: P
 
 
 @pytest.mark.parametrize(
-    ("shape", "sensor"), [((320, 427), "gelslim"), ((320, 240), "digit"), ((240, 320), "gelsight_mini")]
+    ("shape", "sensor"),
+    [((320, 427), "gelslim"), ((320, 240), "digit"), ((240, 320), "gelsight_mini")],
 )
 def test_the_sensor_is_guessed_from_the_size_with_a_note(tmp_path: Path, shape, sensor: str):
     save(tmp_path / "a.png", shape=shape)
@@ -98,7 +99,9 @@ def test_one_damaged_image_is_named_and_the_others_are_read(folder: Path, damage
 
 def test_an_image_of_another_size_is_named(folder: Path):
     save(folder / "a_small.png", shape=(20, 30))
-    with pytest.raises(FileProblem, match=r"frame 0 is 30 x 20 px, the others are 320 x 240 px.*a_small\.png"):
+    with pytest.raises(
+        FileProblem, match=r"frame 0 is 30 x 20 px, the others are 320 x 240 px.*a_small\.png"
+    ):
         open_recording(folder).streams[0].frame(0)
 
 
@@ -113,7 +116,9 @@ def test_link_loops_pipes_and_odd_names_in_a_folder_are_skipped(folder: Path):
     names = [Path(stream.frame(i).origin).name for i in range(2, stream.n_frames)]
     assert name in names
     for index in (0, 1):
-        with pytest.raises(FileProblem, match=r"cannot read the image \((Too many levels|this is a pipe)"):
+        with pytest.raises(
+            FileProblem, match=r"cannot read the image \((Too many levels|this is a pipe)"
+        ):
             stream.frame(index)
 
 
@@ -135,7 +140,9 @@ def test_an_empty_folder_and_one_without_images_are_refused(tmp_path: Path):
         ("a.mp4", b"hello", "the video cannot be opened"),
     ],
 )
-def test_files_that_are_no_recordings_are_refused(tmp_path: Path, name: str, content: bytes, message: str):
+def test_files_that_are_no_recordings_are_refused(
+    tmp_path: Path, name: str, content: bytes, message: str
+):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(FileProblem, match=message):
         open_recording(tmp_path / name)
@@ -184,9 +191,15 @@ def test_a_reference_of_another_size_is_refused(film: Path, tmp_path: Path):
 
 @pytest.mark.parametrize(
     ("name", "n_frames", "sensor"),
-    [("gelslim3_balls", 39, "gelslim"), ("digit_balls", 42, "digit"), ("gsmini_balls", 67, "gelsight_mini")],
+    [
+        ("gelslim3_balls", 39, "gelslim"),
+        ("digit_balls", 42, "digit"),
+        ("gsmini_balls", 67, "gelsight_mini"),
+    ],
 )
-def test_real_folders_open_with_their_reference(real_data: Path, name: str, n_frames: int, sensor: str):
+def test_real_folders_open_with_their_reference(
+    real_data: Path, name: str, n_frames: int, sensor: str
+):
     stream = open_recording(real_data / name).streams[0]
     assert (stream.n_frames, stream.sensor) == (n_frames, sensor)
     assert stream.frame(0).reference is not None
@@ -194,14 +207,24 @@ def test_real_folders_open_with_their_reference(real_data: Path, name: str, n_fr
 
 def test_a_reference_of_another_size_is_named_in_the_error(folder: Path):
     save(folder / "background.png", shape=(480, 640))
-    with pytest.raises(FileProblem, match=r"reference image is 640 x 480 px, the others are 320 x 240 px.*background"):
+    with pytest.raises(
+        FileProblem,
+        match=r"reference image is 640 x 480 px, the others are 320 x 240 px.*background",
+    ):
         open_recording(folder)
     save(folder / "press_1.png", shape=(480, 640))
-    assert open_recording(folder).streams[0].frame(0).image.shape == (480, 640, 3), "then one frame fits, others do not"
+    assert open_recording(folder).streams[0].frame(0).image.shape == (480, 640, 3), (
+        "then one frame fits, others do not"
+    )
 
 
 def test_the_longest_sensor_name_in_the_names_of_the_files_is_taken():
     names = ["gelslim_dotless_01.png", "gelslim_dotless_02.png"]
-    assert resolve_sensor_name("", (111, 99), is_depth=False, file_names=names)[0] == "gelslim_dotless"
-    assert resolve_sensor_name("", (111, 99), is_depth=False, file_names=[*names, "gelslim_3.png"])[0] == "gelslim"
+    assert (
+        resolve_sensor_name("", (111, 99), is_depth=False, file_names=names)[0] == "gelslim_dotless"
+    )
+    assert (
+        resolve_sensor_name("", (111, 99), is_depth=False, file_names=[*names, "gelslim_3.png"])[0]
+        == "gelslim"
+    )
     assert resolve_sensor_name("", (111, 99), is_depth=False, file_names=["mygelslim.png"])[0] == ""

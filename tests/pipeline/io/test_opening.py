@@ -1,4 +1,6 @@
-"""Places that are odd rather than damaged: names that are no text, and what says where a file should be read from."""
+"""Places that are odd rather than damaged: names that are no text, and what says where a file
+should be read from.
+"""
 
 from __future__ import annotations
 

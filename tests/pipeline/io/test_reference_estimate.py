@@ -101,25 +101,35 @@ def test_a_median_between_two_grey_levels_is_rounded(tmp_path):
 
 @pytest.fixture(scope="module")
 def gel_folder(tmp_path_factory):
-    """A GelSlim in mid-touch at first, then untouched, with the noise of a camera; (folder, untouched image)."""
+    """A GelSlim in mid-touch at first, then untouched, with the noise of a camera.
+
+    (folder, untouched image).
+    """
     frame = open_recording(SAMPLE_RECORDING).stream("gelslim").frame(0)
     touch = max(
         (open_recording(SAMPLE_RECORDING).stream("gelslim").frame(i) for i in range(16)),
         key=lambda f: np.abs(f.image.astype(int) - f.reference).sum(),
     )
-    rng, folder = np.random.default_rng(0), tmp_path_factory.mktemp("gel")
+    rng = np.random.default_rng(0)
+    folder = tmp_path_factory.mktemp("gel")
     for index, image in enumerate([touch.image] * 3 + [frame.reference] * 9):
         noisy = (image + rng.normal(0, 1.0, image.shape)).clip(0, 255).round().astype(np.uint8)
         cv2.imwrite(str(folder / f"frame_{index:02d}.png"), noisy[..., ::-1])
     return folder, frame.reference
 
 
-@pytest.mark.parametrize(("frames", "note"), [
-    ("median", "the median of 12 frames is the reference; check that it shows no touch, as chosen"),
-    ("untouched", "the median of 9 frames with least contact is the reference, as chosen"),
-    ("11", "frame 11 is the reference, as chosen"),
-    ("3", "frame 3, as the median with the 8 alike ones after it, is the reference, as chosen"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("frames", "note"),
+    [
+        (
+            "median",
+            "the median of 12 frames is the reference; check that it shows no touch, as chosen",
+        ),
+        ("untouched", "the median of 9 frames with least contact is the reference, as chosen"),
+        ("11", "frame 11 is the reference, as chosen"),
+        ("3", "frame 3, as the median with the 8 alike ones after it, is the reference, as chosen"),
+    ],
+)
 def test_a_reference_is_made_of_the_recordings_own_frames(gel_folder, frames, note):
     folder, untouched = gel_folder
     recording = open_recording(folder, sensor="gelslim", reference_frames=frames)
@@ -127,7 +137,9 @@ def test_a_reference_is_made_of_the_recordings_own_frames(gel_folder, frames, no
     reference = recording.stream().frame(0).reference
     spread = 3.0 if frames == "11" else 1.0
     assert np.abs(reference.astype(int) - untouched).mean() < spread
-    assert all(recording.stream().frame(i).reference is reference for i in (0, 7)), "one array, so one estimate"
+    assert all(recording.stream().frame(i).reference is reference for i in (0, 7)), (
+        "one array, so one estimate"
+    )
 
 
 def test_a_reference_of_depth_frames_is_their_median_in_mm():
@@ -136,15 +148,23 @@ def test_a_reference_of_depth_frames_is_their_median_in_mm():
     stack = np.stack([stream.frame(i).image for i in range(stream.n_frames)])
     assert stream.frame(0).reference.dtype == np.float32
     np.testing.assert_allclose(stream.frame(0).reference, np.nanmedian(stack, axis=0), rtol=1e-6)
-    assert recording.stream("gelslim").frame(0).reference.dtype == np.uint8, "of another sensor, as recorded"
+    assert recording.stream("gelslim").frame(0).reference.dtype == np.uint8, (
+        "of another sensor, as recorded"
+    )
 
 
-@pytest.mark.parametrize(("options", "words"), [
-    ({"reference_frames": "99"}, "a frame from 0 to 11, got '99'"),
-    ({"reference_frames": "-1"}, "got '-1'"),
-    ({"reference_frames": "mean"}, "'median', of 'untouched' frames or of a frame"),
-    ({"reference_frames": "0", "reference": "frame_00.png"}, "either a file or made of the recording's frames"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"reference_frames": "99"}, "a frame from 0 to 11, got '99'"),
+        ({"reference_frames": "-1"}, "got '-1'"),
+        ({"reference_frames": "mean"}, "'median', of 'untouched' frames or of a frame"),
+        (
+            {"reference_frames": "0", "reference": "frame_00.png"},
+            "either a file or made of the recording's frames",
+        ),
+    ],
+)
 def test_other_references_are_refused(gel_folder, options, words):
     folder, _ = gel_folder
     if "reference" in options:
@@ -164,11 +184,26 @@ def test_a_recording_that_grows_keeps_the_reference_that_was_chosen(gel_folder):
 
 def test_a_bundle_holds_the_frame_with_the_reference_that_was_chosen(tmp_path, gel_folder):
     folder, untouched = gel_folder
-    options = ["--sensor", "gelslim", "--target", "soft_bubble", "--method", "depth=physics", "--frame", "5"]
+    options = [
+        "--sensor",
+        "gelslim",
+        "--target",
+        "soft_bubble",
+        "--method",
+        "depth=physics",
+        "--frame",
+        "5",
+    ]
     out = tmp_path / "a.bundle"
-    assert not run_app(build_app(), ["bundle", str(folder), *options, "--reference-frames", "11", "--out", str(out)])
+    assert not run_app(
+        build_app(),
+        ["bundle", str(folder), *options, "--reference-frames", "11", "--out", str(out)],
+    )
     (file,) = out.rglob("frame.h5")
-    assert np.abs(open_recording(file).stream().frame(0).reference.astype(int) - untouched).mean() < 3.0
+    assert (
+        np.abs(open_recording(file).stream().frame(0).reference.astype(int) - untouched).mean()
+        < 3.0
+    )
     assert not run_app(build_app(), ["replay", str(out)])
 
 
@@ -177,5 +212,9 @@ def test_a_note_that_no_reference_was_found_goes_where_one_is_chosen(tmp_path):
     cv2.imwrite(str(tmp_path / "touch.png"), image[..., ::-1])
     (note,) = [n for n in open_recording(tmp_path, sensor="gelslim").notes if "reference" in n]
     assert "no reference image was found" in note
-    (note,) = [n for n in open_recording(tmp_path, sensor="gelslim", reference_frames="0").notes if "reference" in n]
+    (note,) = [
+        n
+        for n in open_recording(tmp_path, sensor="gelslim", reference_frames="0").notes
+        if "reference" in n
+    ]
     assert note == "frame 0 is the reference, as chosen"

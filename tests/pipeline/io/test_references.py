@@ -39,18 +39,26 @@ def test_frames_after_the_first_contact_are_not_averaged(depth_mm):
 
 def test_a_single_frame_is_returned_unchanged():
     first = noisy(STILL, 0)
-    found, n = denoise_reference(first, [noisy(STILL, 1), noisy(press("gelsight_mini")[1].image, 2)])
+    found, n = denoise_reference(
+        first, [noisy(STILL, 1), noisy(press("gelsight_mini")[1].image, 2)]
+    )
     assert n == 0
     assert found is first
 
 
 def test_a_folder_opens_with_the_averaged_reference(tmp_path):
-    for name, image in (("ref", noisy(STILL, 0)), *((f"{k}", noisy(STILL, k)) for k in range(1, 5))):
+    for name, image in (
+        ("ref", noisy(STILL, 0)),
+        *((f"{k}", noisy(STILL, k)) for k in range(1, 5)),
+    ):
         cv2.imwrite(str(tmp_path / f"{name}.png"), image[..., ::-1])
     recording = open_recording(tmp_path, sensor="gelsight_mini")
     assert any("first 4 frames" in note for note in recording.notes)
     reference = recording.streams[0].frame(0).reference
-    assert np.abs(reference.astype(float) - STILL).mean() < 0.6 * np.abs(noisy(STILL, 0).astype(float) - STILL).mean()
+    assert (
+        np.abs(reference.astype(float) - STILL).mean()
+        < 0.6 * np.abs(noisy(STILL, 0).astype(float) - STILL).mean()
+    )
     as_asked = open_recording(tmp_path, sensor="gelsight_mini", reference=tmp_path / "ref.png")
     assert np.array_equal(as_asked.streams[0].frame(0).reference, noisy(STILL, 0))
 
@@ -59,7 +67,9 @@ def test_a_folder_opens_with_the_averaged_reference(tmp_path):
 def film(tmp_path):
     def made(*pictures):
         path = tmp_path / "touch.avi"
-        writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, STILL.shape[1::-1])
+        writer = cv2.VideoWriter(
+            str(path), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, STILL.shape[1::-1]
+        )
         for picture in pictures:
             writer.write(np.ascontiguousarray(picture[..., ::-1]))
         writer.release()
@@ -71,7 +81,9 @@ def film(tmp_path):
 @pytest.mark.parametrize("depth_mm", [0.15, 0.5])
 def test_a_video_that_begins_with_contact_takes_a_later_frame_as_reference(film, depth_mm):
     _, touch, _ = press("gelsight_mini", depth_mm=depth_mm)
-    recording = open_recording(film(*[touch.image] * 3, *[STILL] * 4, touch.image), sensor="gelsight_mini")
+    recording = open_recording(
+        film(*[touch.image] * 3, *[STILL] * 4, touch.image), sensor="gelsight_mini"
+    )
     (warning,) = select_warnings(recording.notes)
     assert "frames 3 to 6" in warning
     assert "--reference" in warning
@@ -88,7 +100,9 @@ def test_a_video_that_begins_without_contact_keeps_its_first_frames_when_the_lig
     recording.close()
 
 
-START = [np.zeros_like(STILL)] * 2 + [np.rint(STILL * gain).astype(np.uint8) for gain in (0.3, 0.6, 0.85)]
+START = [np.zeros_like(STILL)] * 2 + [
+    np.rint(STILL * gain).astype(np.uint8) for gain in (0.3, 0.6, 0.85)
+]
 
 
 OVEREXPOSED = [np.clip(STILL * 3.0, 0, 255).astype(np.uint8)] * 3
@@ -96,11 +110,15 @@ OVEREXPOSED = [np.clip(STILL * 3.0, 0, 255).astype(np.uint8)] * 3
 
 @pytest.mark.parametrize("dark", [START, START[:2], START[2:3] * 3, START[3:], OVEREXPOSED])
 @pytest.mark.parametrize("is_film", [False, True])
-def test_the_dark_frames_of_a_camera_that_starts_are_no_reference(film, tmp_path, dark, is_film: bool):
+def test_the_dark_frames_of_a_camera_that_starts_are_no_reference(
+    film, tmp_path, dark, is_film: bool
+):
     _, touch, _ = press("gelsight_mini", depth_mm=0.5)
     images = [*dark, *[STILL] * 4, *[touch.image] * 6]
     for index, image in enumerate(images):
-        cv2.imwrite(str(tmp_path / f"frame_{index:03d}.png"), np.ascontiguousarray(image[..., ::-1]))
+        cv2.imwrite(
+            str(tmp_path / f"frame_{index:03d}.png"), np.ascontiguousarray(image[..., ::-1])
+        )
     recording = open_recording(film(*images) if is_film else tmp_path, sensor="gelsight_mini")
     reference = recording.streams[0].frame(0).reference
     assert np.abs(reference.astype(float) - STILL).mean() < 3.0

@@ -27,18 +27,24 @@ def test_robomimic_demonstrations_follow_each_other(tmp_path: Path, touches):
     recording = open_recording(tmp_path / "a.hdf5")
     (stream,) = recording.streams
     assert stream.n_frames == 4 + 5 + 6 + 14
-    assert np.array_equal(stream.frame(4 + 5 + 6 + 13).image, touches.images[13])  # demo_10 is the last
+    # demo_10 is the last
+    assert np.array_equal(stream.frame(4 + 5 + 6 + 13).image, touches.images[13])
     assert any("agentview_image" in note for note in recording.notes)
     recording.close()
 
 
 @pytest.mark.parametrize("how", ["plain", "padded", "varying"])
 def test_cameras_of_act_are_read_plain_and_encoded(tmp_path: Path, touches, how: str):
-    encoded = [cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))[1].ravel() for image in touches.images]
+    encoded = [
+        cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))[1].ravel()
+        for image in touches.images
+    ]
     with h5py.File(tmp_path / "episode_0.hdf5", "w") as file:
         place = file.create_group("observations/images")
         if how == "plain":
-            place.create_dataset("gelsight", data=touches.images, chunks=(1, *touches.images.shape[1:]))
+            place.create_dataset(
+                "gelsight", data=touches.images, chunks=(1, *touches.images.shape[1:])
+            )
         elif how == "padded":
             longest = max(map(len, encoded))
             place["gelsight"] = np.stack([np.pad(row, (0, longest - len(row))) for row in encoded])
@@ -54,7 +60,9 @@ def test_cameras_of_act_are_read_plain_and_encoded(tmp_path: Path, touches, how:
 def test_cameras_that_name_no_touch_are_not_guessed_among(tmp_path: Path, touches):
     with h5py.File(tmp_path / "a.hdf5", "w") as file:
         file["observations/images/front"] = file["observations/images/wrist"] = touches.images
-    with pytest.raises(FileProblem, match="named after touch \\(front, wrist\\); choose the sensor's with --stream"):
+    with pytest.raises(
+        FileProblem, match="named after touch \\(front, wrist\\); choose the sensor's with --stream"
+    ):
         open_recording(tmp_path / "a.hdf5")
     (stream,) = open_recording(tmp_path / "a.hdf5", stream="wrist", sensor="gelslim").streams
     assert (stream.name, stream.sensor) == ("wrist", "gelslim")
@@ -65,9 +73,13 @@ def test_a_reference_is_of_the_camera_that_the_user_names(tmp_path: Path, touche
         for camera in ("tactile_left", "tactile_right"):
             file[f"data/demo_0/obs/{camera}"] = touches.images
     assert cv2.imwrite(str(tmp_path / "r.png"), np.full_like(touches.images[0], 77))
-    with pytest.raises(SettingProblem, match=r"choose it with --stream \(tactile_left, tactile_right\)"):
+    with pytest.raises(
+        SettingProblem, match=r"choose it with --stream \(tactile_left, tactile_right\)"
+    ):
         open_recording(tmp_path / "a.hdf5", reference=tmp_path / "r.png")
-    recording = open_recording(tmp_path / "a.hdf5", reference=tmp_path / "r.png", stream="tactile_right")
+    recording = open_recording(
+        tmp_path / "a.hdf5", reference=tmp_path / "r.png", stream="tactile_right"
+    )
     assert (recording.stream("tactile_right").frame(0).reference == 77).all()
     assert not (recording.stream("tactile_left").frame(0).reference == 77).all()
 
@@ -86,7 +98,9 @@ def buffer(tmp_path: Path, touches) -> Path:
     zarr = pytest.importorskip("zarr")
     path = tmp_path / "replay_buffer.zarr"
     group = zarr.open_group(str(path), mode="w", zarr_format=2)
-    group.create_array("data/tactile_img", data=touches.images, chunks=(4, *touches.images.shape[1:]))
+    group.create_array(
+        "data/tactile_img", data=touches.images, chunks=(4, *touches.images.shape[1:])
+    )
     group.create_array("data/external_img", data=touches.images)
     group.create_array("meta/episode_ends", data=np.array([5, 16]))
     return path
@@ -116,13 +130,21 @@ def test_a_zarr_array_whose_codec_runs_code_or_that_is_a_pipe_is_refused(buffer:
         open_recording(buffer)
 
 
-@pytest.mark.parametrize(("name", "content", "why"), [
-    ("a.bag", b"#ROSBAG V2.0\n" + bytes(99), "ROS 1 bag.*mcap convert"), ("a.db3", None, "ROS 2 bag.*mcap convert"),
-    ("a.mat", b"MATLAB 5.0 MAT-file" + bytes(99), "MATLAB.*numpy"), ("a.zip", b"PK\x03\x04" + bytes(99), "unpack it"),
-    ("a.tfrecord-00000-of-00001", bytes(64), "TFRecords"), ("a.tar.gz", b"\x1f\x8b" + bytes(64), "unpack it"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "content", "why"),
+    [
+        ("a.bag", b"#ROSBAG V2.0\n" + bytes(99), "ROS 1 bag.*mcap convert"),
+        ("a.db3", None, "ROS 2 bag.*mcap convert"),
+        ("a.mat", b"MATLAB 5.0 MAT-file" + bytes(99), "MATLAB.*numpy"),
+        ("a.zip", b"PK\x03\x04" + bytes(99), "unpack it"),
+        ("a.tfrecord-00000-of-00001", bytes(64), "TFRecords"),
+        ("a.tar.gz", b"\x1f\x8b" + bytes(64), "unpack it"),
+    ],
+)
 @pytest.mark.parametrize("in_folder", [False, True])
-def test_known_kinds_that_are_not_read_are_refused_by_name(tmp_path: Path, name, content, why, in_folder: bool):
+def test_known_kinds_that_are_not_read_are_refused_by_name(
+    tmp_path: Path, name, content, why, in_folder: bool
+):
     if content is None:
         with sqlite3.connect(tmp_path / name) as database:
             database.execute("create table topics(id integer)")
@@ -132,9 +154,14 @@ def test_known_kinds_that_are_not_read_are_refused_by_name(tmp_path: Path, name,
         open_recording(tmp_path if in_folder else tmp_path / name)
 
 
-def test_a_folder_with_tactile_images_and_depth_opens_the_first_and_names_the_other(tmp_path: Path, touches):
+def test_a_folder_with_tactile_images_and_depth_opens_the_first_and_names_the_other(
+    tmp_path: Path, touches
+):
     for i, image in enumerate(touches.images):
-        for name, pixels in (("tactile", image[..., ::-1]), ("depth", image[..., 0].astype(np.uint16) * 20)):
+        for name, pixels in (
+            ("tactile", image[..., ::-1]),
+            ("depth", image[..., 0].astype(np.uint16) * 20),
+        ):
             (tmp_path / name).mkdir(exist_ok=True)
             cv2.imwrite(str(tmp_path / name / f"{i}.png"), np.ascontiguousarray(pixels))
     recording = open_recording(tmp_path)

@@ -57,14 +57,16 @@ def test_nothing_touches_in_the_sample_without_contact(opened):
 
 def test_the_hard_cases_are_present(opened):
     recording = opened("trouble")
-    gel, bubble = recording.stream("gelslim"), recording.stream("soft_bubble")
+    gel = recording.stream("gelslim")
+    bubble = recording.stream("soft_bubble")
     contact = [gel.truth(k).contact for k in range(gel.n_frames)]
     saturated = [float((gel.frame(k).image == 255).mean()) for k in range(gel.n_frames)]
     assert not contact[0].any()
     assert 0 < gel.truth(1).indentation_mm.max() < 0.06  # slack
     assert contact[1].any()
     rows, cols = np.nonzero(bubble.truth(2).contact)
-    assert not bubble.truth(2).contact[round(rows.mean()), round(cols.mean())]  # the middle is bridged
+    # the middle is bridged
+    assert not bubble.truth(2).contact[round(rows.mean()), round(cols.mean())]
     assert saturated[3] > SATURATED_SHARE > max(s for k, s in enumerate(saturated) if k != 3)
     assert contact[4][:, -1].any()
     assert not contact[5][:, -1].any()

@@ -1,4 +1,6 @@
-"""Pictures and depth of the right sensor at another size, differences, and pictures kept as arrays."""
+"""Pictures and depth of the right sensor at another size, differences, and pictures kept as
+arrays.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ GREY = 3.0  # levels by which a picture that was enlarged and reduced may differ
 
 def smooth(shape: tuple[int, int]) -> np.ndarray:
     rng = np.random.default_rng(1)
-    return cv2.resize(rng.integers(40, 200, (8, 8, 3), dtype=np.uint8), shape[::-1], interpolation=cv2.INTER_CUBIC)
+    return cv2.resize(
+        rng.integers(40, 200, (8, 8, 3), dtype=np.uint8), shape[::-1], interpolation=cv2.INTER_CUBIC
+    )
 
 
 def save(path: Path, rgb: np.ndarray) -> None:
@@ -31,9 +35,16 @@ def save(path: Path, rgb: np.ndarray) -> None:
 
 @pytest.mark.parametrize(
     ("name", "shape"),
-    [("digit", (640, 480)), ("gelsight_mini", (480, 640)), ("gelslim", (640, 854)), ("gelslim", (128, 128))],
+    [
+        ("digit", (640, 480)),
+        ("gelsight_mini", (480, 640)),
+        ("gelslim", (640, 854)),
+        ("gelslim", (128, 128)),
+    ],
 )
-def test_another_size_of_the_same_sensor_is_resampled_with_a_note(tmp_path: Path, name: str, shape: tuple[int, int]):
+def test_another_size_of_the_same_sensor_is_resampled_with_a_note(
+    tmp_path: Path, name: str, shape: tuple[int, int]
+):
     own = smooth(load_sensor(name).camera.shape)
     save(tmp_path / "press.png", cv2.resize(own, shape[::-1], interpolation=cv2.INTER_AREA))
     save(tmp_path / "ref.png", cv2.resize(own, shape[::-1], interpolation=cv2.INTER_AREA))
@@ -83,8 +94,12 @@ def test_an_image_of_another_aspect_ratio_is_not_resampled(tmp_path: Path):
     assert open_recording(tmp_path, sensor="digit").streams[0].frame(0).image.shape == (200, 400, 3)
 
 
-@pytest.mark.parametrize(("shape", "focal_px"), [((480, 640), 434.0), ((171, 224), 186.4), ((280, 350), 372.8)])
-def test_depth_at_another_size_gets_a_camera_that_fits(tmp_path: Path, shape: tuple[int, int], focal_px: float):
+@pytest.mark.parametrize(
+    ("shape", "focal_px"), [((480, 640), 434.0), ((171, 224), 186.4), ((280, 350), 372.8)]
+)
+def test_depth_at_another_size_gets_a_camera_that_fits(
+    tmp_path: Path, shape: tuple[int, int], focal_px: float
+):
     folder = tmp_path / "depth_0p1mm"
     folder.mkdir()
     for k in range(8):
@@ -104,7 +119,9 @@ def test_one_sixteen_bit_image_is_depth_with_a_unit_and_a_reference(tmp_path: Pa
     with pytest.raises(FileProblem, match="cannot tell the unit of 'touch'"):
         open_recording(tmp_path / "touch.png")
     frame = (
-        open_recording(tmp_path / "touch.png", depth_unit="0.1mm", reference=tmp_path / "rest_0p1mm.png")
+        open_recording(
+            tmp_path / "touch.png", depth_unit="0.1mm", reference=tmp_path / "rest_0p1mm.png"
+        )
         .streams[0]
         .frame(0)
     )
@@ -112,7 +129,10 @@ def test_one_sixteen_bit_image_is_depth_with_a_unit_and_a_reference(tmp_path: Pa
     alone = open_recording(tmp_path / "touch.png", depth_unit="0.1mm")
     assert alone.streams[0].frame(0).reference is None
     assert any("name one with --reference" in note for note in alone.notes)
-    assert inspect_recording(tmp_path / "touch.png", depth_unit="0.1mm").streams[0].dtype == "float32 depth in mm"
+    assert (
+        inspect_recording(tmp_path / "touch.png", depth_unit="0.1mm").streams[0].dtype
+        == "float32 depth in mm"
+    )
 
 
 def test_a_depth_folder_finds_its_reference_image(tmp_path: Path):
@@ -134,7 +154,9 @@ def bump(spec) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kept", ["mid-grey", "floats", "shares"])
-def test_a_difference_implies_its_reference_and_has_the_depth_of_the_touch(tmp_path: Path, kept: str):
+def test_a_difference_implies_its_reference_and_has_the_depth_of_the_touch(
+    tmp_path: Path, kept: str
+):
     spec = load_sensor("gelsight_mini")
     change = bump(spec)
     match kept:
@@ -149,9 +171,14 @@ def test_a_difference_implies_its_reference_and_has_the_depth_of_the_touch(tmp_p
     assert any("differences from a reference" in note for note in recording.notes)
     found = estimate_depth(recording.streams[0].frame(0), spec, None, DepthParams())
     light = compute_reference_light(spec.camera, spec.optics)
-    np.savez(tmp_path / "whole.npz", frames=np.clip(np.rint(light + change), 0, 255).astype(np.uint8)[None],
-             reference=np.clip(np.rint(light), 0, 255).astype(np.uint8))  # fmt: skip
-    whole = estimate_depth(open_recording(tmp_path / "whole.npz").streams[0].frame(0), spec, None, DepthParams())
+    np.savez(
+        tmp_path / "whole.npz",
+        frames=np.clip(np.rint(light + change), 0, 255).astype(np.uint8)[None],
+        reference=np.clip(np.rint(light), 0, 255).astype(np.uint8),
+    )
+    whole = estimate_depth(
+        open_recording(tmp_path / "whole.npz").streams[0].frame(0), spec, None, DepthParams()
+    )
     assert whole.indentation_mm.max() > 0.3
     assert found.indentation_mm.max() == pytest.approx(whole.indentation_mm.max(), rel=0.03)
 
@@ -185,20 +212,31 @@ def test_colour_arrays_above_white_or_of_two_stacks_are_refused(tmp_path: Path):
 
 
 def uncropped(image, size: tuple[int, int], border: tuple[int, int, int]):
-    """The full camera image (cols, rows) of a Mini whose driver crops a seventh at each side to `image`."""
+    """The full camera image (cols, rows) of a Mini whose driver crops a seventh at each side to
+    `image`.
+    """
     inner = cv2.resize(image, (size[0] * 5 // 7, size[1] * 5 // 7))
-    y, x = (size[1] - inner.shape[0]) // 2, (size[0] - inner.shape[1]) // 2
+    y = (size[1] - inner.shape[0]) // 2
+    x = (size[0] - inner.shape[1]) // 2
     rest = {"bottom": size[1] - inner.shape[0] - y, "right": size[0] - inner.shape[1] - x}
-    return cv2.copyMakeBorder(inner, y, rest["bottom"], x, rest["right"], cv2.BORDER_CONSTANT, value=border)
+    return cv2.copyMakeBorder(
+        inner, y, rest["bottom"], x, rest["right"], cv2.BORDER_CONSTANT, value=border
+    )
 
 
 @pytest.mark.parametrize("size", [(640, 480), (1640, 1232), (800, 600)])
 @pytest.mark.parametrize("border", [(8, 12, 8), (20, 70, 25), None])
 def test_the_vignette_tells_whether_an_image_of_a_mini_is_cropped(tmp_path: Path, size, border):
     still = render_reference(load_sensor("gelsight_mini"))
-    save(tmp_path / "press.png", cv2.resize(still, size) if border is None else uncropped(still, size, border))
+    save(
+        tmp_path / "press.png",
+        cv2.resize(still, size) if border is None else uncropped(still, size, border),
+    )
     recording = open_recording(tmp_path, sensor="gelsight_mini")
-    assert any(("the full camera image" if border else "they are cropped") in note for note in recording.notes)
+    assert any(
+        ("the full camera image" if border else "they are cropped") in note
+        for note in recording.notes
+    )
     assert np.abs(recording.streams[0].frame(0).image.astype(float) - still).mean() < 3.0
 
 
@@ -210,8 +248,12 @@ def test_a_vignette_that_does_not_tell_is_asked_about(tmp_path: Path):
     assert "crop a seventh" in warning
 
 
-@pytest.mark.parametrize(("shape", "focal_px"), [((480, 848), 434.0), ((240, 424), 217.0), ((720, 1280), 651.0)])
-def test_the_focal_length_of_a_stereo_camera_grows_with_its_image(shape: tuple[int, int], focal_px: float):
+@pytest.mark.parametrize(
+    ("shape", "focal_px"), [((480, 848), 434.0), ((240, 424), 217.0), ((720, 1280), 651.0)]
+)
+def test_the_focal_length_of_a_stereo_camera_grows_with_its_image(
+    shape: tuple[int, int], focal_px: float
+):
     camera, (note,) = infer_depth_camera(load_sensor("soft_bubble"), shape)
     assert camera is not None
     assert (camera.shape, camera.fx_px, camera.fy_px) == (shape, focal_px, focal_px)

@@ -1,4 +1,6 @@
-"""Which streams of a container are a sensor's: by their names, their sizes, and what the user says."""
+"""Which streams of a container are a sensor's: by their names, their sizes, and what the user
+says.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,10 @@ from pipeline.io.stream_choice import names_touch
 from pipeline.translation.translate import Request, open_translation
 from tests.pipeline.io.mcap_files import raw, write_ros
 
-DIGIT, GELSLIM, WEBCAM = (320, 240), (320, 427), (480, 640)  # (rows, cols)
+# rows and columns
+DIGIT = (320, 240)
+GELSLIM = (320, 427)
+WEBCAM = (480, 640)
 
 
 def write(path, **topics):
@@ -35,7 +40,9 @@ def list_sensors(path, **options):
 
 
 def open_stream(path, **request):
-    with closing(open_translation(Request(recording=path, target="soft_bubble", **request))) as opened:
+    with closing(
+        open_translation(Request(recording=path, target="soft_bubble", **request))
+    ) as opened:
         return opened.stream.name, opened.source.name, opened.stream.frame(0).sensor
 
 
@@ -44,13 +51,19 @@ def test_a_stated_sensor_selects_its_stream_and_renames_no_other(tmp_path):
     assert list_sensors(path, sensor="gelslim") == {"digit": "digit", "gelslim": "gelslim"}
     assert open_stream(path, source="gelslim") == ("gelslim", "gelslim", "gelslim")
     assert open_stream(path, source="digit") == ("digit", "digit", "digit")
-    with pytest.raises(SettingProblem, match=r"no stream 'gelsight_mini'.*'digit' of digit, 'gelslim' of gelslim"):
+    with pytest.raises(
+        SettingProblem, match=r"no stream 'gelsight_mini'.*'digit' of digit, 'gelslim' of gelslim"
+    ):
         open_stream(path, source="gelsight_mini")
 
 
 def test_a_stated_sensor_names_those_of_its_size_that_name_none(tmp_path):
     path = write(tmp_path / "a.mcap", tactile_left=GELSLIM, tactile_right=DIGIT)
-    assert open_stream(path, source="gelslim_dotless") == ("tactile_left", "gelslim_dotless", "gelslim_dotless")
+    assert open_stream(path, source="gelslim_dotless") == (
+        "tactile_left",
+        "gelslim_dotless",
+        "gelslim_dotless",
+    )
     assert list_sensors(path, sensor="gelslim_dotless")["tactile_right"] == "digit"
 
 
@@ -76,11 +89,24 @@ def test_a_camera_without_touch_is_never_taken_by_default(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "is_touch"),
-    [("observation.images.tactile_left", True), ("leftTactile", True), ("digit2", True), ("left/gelL", True),
-     ("gelsight_mini/image", True), ("rightDigit", True), ("touch", True), ("bubble/depth", True), ("soft_bubble", True),
-     ("angel/image", False), ("digital_camera", False), ("touchscreen", False), ("wrist", False), ("top", False),
-     ("camera/color/image_raw", False)],
-)  # fmt: skip
+    [
+        ("observation.images.tactile_left", True),
+        ("leftTactile", True),
+        ("digit2", True),
+        ("left/gelL", True),
+        ("gelsight_mini/image", True),
+        ("rightDigit", True),
+        ("touch", True),
+        ("bubble/depth", True),
+        ("soft_bubble", True),
+        ("angel/image", False),
+        ("digital_camera", False),
+        ("touchscreen", False),
+        ("wrist", False),
+        ("top", False),
+        ("camera/color/image_raw", False),
+    ],
+)
 def test_names_of_touch(name, is_touch):
     assert names_touch(name) == is_touch
 
@@ -88,8 +114,15 @@ def test_names_of_touch(name, is_touch):
 def test_our_previews_are_no_sensors(tmp_path):
     from pipeline.translation.reports.viewer_files import StageSample, write_mcap
 
-    sample = StageSample(name="touch", frame=0, time_s=-3.0, pixels=np.full((*GELSLIM, 3), 90, np.uint8), metrics={},
-                         points_mm=np.zeros((2, 3), np.float32), rgb=np.zeros((2, 3), np.uint8))  # fmt: skip
+    sample = StageSample(
+        name="touch",
+        frame=0,
+        time_s=-3.0,
+        pixels=np.full((*GELSLIM, 3), 90, np.uint8),
+        metrics={},
+        points_mm=np.zeros((2, 3), np.float32),
+        rgb=np.zeros((2, 3), np.uint8),
+    )
     for far_s in (1e300, float("inf")):
         with pytest.raises(FileProblem, match=r"fits no \.mcap"):
             write_mcap(tmp_path / "far.mcap", [replace(sample, time_s=far_s)])

@@ -19,7 +19,8 @@ K = [[186.0, 0.0, 111.5], [0.0, 187.0, 85.0], [0.0, 0.0, 1.0]]
 
 def bubble(n: int = 0) -> dict[str, torch.Tensor]:
     imprint = torch.zeros(2, 1, 140, 175)
-    imprint[0, 0, 70, 80], imprint[1, 0, 70, 80] = 0.010, 0.020 + 0.001 * n
+    imprint[0, 0, 70, 80] = 0.010
+    imprint[1, 0, 70, 80] = 0.020 + 0.001 * n
     half_turn = [0.5, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]  # 180 degrees about z, half a metre along x
     return {
         "bubble_imprint": imprint,
@@ -33,13 +34,21 @@ def bubble(n: int = 0) -> dict[str, torch.Tensor]:
 
 def gelslim(n: int = 0) -> dict[str, torch.Tensor]:
     images = torch.zeros(2, 3, 320, 427)
-    images[0, 0], images[1, 2] = 100.0 + n, 50.0  # right finger red, left finger blue
-    return {"gelslim": images, "gelslim_ref": torch.full((2, 3, 320, 427), 7.0), "theta": torch.tensor(0.1)}
+    # right finger red, left finger blue
+    images[0, 0] = 100.0 + n
+    images[1, 2] = 50.0
+    return {
+        "gelslim": images,
+        "gelslim_ref": torch.full((2, 3, 320, 427), 7.0),
+        "theta": torch.tensor(0.1),
+    }
 
 
 def depth_dictionary() -> dict[str, torch.Tensor]:
     images = torch.zeros(3, 6, 320, 427)
-    images[:, 0], images[:, 5] = 90.0, 60.0  # left finger's red, right finger's blue
+    # left finger's red, right finger's blue
+    images[:, 0] = 90.0
+    images[:, 5] = 60.0
     depth = torch.zeros(3, 2, 320, 427)
     depth[1, 0, 5, 6] = -1.5
     return {
@@ -77,10 +86,13 @@ def test_the_pose_of_the_tool_is_in_the_bubble_camera_frame(tmp_path: Path):
 
 
 def test_the_frame_between_the_fingers_is_known_where_it_is_recorded(tmp_path: Path):
-    grasp = torch.tensor([[0.5, 0.0, 0.05, 0.0, 0.0, 0.0, 1.0]])  # half way from the camera to the tool
+    # half way from the camera to the tool
+    grasp = torch.tensor([[0.5, 0.0, 0.05, 0.0, 0.0, 0.0, 1.0]])
     path = saved(tmp_path / "data_3.pt", {**bubble(), "grasp_frame_quat": grasp})
     truth = open_recording(path).streams[1].truth(0)
-    tool_in_grasp = rigid.apply(truth.grasp_from_sensor @ truth.sensor_from_object, np.zeros((1, 3)))
+    tool_in_grasp = rigid.apply(
+        truth.grasp_from_sensor @ truth.sensor_from_object, np.zeros((1, 3))
+    )
     np.testing.assert_allclose(tool_in_grasp, [[0.0, 0.0, 50.0]], atol=FLOAT_ROUNDING_MM)
 
 
@@ -98,12 +110,19 @@ def test_folders_pair_the_grasps_of_both_sensors(tmp_path: Path, flat: bool):
             if n == 30 and kind == "gelslims":
                 continue
             last = "bubbles" if kind == "bubbles" else "gelslim"
-            place = f"hex_data_{n}.pt" if flat else f"data/{word}_style_transfer_dataset_{last}_hex/data_{n}.pt"
+            place = (
+                f"hex_data_{n}.pt"
+                if flat
+                else f"data/{word}_style_transfer_dataset_{last}_hex/data_{n}.pt"
+            )
             saved(tmp_path / kind / place, sample(n))
     recording = open_recording(tmp_path)
     assert [s.name for s in recording.streams] == [
-        "gelslim right", "gelslim left", "soft_bubble right", "soft_bubble left"
-    ]  # fmt: skip
+        "gelslim right",
+        "gelslim left",
+        "soft_bubble right",
+        "soft_bubble left",
+    ]
     for index, n in enumerate((2, 10)):
         assert recording.stream("gelslim right").frame(index).image[0, 0, 0] == 100 + n
         depth = recording.stream("soft_bubble left").frame(index).image[70, 80]
@@ -127,7 +146,10 @@ def test_a_depth_dictionary_gives_both_fingers_and_positive_indentation(tmp_path
 def test_a_depth_dictionary_of_another_size_is_resampled_with_its_depth(tmp_path: Path):
     content = depth_dictionary()
     content["depth_image"][1, 0] = -1.5
-    twice = {k: v if v.dim() < 4 else v.repeat_interleave(2, 2).repeat_interleave(2, 3) for k, v in content.items()}
+    twice = {
+        k: v if v.dim() < 4 else v.repeat_interleave(2, 2).repeat_interleave(2, 3)
+        for k, v in content.items()
+    }
     recording = open_recording(saved(tmp_path / "peg_train.pt", twice))
     own = open_recording(saved(tmp_path / "own.pt", content))
     for one, other in zip(recording.streams, own.streams, strict=True):
@@ -140,10 +162,16 @@ def test_a_depth_dictionary_of_another_size_is_resampled_with_its_depth(tmp_path
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ({**depth_dictionary(), "tactile_image": torch.zeros(3, 6, 320, 640)}, "640 x 320 px.* same proportions"),
+        (
+            {**depth_dictionary(), "tactile_image": torch.zeros(3, 6, 320, 640)},
+            "640 x 320 px.* same proportions",
+        ),
         ({"weights": torch.zeros(2)}, "tactile_image.*weights"),
         ([torch.zeros(2)], "must hold a dictionary of tensors"),
-        ({"gelslim": torch.zeros(2, 3, 10, 10)}, r"gelslim must have shape \(2, 3, 320, 427\), got \(2, 3, 10, 10\)"),
+        (
+            {"gelslim": torch.zeros(2, 3, 10, 10)},
+            r"gelslim must have shape \(2, 3, 320, 427\), got \(2, 3, 10, 10\)",
+        ),
         ({"path": Path("x")}, "loading it could run code"),
         ({**gelslim(), "gelslim": gelslim()["gelslim"] / 255}, "none exceeds .* are they 0 to 1"),
         ({k: v for k, v in bubble().items() if k != "K"}, "the key 'K' is missing"),
@@ -160,13 +188,22 @@ def test_invalid_tensor_files_are_refused(tmp_path: Path, content, message: str)
 def odd_values(good: torch.Tensor) -> dict[str, object]:
     """What else than plain real numbers may stand under a key, in the shape that is right."""
     return {
-        "complex": good.to(torch.complex64), "truth values": good.bool(), "sparse": good.to_sparse(),
+        "complex": good.to(torch.complex64),
+        "truth values": good.bool(),
+        "sparse": good.to_sparse(),
         "on no device": good.to("meta"),
-        "a number": 3.0, "words": ["a", "b"], "nothing": None, "a dictionary": {"a": good}, "no dimension": good.sum(),
-        "empty": good[:0], "one dimension more": good[None, None], "one number less": good.flatten()[:-1],
-        "not a number": good.float() * float("nan"), "infinite": good.float() + float("inf"),
+        "a number": 3.0,
+        "words": ["a", "b"],
+        "nothing": None,
+        "a dictionary": {"a": good},
+        "no dimension": good.sum(),
+        "empty": good[:0],
+        "one dimension more": good[None, None],
+        "one number less": good.flatten()[:-1],
+        "not a number": good.float() * float("nan"),
+        "infinite": good.float() + float("inf"),
         "beyond all": good.double() + 1e300,
-    }  # fmt: skip
+    }
 
 
 @pytest.mark.parametrize(
@@ -188,34 +225,55 @@ def test_tensors_of_unusual_types_are_refused_by_their_key(tmp_path: Path, make,
                 image = stream.frame(0).image
                 assert image.dtype in (np.uint8, np.float32)
                 truth = stream.truth(0)
-                assert truth is None or truth.sensor_from_object is None or np.isfinite(truth.sensor_from_object).all()
+                assert (
+                    truth is None
+                    or truth.sensor_from_object is None
+                    or np.isfinite(truth.sensor_from_object).all()
+                )
         except (FileProblem, CalibrationError) as error:
             refused.append(what)
             assert path.name in str(error), what  # noqa: PT017
-    may_pass = {"one dimension more", "not a number"}  # rows of poses and cameras; depth without a reading
+    # rows of poses and cameras; depth without a reading
+    may_pass = {"one dimension more", "not a number"}
     assert set(odd_values(make()[key])) - set(refused) <= may_pass
 
 
 ODD_ARRAYS = {
-    "words": np.array(["a", "b"]), "complex": np.ones((2, 6, 7), np.complex64), "days": np.ones((2, 6, 7), "m8[s]"),
-    "pairs": np.zeros((2, 6, 7), [("a", "f4")]), "truth values": np.ones((2, 6, 7), bool), "wide": np.ones((2, 6, 7), "f16"),
-    "flat": np.ones(6), "five": np.ones((1, 2, 6, 7, 1)), "none": np.ones((0, 6, 7)),
-}  # fmt: skip
+    "words": np.array(["a", "b"]),
+    "complex": np.ones((2, 6, 7), np.complex64),
+    "days": np.ones((2, 6, 7), "m8[s]"),
+    "pairs": np.zeros((2, 6, 7), [("a", "f4")]),
+    "truth values": np.ones((2, 6, 7), bool),
+    "wide": np.ones((2, 6, 7), "f16"),
+    "flat": np.ones(6),
+    "five": np.ones((1, 2, 6, 7, 1)),
+    "none": np.ones((0, 6, 7)),
+}
 
 
 @pytest.mark.parametrize("what", ODD_ARRAYS)
 @pytest.mark.parametrize("name", ["depth_mm", "K", "timestamps_s"])
-def test_depth_arrays_of_unusual_types_are_refused_or_left_out(tmp_path: Path, what: str, name: str):
-    good = {"depth_mm": np.full((2, 6, 7), 80.0), "K": np.diag([20.0, 20.0, 1.0]), "timestamps_s": np.arange(2.0)}
+def test_depth_arrays_of_unusual_types_are_refused_or_left_out(
+    tmp_path: Path, what: str, name: str
+):
+    good = {
+        "depth_mm": np.full((2, 6, 7), 80.0),
+        "K": np.diag([20.0, 20.0, 1.0]),
+        "timestamps_s": np.arange(2.0),
+    }
     np.savez(tmp_path / "odd.npz", **{**good, name: ODD_ARRAYS[what]})
     if name == "timestamps_s":
-        assert np.isnan(open_recording(tmp_path / "odd.npz", depth_unit="mm").streams[0].frame(1).time_s)
+        assert np.isnan(
+            open_recording(tmp_path / "odd.npz", depth_unit="mm").streams[0].frame(1).time_s
+        )
         return
     with pytest.raises((FileProblem, CalibrationError), match=r"odd\.npz"):
         open_recording(tmp_path / "odd.npz").streams[0].frame(0)
 
 
-@pytest.mark.parametrize("content", [b"hello, I am no tensor", b"PK\x03\x04 and nothing more", b"\x80\x02junk"])
+@pytest.mark.parametrize(
+    "content", [b"hello, I am no tensor", b"PK\x03\x04 and nothing more", b"\x80\x02junk"]
+)
 def test_a_pt_file_that_is_not_one_is_refused(tmp_path: Path, content: bytes):
     (tmp_path / "a.pt").write_bytes(content)
     with pytest.raises(FileProblem, match=r"not a PyTorch file, or it is cut short|could run code"):
@@ -231,13 +289,21 @@ def test_a_truncated_pt_file_is_refused(tmp_path: Path):
 
 def depth_counts() -> np.ndarray:
     counts = np.full((8, 12, 16), 800, np.uint16)
-    counts[:, 0, 0], counts[:, 1, 1], counts[7, 5, 5] = 0, 65535, 750
+    counts[:, 0, 0] = 0
+    counts[:, 1, 1] = 65535
+    counts[7, 5, 5] = 750
     return counts
 
 
 def test_punyo_arrays_are_mm_with_gaps_and_their_camera(tmp_path: Path):
     k = np.array([[20.0, 0, 8], [0, 20, 6], [0, 0, 1]])
-    np.savez(tmp_path / "p.npz", depth_u16_0p1mm=depth_counts(), K=k, frame=np.arange(8), pressure_hPa=np.ones(8))
+    np.savez(
+        tmp_path / "p.npz",
+        depth_u16_0p1mm=depth_counts(),
+        K=k,
+        frame=np.arange(8),
+        pressure_hPa=np.ones(8),
+    )
     recording = open_recording(tmp_path / "p.npz")
     frame = recording.streams[0].frame(7)
     assert frame.image[5, 5] == pytest.approx(75.0)
@@ -249,7 +315,9 @@ def test_punyo_arrays_are_mm_with_gaps_and_their_camera(tmp_path: Path):
     assert any("pressure_hPa" in note for note in recording.notes)
 
 
-@pytest.mark.parametrize(("name", "scale"), [("depth_mm", 1.0), ("depth_m", 0.001), ("my_depth_um", 1000.0)])
+@pytest.mark.parametrize(
+    ("name", "scale"), [("depth_mm", 1.0), ("depth_m", 0.001), ("my_depth_um", 1000.0)]
+)
 def test_the_unit_follows_from_the_name(tmp_path: Path, name: str, scale: float):
     np.save(tmp_path / f"{name}.npy", np.full((2, 6, 7), 80.0 * scale, np.float32))
     image = open_recording(tmp_path / f"{name}.npy").streams[0].frame(1).image
@@ -261,7 +329,9 @@ def test_a_depth_array_without_a_unit_is_refused_by_its_key(tmp_path: Path):
     with pytest.raises(FileProblem, match="cannot tell the unit of 'depth'") as caught:
         open_recording(tmp_path / "p.npz")
     assert caught.value.field == "depth"
-    assert open_recording(tmp_path / "p.npz", depth_unit="mm").streams[0].frame(0).image[0, 0] == 80.0
+    assert (
+        open_recording(tmp_path / "p.npz", depth_unit="mm").streams[0].frame(0).image[0, 0] == 80.0
+    )
 
 
 def test_metres_named_millimetres_are_refused(tmp_path: Path):

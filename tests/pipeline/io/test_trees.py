@@ -40,7 +40,9 @@ def test_of_several_recordings_the_first_opens_and_the_others_are_named(tmp_path
         np.savez(tmp_path / f"touch_{k}.npz", depth_mm=np.full((k, 14, 17), 80.0))
     recording = open_recording(tmp_path)
     assert recording.streams[0].n_frames == 2
-    assert any("touch_2.npz is opened" in note and "touch_10.npz" in note for note in recording.notes)
+    assert any(
+        "touch_2.npz is opened" in note and "touch_10.npz" in note for note in recording.notes
+    )
 
 
 @pytest.fixture
@@ -49,7 +51,9 @@ def slide(tmp_path: Path) -> Path:
     for number in (0, 1):
         data = tmp_path / "real" / "035_power_drill" / f"dataset_{number}"
         for k in range(3):
-            picture(data / "frames" / f"frame_{k:07d}.jpg", red=100 + 20 * k + number, shape=(320, 240))
+            picture(
+                data / "frames" / f"frame_{k:07d}.jpg", red=100 + 20 * k + number, shape=(320, 240)
+            )
             picture(data / "webcam_frames" / f"frame_{k:07d}.jpg", shape=(60, 80))
         picture(data / "tactile_data.png", shape=(30, 40))
         (data / "frames.mp4").write_bytes(b"film")
@@ -59,7 +63,9 @@ def slide(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("below", ["", "real", "real/035_power_drill", "real/035_power_drill/dataset_0"])
+@pytest.mark.parametrize(
+    "below", ["", "real", "real/035_power_drill", "real/035_power_drill/dataset_0"]
+)
 def test_the_tree_of_ycb_slide_opens_at_any_level(slide: Path, below: str):
     recording = open_recording(slide / below)
     assert recording.streams[0].sensor == "digit"
@@ -75,7 +81,9 @@ def test_a_simulated_slide_opens_its_tactile_images(tmp_path: Path):
 
 
 @pytest.mark.parametrize("below", ["", "6.310mm"])
-def test_a_calibration_with_each_press_in_its_own_folder_is_one_recording(tmp_path: Path, below: str):
+def test_a_calibration_with_each_press_in_its_own_folder_is_one_recording(
+    tmp_path: Path, below: str
+):
     picture(tmp_path / "background.png", red=5)
     for k in (0, 1, 2, 10):
         picture(tmp_path / "6.310mm" / str(k) / "gelsight.png", red=100 + k)
@@ -91,7 +99,9 @@ def test_reference_images_of_sparsh_are_found_in_the_folder_bgs(tmp_path: Path):
     for place in (tmp_path, tmp_path / "can"):
         recording = open_recording(place)
         assert recording.streams[0].n_frames == 3
-        assert recording.streams[0].frame(0).reference[0, 0].tolist() == pytest.approx([50, 30, 10], abs=2)
+        assert recording.streams[0].frame(0).reference[0, 0].tolist() == pytest.approx(
+            [50, 30, 10], abs=2
+        )
 
 
 def test_the_point_clouds_of_punyo_are_depth_with_their_camera(tmp_path: Path):
@@ -99,7 +109,9 @@ def test_the_point_clouds_of_punyo_are_depth_with_their_camera(tmp_path: Path):
     for k in range(12):
         z = np.full((171, 224), 0.08 - 0.003 * (k > 8), np.float32)
         z[5, 5] = 0.0
-        cloud = np.stack([(col - 110.0) / 180.0 * z, (row - 80.0) / 181.0 * z, z], axis=-1).reshape(-1, 3)
+        cloud = np.stack([(col - 110.0) / 180.0 * z, (row - 80.0) / 181.0 * z, z], axis=-1).reshape(
+            -1, 3
+        )
         (tmp_path / "0" / "expand").mkdir(parents=True, exist_ok=True)
         np.save(tmp_path / "0" / "expand" / f"pc_{k}.npy", cloud)
         np.save(tmp_path / "0" / "expand" / f"pressure_{k}.npy", np.array(1065.8))
@@ -123,10 +135,15 @@ def test_points_in_another_order_are_refused(tmp_path: Path):
 
 
 @pytest.mark.parametrize(("off_px", "is_refused"), [(0.5, False), (6.0, True)])
-def test_points_that_are_off_their_pixels_by_more_than_one_are_refused(tmp_path: Path, off_px: float, is_refused: bool):
+def test_points_that_are_off_their_pixels_by_more_than_one_are_refused(
+    tmp_path: Path, off_px: float, is_refused: bool
+):
     row, col = np.indices((171, 224)).astype(np.float32)
-    off = np.random.default_rng(0).uniform(-2.0 * off_px, 2.0 * off_px, (2, 171, 224))  # off by `off_px` in the median
-    cloud = 0.08 * np.stack([(col + off[0] - 110.0) / 180.0, (row + off[1] - 80.0) / 181.0, np.ones_like(row)], axis=-1)
+    # off by `off_px` in the median
+    off = np.random.default_rng(0).uniform(-2.0 * off_px, 2.0 * off_px, (2, 171, 224))
+    cloud = 0.08 * np.stack(
+        [(col + off[0] - 110.0) / 180.0, (row + off[1] - 80.0) / 181.0, np.ones_like(row)], axis=-1
+    )
     for k in range(3):
         np.save(tmp_path / f"pc_{k}.npy", cloud.reshape(-1, 3).astype(np.float32))
     if is_refused:
@@ -139,7 +156,9 @@ def test_points_that_are_off_their_pixels_by_more_than_one_are_refused(tmp_path:
 def test_a_folder_of_pickles_is_refused_with_advice(tmp_path: Path):
     (tmp_path / "dataset_0.pkl").write_bytes(pickle.dumps([b"jpeg"]))
     for place in (tmp_path, tmp_path / "dataset_0.pkl"):
-        with pytest.raises(FileProblem, match=r"can run code.*refused.*save the images as PNG.*numpy\.savez"):
+        with pytest.raises(
+            FileProblem, match=r"can run code.*refused.*save the images as PNG.*numpy\.savez"
+        ):
             open_recording(place)
 
 

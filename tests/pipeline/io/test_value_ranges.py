@@ -1,4 +1,7 @@
-"""What the numbers of stored images mean, whatever a few of them are; and where they cannot be told."""
+"""What the numbers of stored images mean, whatever a few of them are.
+
+And where they cannot be told.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +23,14 @@ STORED = {  # name -> how images are stored, and the grey levels that may be los
     "unit": (lambda x: x / 255, ROUNDING_GREY),
     "unit with noise": (lambda x: x / 255 + NOISE.normal(0, 0.01, x.shape), 16),
     "half floats": (lambda x: (x / 255).astype(np.float16), ROUNDING_GREY),
-    "one value above 1": (lambda x: np.where(np.arange(x.size).reshape(x.shape) == 7, 3.0, x / 255), 255),
-    "one value below 0": (lambda x: np.where(np.arange(x.size).reshape(x.shape) == 7, -0.4, x / 255), 255),
+    "one value above 1": (
+        lambda x: np.where(np.arange(x.size).reshape(x.shape) == 7, 3.0, x / 255),
+        255,
+    ),
+    "one value below 0": (
+        lambda x: np.where(np.arange(x.size).reshape(x.shape) == 7, -0.4, x / 255),
+        255,
+    ),
     "overshoot": (lambda x: x / 255 * 1.05 - 0.025, 8),
     "signed unit": (lambda x: x / 127.5 - 1, ROUNDING_GREY),
     "signed unit with noise": (lambda x: x / 127.5 - 1 + NOISE.normal(0, 0.01, x.shape), 9),
@@ -36,19 +45,25 @@ STORED = {  # name -> how images are stored, and the grey levels that may be los
 @pytest.mark.parametrize("has_reference", [False, True])
 def test_images_are_read_as_they_were(tmp_path: Path, touches, how: str, has_reference: bool):
     store, lost_grey = STORED[how]
-    arrays = {"frames": touches.images, **({"reference": touches.reference} if has_reference else {})}
+    arrays = {
+        "frames": touches.images,
+        **({"reference": touches.reference} if has_reference else {}),
+    }
     np.savez(tmp_path / "a.npz", **{key: store(a) for key, a in arrays.items()})
     recording = open_recording(tmp_path / "a.npz")
     frame = recording.streams[0].frame(8)
     assert np.abs(frame.image.astype(int) - touches.images[8]).max() <= lost_grey
     assert np.abs(frame.image.astype(float) - touches.images[8]).mean() < 3.0
-    assert np.abs(frame.reference.astype(float) - touches.reference).mean() < 4.0  # also of the first, untouched frames
+    # also of the first, untouched frames
+    assert np.abs(frame.reference.astype(float) - touches.reference).mean() < 4.0
     assert frame.stored_image is None
 
 
 @pytest.mark.parametrize("white", [1.0, 255.0])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64, np.int16])
-def test_a_difference_has_its_mode_at_no_change_and_is_shown_as_stored(tmp_path: Path, touches, white, dtype):
+def test_a_difference_has_its_mode_at_no_change_and_is_shown_as_stored(
+    tmp_path: Path, touches, white, dtype
+):
     if dtype is np.int16 and white == 1.0:
         pytest.skip("whole numbers are grey levels")
     change = touches.images.astype(float) - touches.reference
@@ -58,17 +73,30 @@ def test_a_difference_has_its_mode_at_no_change_and_is_shown_as_stored(tmp_path:
     frame = recording.streams[0].frame(8)
     assert np.abs(frame.shown_image.astype(float) - (128 + change[8])).mean() < 1.0
     spec = load_sensor("gelslim")
-    shown = make_frame_preview(frame.shown_image, spec.camera, spec, DisplayParams(), reference=frame.reference)
+    shown = make_frame_preview(
+        frame.shown_image, spec.camera, spec, DisplayParams(), reference=frame.reference
+    )
     assert np.array_equal(shown.pixels, frame.stored_image)
-    assert not np.array_equal(frame.image, frame.stored_image)  # which is what depth is computed from
+    # which is what depth is computed from
+    assert not np.array_equal(frame.image, frame.stored_image)
 
 
-@pytest.mark.parametrize("store", [
-    lambda x: x / 255 - 0.5, lambda x: (x / 255 - 0.45) / 0.225, lambda x: (x - x.mean()) / x.std(),
-    lambda x: x.astype(float) - 128, lambda x: x.astype(np.uint16) * 257, lambda x: x / 255 * 4095, lambda x: x / 100,
-    lambda x: (x.astype(int) - 128).astype(np.int8),
-])  # fmt: skip
-def test_numbers_that_may_mean_several_things_are_refused_with_a_remedy_that_works(tmp_path: Path, touches, store):
+@pytest.mark.parametrize(
+    "store",
+    [
+        lambda x: x / 255 - 0.5,
+        lambda x: (x / 255 - 0.45) / 0.225,
+        lambda x: (x - x.mean()) / x.std(),
+        lambda x: x.astype(float) - 128,
+        lambda x: x.astype(np.uint16) * 257,
+        lambda x: x / 255 * 4095,
+        lambda x: x / 100,
+        lambda x: (x.astype(int) - 128).astype(np.int8),
+    ],
+)
+def test_numbers_that_may_mean_several_things_are_refused_with_a_remedy_that_works(
+    tmp_path: Path, touches, store
+):
     np.save(tmp_path / "a.npy", store(touches.images))
     with pytest.raises(FileProblem, match=r"must hold grey levels.*save images as uint8"):
         open_recording(tmp_path / "a.npy")
@@ -84,21 +112,34 @@ def test_a_value_that_is_not_finite_is_named_by_its_frame(tmp_path: Path, touche
         open_recording(tmp_path / "a.npy").streams[0].frame(9)
 
 
-@pytest.mark.parametrize("place", [
-    lambda x: x[None], lambda x: x[:, None], lambda x: x.transpose(0, 3, 1, 2), lambda x: x[None].transpose(0, 1, 4, 2, 3),
-    lambda x: np.concatenate([x, np.full_like(x[..., :1], 255)], axis=3),
-])  # fmt: skip
-def test_axes_of_length_one_channels_first_and_opacity_do_not_matter(tmp_path: Path, touches, place):
+@pytest.mark.parametrize(
+    "place",
+    [
+        lambda x: x[None],
+        lambda x: x[:, None],
+        lambda x: x.transpose(0, 3, 1, 2),
+        lambda x: x[None].transpose(0, 1, 4, 2, 3),
+        lambda x: np.concatenate([x, np.full_like(x[..., :1], 255)], axis=3),
+    ],
+)
+def test_axes_of_length_one_channels_first_and_opacity_do_not_matter(
+    tmp_path: Path, touches, place
+):
     np.save(tmp_path / "a.npy", place(touches.images))
     (stream,) = open_recording(tmp_path / "a.npy").streams
     assert stream.n_frames == len(touches.images)
     assert np.array_equal(stream.frame(8).image, touches.images[8])
 
 
-@pytest.mark.parametrize("join", [
-    lambda a, b: np.stack([a, b], axis=1), lambda a, b: np.stack([a, b]), lambda a, b: np.concatenate([a, b], axis=3),
-    lambda a, b: np.concatenate([a, b], axis=3).transpose(0, 3, 1, 2),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "join",
+    [
+        lambda a, b: np.stack([a, b], axis=1),
+        lambda a, b: np.stack([a, b]),
+        lambda a, b: np.concatenate([a, b], axis=3),
+        lambda a, b: np.concatenate([a, b], axis=3).transpose(0, 3, 1, 2),
+    ],
+)
 def test_two_fingers_in_one_array_are_two_streams(tmp_path: Path, touches, join):
     other = touches.images[::-1]
     np.savez(tmp_path / "a.npz", tactile=join(touches.images, other))
@@ -129,7 +170,8 @@ def test_one_array_a_frame_is_one_recording(tmp_path: Path, touches, kind: str):
     for i, image in enumerate([touches.reference, *touches.images]):
         depth = np.where(image[..., 0] > 128, 80.0, 75.0)
         np.save(
-            tmp_path / f"{'touch' if kind == 'colour' else 'depth'}_{i}_mm.npy", image if kind == "colour" else depth
+            tmp_path / f"{'touch' if kind == 'colour' else 'depth'}_{i}_mm.npy",
+            image if kind == "colour" else depth,
         )
     (stream,) = open_recording(tmp_path).streams
     assert stream.n_frames == 1 + len(touches.images)
@@ -138,20 +180,31 @@ def test_one_array_a_frame_is_one_recording(tmp_path: Path, touches, kind: str):
     assert np.array_equal(frame.image, touches.images[8]) if kind == "colour" else frame.is_depth
 
 
-@pytest.mark.parametrize(("image", "why"), [
-    (np.zeros((40, 50, 3), np.float32), "multiply by 255"), (np.zeros((40, 50, 3), np.uint16), "divide by 257"),
-    (np.full((140, 175), 80, np.float32), "cannot tell the unit"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("image", "why"),
+    [
+        (np.zeros((40, 50, 3), np.float32), "multiply by 255"),
+        (np.zeros((40, 50, 3), np.uint16), "divide by 257"),
+        (np.full((140, 175), 80, np.float32), "cannot tell the unit"),
+    ],
+)
 def test_images_of_floats_and_16_bits_say_what_they_are(tmp_path: Path, image, why: str):
     cv2.imwrite(str(tmp_path / "a.tiff"), image)
     with pytest.raises(FileProblem, match=why):
         open_recording(tmp_path / "a.tiff")
     if image.ndim == 2:
-        assert open_recording(tmp_path / "a.tiff", depth_unit="mm").streams[0].frame(0).image[0, 0] == 80.0
+        assert (
+            open_recording(tmp_path / "a.tiff", depth_unit="mm").streams[0].frame(0).image[0, 0]
+            == 80.0
+        )
 
 
-@pytest.mark.parametrize(("folder", "step_mm"), [("touch", 0.1), ("touch", 1.0), ("0.1mm", 0.1), ("mm", 1.0)])
-def test_the_unit_of_a_depth_folder_is_its_name_or_the_one_that_the_message_names(tmp_path, folder, step_mm):
+@pytest.mark.parametrize(
+    ("folder", "step_mm"), [("touch", 0.1), ("touch", 1.0), ("0.1mm", 0.1), ("mm", 1.0)]
+)
+def test_the_unit_of_a_depth_folder_is_its_name_or_the_one_that_the_message_names(
+    tmp_path, folder, step_mm
+):
     """What fits the membrane is named, and works when it is given."""
     (tmp_path / folder).mkdir()
     for i in range(3):
@@ -161,7 +214,9 @@ def test_the_unit_of_a_depth_folder_is_its_name_or_the_one_that_the_message_name
     if folder == "touch":
         with pytest.raises(FileProblem, match="cannot tell the unit of 'touch'") as caught:
             open_recording(tmp_path / folder)
-        unit = re.search(r"give --depth-unit (\S+), which fits the membrane of soft_bubble", str(caught.value))[1]
+        unit = re.search(
+            r"give --depth-unit (\S+), which fits the membrane of soft_bubble", str(caught.value)
+        )[1]
     frame = open_recording(tmp_path / folder, depth_unit=unit).stream().frame(0)
     assert frame.image == pytest.approx(75.4, abs=0.5)
 
@@ -172,6 +227,8 @@ def test_a_reference_is_of_the_sensor_of_an_array_that_the_user_names(tmp_path, 
     assert cv2.imwrite(str(reference), np.full_like(touches.images[0], 77))
     with pytest.raises(SettingProblem, match="choose one with --stream, by the name"):
         open_recording(tmp_path / "a.npz", reference=reference)
-    first, second = open_recording(tmp_path / "a.npz", reference=reference, stream="gelslim_1").streams
+    first, second = open_recording(
+        tmp_path / "a.npz", reference=reference, stream="gelslim_1"
+    ).streams
     assert (second.frame(0).reference == 77).all()
     assert not (first.frame(0).reference == 77).all()

@@ -11,7 +11,9 @@ import pytest
 from pipeline.core.errors import FileProblem
 from pipeline.io.video import VideoDecoder
 
-N, N_SLOW, RATE_HZ = 60, 20, 25.0
+N = 60
+N_SLOW = 20
+RATE_HZ = 25.0
 
 
 def write_video(path, code="mp4v"):
@@ -23,13 +25,17 @@ def write_video(path, code="mp4v"):
 
 
 def quicken(path):
-    """Let the frames after the first `N_SLOW` of an MP4 file follow each other four times as fast."""
+    """Let the frames after the first `N_SLOW` of an MP4 file follow each other four times as
+    fast.
+    """
     content = bytearray(path.read_bytes())
     start = content.rfind(b"moov")
     times = content.find(b"stts", start)
     entries, count, ticks = struct.unpack(">III", content[times + 8 : times + 20])
     assert (entries, count) == (1, N)
-    content[times + 8 : times + 20] = struct.pack(">IIIII", 2, N_SLOW, ticks, N - N_SLOW, ticks // 4)
+    content[times + 8 : times + 20] = struct.pack(
+        ">IIIII", 2, N_SLOW, ticks, N - N_SLOW, ticks // 4
+    )
     for box in (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stts"):
         at = content.find(box, start) - 4
         content[at : at + 4] = struct.pack(">I", struct.unpack(">I", content[at : at + 4])[0] + 8)
@@ -49,7 +55,9 @@ def test_frames_of_a_varying_rate_are_found_in_any_order(tmp_path):
     order = [*range(N), *np.random.default_rng(0).permutation(N).tolist()]
     assert [number_of(video, index) for index in order] == order
     assert video.time_s(N_SLOW) == pytest.approx(N_SLOW / RATE_HZ)
-    assert video.time_s(N - 1) == pytest.approx((N_SLOW + 0.25 * (N - 1 - N_SLOW)) / RATE_HZ, abs=1e-3)
+    assert video.time_s(N - 1) == pytest.approx(
+        (N_SLOW + 0.25 * (N - 1 - N_SLOW)) / RATE_HZ, abs=1e-3
+    )
     video.close()
 
 

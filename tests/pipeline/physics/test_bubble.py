@@ -13,8 +13,10 @@ from pipeline.sensors.spec import load_sensor
 SPEC = load_sensor("soft_bubble")
 BUBBLE = SPEC.bubble
 ON = bubble.make_lattice(BUBBLE, 1.0)  # coarse, so that the tests are quick
-X, Y = ON.x_mm()[None, :], ON.y_mm()[:, None]
-SURFACE_MM = 1e-3  # ten times the solver's tolerance: a multigrid cycle that moves 1e-4 is within this of the end
+X = ON.x_mm()[None, :]
+Y = ON.y_mm()[:, None]
+# ten times the solver's tolerance: a multigrid cycle that moves 1e-4 is within this of the end
+SURFACE_MM = 1e-3
 
 
 def plate(height_mm):
@@ -24,7 +26,9 @@ def plate(height_mm):
 def ball(height_mm, radius_mm=10.0, x_mm=0.0, y_mm=0.0):
     r_sq = (X - x_mm) ** 2 + (Y - y_mm) ** 2
     inside = r_sq < radius_mm**2
-    return np.where(inside, height_mm + radius_mm - np.sqrt(np.where(inside, radius_mm**2 - r_sq, 0.0)), np.inf)
+    return np.where(
+        inside, height_mm + radius_mm - np.sqrt(np.where(inside, radius_mm**2 - r_sq, 0.0)), np.inf
+    )
 
 
 def test_at_rest_it_is_the_dome_of_the_sensor_to_the_bit():
@@ -32,23 +36,32 @@ def test_at_rest_it_is_the_dome_of_the_sensor_to_the_bit():
     assert not at_rest.deviation_mm.any()
     assert at_rest.pressure_kpa == BUBBLE.pressure_kpa
     assert np.array_equal(
-        bubble_camera.compute_depth_from_deviation(SPEC, at_rest.deviation_mm, ON), SPEC.rest_depth_mm
+        bubble_camera.compute_depth_from_deviation(SPEC, at_rest.deviation_mm, ON),
+        SPEC.rest_depth_mm,
     )
 
 
 def test_the_dome_solves_the_membrane_equation():
     """-T lap w = p on every inner node."""
     w = bubble.compute_rest_height_mm(BUBBLE, ON)
-    lap = (w[2:, 1:-1] + w[:-2, 1:-1] + w[1:-1, 2:] + w[1:-1, :-2] - 4 * w[1:-1, 1:-1]) / ON.step_mm**2
+    lap = (
+        w[2:, 1:-1] + w[:-2, 1:-1] + w[1:-1, 2:] + w[1:-1, :-2] - 4 * w[1:-1, 1:-1]
+    ) / ON.step_mm**2
     inner = (X[:, 1:-1] / 55) ** 2 + (Y[1:-1] / 45) ** 2 < 1
     pressure_kpa = -lap * bubble.compute_tension_n_per_mm(BUBBLE) * 1e3
     assert np.abs(pressure_kpa[inner] - BUBBLE.pressure_kpa).max() < 1e-9
 
 
 def test_a_plate_on_a_round_bubble_follows_the_closed_form():
-    """Annulus between contact radius c and rim a: w = A + B ln r - p r^2 / 4T with w(c) = g, w'(c) = 0, w(a) = 0."""
-    a, height, gap = 50.0, 20.0, 15.0
-    round_one = replace(BUBBLE, half_width_mm=a, half_height_mm=a, height_mm=height, dead_volume_mm3=1e13)
+    """Annulus between contact radius c and rim a: w = A + B ln r - p r^2 / 4T with w(c) = g,
+    w'(c) = 0, w(a) = 0.
+    """
+    a = 50.0
+    height = 20.0
+    gap = 15.0
+    round_one = replace(
+        BUBBLE, half_width_mm=a, half_height_mm=a, height_mm=height, dead_volume_mm3=1e13
+    )
     on = bubble.make_lattice(round_one, 0.5)
     pressed = bubble.press_bubble(round_one, np.full(on.shape, gap), on)
     quarter = height / a**2  # p / 4T
@@ -58,18 +71,24 @@ def test_a_plate_on_a_round_bubble_follows_the_closed_form():
 
     c = brentq(rim_height, 1e-3, a)
     assert pressed.converged
-    assert np.sqrt(pressed.contact.sum() / np.pi) * on.step_mm == pytest.approx(c, abs=0.5 * on.step_mm)
+    assert np.sqrt(pressed.contact.sum() / np.pi) * on.step_mm == pytest.approx(
+        c, abs=0.5 * on.step_mm
+    )
     r = np.hypot(on.x_mm()[None, :], on.y_mm()[:, None])
     middle = (r > c + 1) & (r < a - 5)
     exact = gap + quarter * (c * c - r * r) + 2 * quarter * c * c * np.log(np.maximum(r, c) / c)
     w = bubble.compute_rest_height_mm(round_one, on) + pressed.deviation_mm
-    assert np.abs(w - exact)[middle].max() < 0.02  # 0.1 % of the dome; the staircase of the rim decides it
+    # 0.1 % of the dome; the staircase of the rim decides it
+    assert np.abs(w - exact)[middle].max() < 0.02
     assert pressed.force_n == pytest.approx(np.pi * c * c * 1e-3 * BUBBLE.pressure_kpa, rel=0.01)
 
 
 @given(
-    height=st.floats(2.0, 19.5), x=st.floats(-40, 40), y=st.floats(-30, 30), radius=st.floats(3.0, 40.0)
-)  # fmt: skip
+    height=st.floats(2.0, 19.5),
+    x=st.floats(-40, 40),
+    y=st.floats(-30, 30),
+    radius=st.floats(3.0, 40.0),
+)
 @settings(max_examples=15)
 def test_every_press_is_complementary_and_keeps_boyles_law(height, x, y, radius):
     ceiling = ball(height, radius, x, y)
@@ -85,7 +104,8 @@ def test_every_press_is_complementary_and_keeps_boyles_law(height, x, y, radius)
     absolute = bubble.ATMOSPHERE_KPA + BUBBLE.pressure_kpa
     left = air + pressed.deviation_mm.sum() * ON.step_mm**2
     law = absolute * air / left - bubble.ATMOSPHERE_KPA
-    assert pressed.pressure_kpa == pytest.approx(law, rel=0.01)  # a micrometre over the whole dome is 1e-3 of it
+    # a micrometre over the whole dome is 1e-3 of it
+    assert pressed.pressure_kpa == pytest.approx(law, rel=0.01)
 
 
 def test_a_plate_gives_a_symmetric_shape():
@@ -102,10 +122,14 @@ def test_pressing_deeper_raises_pressure_force_and_bulge():
 
 
 def test_a_membrane_bridges_a_groove():
-    grooved = np.where(np.abs(X) < 3, np.inf, np.where((np.abs(X) < 10) & (np.abs(Y) < 20), 15.0, np.inf))
+    grooved = np.where(
+        np.abs(X) < 3, np.inf, np.where((np.abs(X) < 10) & (np.abs(Y) < 20), 15.0, np.inf)
+    )
     pressed = bubble.press_bubble(BUBBLE, grooved, ON)
     row = ON.shape[0] // 2
-    over_groove = (bubble.compute_rest_height_mm(BUBBLE, ON) + pressed.deviation_mm)[row, np.abs(X[0]) < 2]
+    over_groove = (bubble.compute_rest_height_mm(BUBBLE, ON) + pressed.deviation_mm)[
+        row, np.abs(X[0]) < 2
+    ]
     assert (over_groove > 15.0).all()
     assert over_groove.max() < 16.0
 
@@ -124,7 +148,8 @@ def test_depth_to_ceiling_and_back_returns_the_surface():
     seen = np.isfinite(again)
     w = bubble.compute_rest_height_mm(BUBBLE, ON) + pressed.deviation_mm
     assert seen.sum() > 3000
-    assert np.abs(again - w)[seen].max() < 0.02  # chords of half-millimetre pixels over 1 mm lattice cells
+    # chords of half-millimetre pixels over 1 mm lattice cells
+    assert np.abs(again - w)[seen].max() < 0.02
 
 
 def test_rays_meet_the_surface_to_the_nanometre():
@@ -147,7 +172,8 @@ def test_contact_is_in_its_place_in_the_image():
     seen = lattice.sample_mask_at_pixels(SPEC.camera, pressed.contact, ON, depth)
     points = SPEC.camera.back_project(depth)[seen]
     where = pressed.contact.nonzero()
-    assert points[:, 0].mean() == pytest.approx(X[0, where[1]].mean(), abs=0.3)  # a third of a lattice step
+    # a third of a lattice step
+    assert points[:, 0].mean() == pytest.approx(X[0, where[1]].mean(), abs=0.3)
     assert points[:, 1].mean() == pytest.approx(Y[where[0], 0].mean(), abs=0.3)
 
 

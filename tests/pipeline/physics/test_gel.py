@@ -38,21 +38,27 @@ def test_overlaps_below_an_atom_are_zero(overlap_mm):
 
 
 def test_a_ball_on_a_half_space_follows_hertz():
-    shape, depth = (181, 201), 0.5
+    shape = (181, 201)
+    depth = 0.5
     pressed = gel.press_gel(HALF_SPACE, PIXEL_MM, ball(shape, depth))
-    a, r = math.sqrt(RADIUS_MM * depth), radius_mm(shape)
+    a = math.sqrt(RADIUS_MM * depth)
+    r = radius_mm(shape)
     outside = np.maximum(r, a * (1 + 1e-9))
-    free = ((2 * a * a - outside**2) * np.arcsin(a / outside) + a * np.sqrt(outside**2 - a * a)) / (math.pi * RADIUS_MM)
+    free = ((2 * a * a - outside**2) * np.arcsin(a / outside) + a * np.sqrt(outside**2 - a * a)) / (
+        math.pi * RADIUS_MM
+    )
     exact = np.where(r < a, ball(shape, depth), free)
     force_n = 4 / 3 * EFFECTIVE_KPA * math.sqrt(RADIUS_MM) * depth**1.5 * 1e-3
     assert pressed.converged
     assert math.sqrt(pressed.contact.sum() / math.pi) * PIXEL_MM == pytest.approx(a, rel=0.01)
     assert pressed.force_n == pytest.approx(force_n, rel=0.005)
-    assert np.sqrt(((pressed.indentation_mm - exact) ** 2).mean()) < 1e-4  # issue: at most 0.1 um rms
+    # issue: at most 0.1 um rms
+    assert np.sqrt(((pressed.indentation_mm - exact) ** 2).mean()) < 1e-4
 
 
 def test_a_flat_punch_needs_the_force_of_sneddon():
-    shape, a = (161, 161), 2.0
+    shape = (161, 161)
+    a = 2.0
     overlap = np.where(radius_mm(shape) < a, 0.3, -np.inf)
     pressed = gel.press_gel(HALF_SPACE, PIXEL_MM, overlap)
     area_radius = math.sqrt((radius_mm(shape) < a).sum() / math.pi) * PIXEL_MM
@@ -60,9 +66,13 @@ def test_a_flat_punch_needs_the_force_of_sneddon():
 
 
 def test_a_cone_needs_the_force_of_sneddon():
-    shape, depth, slope = (181, 181), 0.6, 0.25
+    shape = (181, 181)
+    depth = 0.6
+    slope = 0.25
     pressed = gel.press_gel(HALF_SPACE, PIXEL_MM, depth - slope * radius_mm(shape))
-    assert pressed.force_n == pytest.approx(2 / math.pi * EFFECTIVE_KPA * depth**2 / slope * 1e-3, rel=0.01)
+    assert pressed.force_n == pytest.approx(
+        2 / math.pi * EFFECTIVE_KPA * depth**2 / slope * 1e-3, rel=0.01
+    )
 
 
 def test_a_thick_pad_is_a_half_space_and_a_thin_one_is_stiffer_and_touches_more():
@@ -90,7 +100,8 @@ def test_rough_and_ragged_objects_converge_too(seed, depth, share):
 
 def test_a_mirrored_press_gives_the_mirrored_surface():
     overlap = ball((80, 100), 0.4, row=30, col=37)
-    one, other = gel.press_gel(PAD, PIXEL_MM, overlap), gel.press_gel(PAD, PIXEL_MM, overlap[:, ::-1])
+    one = gel.press_gel(PAD, PIXEL_MM, overlap)
+    other = gel.press_gel(PAD, PIXEL_MM, overlap[:, ::-1])
     assert np.abs(one.indentation_mm[:, ::-1] - other.indentation_mm).max() < SURFACE_MM
 
 
@@ -135,7 +146,9 @@ def test_a_plate_over_the_whole_pad_and_extreme_depths_stay_finite(depth):
 def test_a_single_pixel_can_press():
     overlap = np.full((40, 50), -np.inf)
     overlap[0, 49] = 0.2
-    assert gel.press_gel(PAD, PIXEL_MM, overlap).indentation_mm[0, 49] == pytest.approx(0.2, abs=SURFACE_MM)
+    assert gel.press_gel(PAD, PIXEL_MM, overlap).indentation_mm[0, 49] == pytest.approx(
+        0.2, abs=SURFACE_MM
+    )
 
 
 def test_a_solve_out_of_steps_has_not_converged():
@@ -147,7 +160,10 @@ def test_the_true_contact_relaxes_to_the_true_surface():
     assert spec.gel is not None
     pressed = gel.press_gel(spec.gel, PIXEL_MM, ball((100, 120), 0.5))
     followed = gel.relax_gel(
-        spec.gel, PIXEL_MM, np.where(pressed.contact, pressed.indentation_mm, np.nan), pressed.contact
+        spec.gel,
+        PIXEL_MM,
+        np.where(pressed.contact, pressed.indentation_mm, np.nan),
+        pressed.contact,
     )
     assert followed.converged
     assert np.abs(followed.indentation_mm - pressed.indentation_mm).max() < SURFACE_MM

@@ -26,7 +26,9 @@ def dent(spec, depth_mm=0.8, width_mm=1.5):
 @pytest.mark.parametrize("name", GELS)
 def test_a_flat_surface_renders_as_the_reference_to_the_byte(name):
     spec = load_sensor(name)
-    assert np.array_equal(optics.render(spec, level(spec), seed=None), optics.render_reference(spec))
+    assert np.array_equal(
+        optics.render(spec, level(spec), seed=None), optics.render_reference(spec)
+    )
 
 
 @pytest.mark.parametrize("name", GELS)
@@ -40,10 +42,14 @@ def test_a_slope_that_faces_an_led_brightens_and_one_that_turns_away_darkens(nam
     spec = load_sensor(name)
     for led in spec.optics.leds:
         channel = int(np.argmax(led.rgb))
-        toward = -0.3 * np.array([np.cos(np.deg2rad(led.azimuth_deg)), np.sin(np.deg2rad(led.azimuth_deg))])
+        toward = -0.3 * np.array(
+            [np.cos(np.deg2rad(led.azimuth_deg)), np.sin(np.deg2rad(led.azimuth_deg))]
+        )
         ones = np.ones(spec.camera.shape, np.float32)
         lit = optics.compute_colour_change(spec, toward[0] * ones, toward[1] * ones)[..., channel]
-        dark = optics.compute_colour_change(spec, -toward[0] * ones, -toward[1] * ones)[..., channel]
+        dark = optics.compute_colour_change(spec, -toward[0] * ones, -toward[1] * ones)[
+            ..., channel
+        ]
         assert lit.min() > 5.0
         assert dark.max() < -5.0
 
@@ -51,16 +57,26 @@ def test_a_slope_that_faces_an_led_brightens_and_one_that_turns_away_darkens(nam
 @given(st.floats(0.0, 0.65), st.floats(0.0, 6.3), st.sampled_from(GELS))
 @settings(max_examples=25)
 def test_colour_tells_slopes_apart(steep, angle, name):
-    """The 3x2 Jacobian keeps rank 2: what an inverse look-up needs. Steeper ground can hide from two LEDs at once."""
-    gx, gy = steep * np.cos(angle), steep * np.sin(angle)
+    """The 3x2 Jacobian keeps rank 2: what an inverse look-up needs. Steeper ground can hide from
+    two LEDs at once.
+    """
+    gx = steep * np.cos(angle)
+    gy = steep * np.sin(angle)
     spec = load_sensor(name)
     ones = np.ones(spec.camera.shape, np.float32)
     step = 0.02
 
     def colour(x, y):
-        return optics.compute_colour_change(spec, x * ones, y * ones)[spec.camera.rows // 2, spec.camera.cols // 2]
+        return optics.compute_colour_change(spec, x * ones, y * ones)[
+            spec.camera.rows // 2, spec.camera.cols // 2
+        ]
 
-    jacobian = np.stack([colour(gx + step, gy) - colour(gx - step, gy), colour(gx, gy + step) - colour(gx, gy - step)])
+    jacobian = np.stack(
+        [
+            colour(gx + step, gy) - colour(gx - step, gy),
+            colour(gx, gy + step) - colour(gx, gy - step),
+        ]
+    )
     weakest_grey_per_slope = np.linalg.svd(jacobian / (2 * step), compute_uv=False)[-1]
     assert weakest_grey_per_slope > 5.0
 
@@ -104,7 +120,9 @@ def test_markers_are_dark_dots_that_move_outward_as_they_come_nearer():
 
     still_px = spec.camera.cx_px + 4 * pitch_px
     nearer_px = spec.camera.cx_px + 4 * pitch_px * 20.0 / (20.0 - lift_mm)
-    assert column_px(optics.render_reference(spec), still_px) == pytest.approx(still_px, abs=MARKER_PX)
+    assert column_px(optics.render_reference(spec), still_px) == pytest.approx(
+        still_px, abs=MARKER_PX
+    )
     assert column_px(lifted, nearer_px) == pytest.approx(nearer_px, abs=MARKER_PX)
 
 
@@ -149,5 +167,7 @@ def test_a_dent_takes_an_led_s_light_from_what_lies_behind_it():
 def test_steep_light_casts_no_shadow():
     spec = load_sensor("digit")
     u = dent(spec, depth_mm=0.5, width_mm=2.0)
-    steep, none = (replace(spec, optics=replace(spec.optics, shadow_deg=60.0, shadow=s)) for s in (1.0, 0.0))
+    steep, none = (
+        replace(spec, optics=replace(spec.optics, shadow_deg=60.0, shadow=s)) for s in (1.0, 0.0)
+    )
     assert np.array_equal(optics.render(steep, u, seed=None), optics.render(none, u, seed=None))

@@ -12,12 +12,15 @@ from pipeline.physics.simulation.variation import vary_sensor
 from pipeline.sensors.spec import load_sensor
 
 SENSORS = ("gelslim", "gelsight_mini", "digit")
-ROWS, COLS = 240, 320
+ROWS = 240
+COLS = 320
 
 
 def make_foreign_references():
     """Reference images (240, 320, 3) of sensors that no description fits: (name, image)."""
-    down, right = np.meshgrid(np.linspace(-0.75, 0.75, ROWS), np.linspace(-1, 1, COLS), indexing="ij")
+    down, right = np.meshgrid(
+        np.linspace(-0.75, 0.75, ROWS), np.linspace(-1, 1, COLS), indexing="ij"
+    )
     bright = 1 - 0.35 * (right**2 + down**2)
     yield "depth in grey", (160 * bright, 160 * bright, 160 * bright)
     yield "wedge lit from left and right", (120 - 90 * right, 60 * bright, 120 + 90 * right)
@@ -26,7 +29,9 @@ def make_foreign_references():
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-@pytest.mark.parametrize("channels", [pytest.param(c, id=name) for name, c in make_foreign_references()])
+@pytest.mark.parametrize(
+    "channels", [pytest.param(c, id=name) for name, c in make_foreign_references()]
+)
 def test_references_of_an_unknown_sensor_are_named(sensor, channels):
     spec = load_sensor(sensor)
     rows, cols = spec.camera.shape
@@ -48,5 +53,7 @@ def test_references_of_usual_instances_are_accepted(sensor, seed):
 def test_references_of_real_gelslim_clips_are_accepted(real_data, clip):
     spec = load_sensor("gelslim")
     panel = cv2.imread(str(real_data / "gelslim4_clips" / clip / "touch_000.png"))[..., ::-1]
-    image = np.asarray(cv2.resize(panel, spec.camera.shape[::-1], interpolation=cv2.INTER_CUBIC), np.uint8)
+    image = np.asarray(
+        cv2.resize(panel, spec.camera.shape[::-1], interpolation=cv2.INTER_CUBIC), np.uint8
+    )
     assert not compare_colours(image, spec).problem

@@ -18,7 +18,11 @@ SYMBOL = 1e-6  # relative: closed form against the matrix exponential
 def pressed(depth_mm=0.6, radius_mm=4.0, n=160):
     y, x = np.mgrid[:n, :n] * PIXEL_MM - (n - 1) / 2 * PIXEL_MM
     r_sq = x * x + y * y
-    overlap = np.where(r_sq < radius_mm**2, depth_mm - radius_mm + np.sqrt(np.maximum(radius_mm**2 - r_sq, 0)), -9.0)
+    overlap = np.where(
+        r_sq < radius_mm**2,
+        depth_mm - radius_mm + np.sqrt(np.maximum(radius_mm**2 - r_sq, 0)),
+        -9.0,
+    )
     return gel.press_gel(PAD, PIXEL_MM, overlap)
 
 
@@ -29,12 +33,14 @@ def plane_strain_answer(pad, q):
     stiff = lame + 2 * g
     i = 1j * q
     # State: motion along and across the layer, shear and normal stress.
-    m = np.array([
-        [0, -i, 1 / g, 0],
-        [-lame * i / stiff, 0, 0, 1 / stiff],
-        [q * q * (stiff - lame**2 / stiff), 0, 0, -i * lame / stiff],
-        [0, 0, -i, 0],
-    ])  # fmt: skip
+    m = np.array(
+        [
+            [0, -i, 1 / g, 0],
+            [-lame * i / stiff, 0, 0, 1 / stiff],
+            [q * q * (stiff - lame**2 / stiff), 0, 0, -i * lame / stiff],
+            [0, 0, -i, 0],
+        ]
+    )
     through = expm(m * pad.thickness_mm)
     base = np.linalg.solve(through[2:, 2:], np.array([1.0, 0.0]))
     return (through[:2, 2:] @ base)[0].real
@@ -58,7 +64,10 @@ def test_long_waves_shear_the_pad_like_a_block():
 def test_a_contact_with_enough_friction_moves_with_the_object_and_far_points_stay():
     press = pressed()
     found = shear.solve_shear(
-        PAD, PIXEL_MM, press.pressure_kpa, TangentialLoad(displacement_mm=(0.02, 0.0), friction=10.0)
+        PAD,
+        PIXEL_MM,
+        press.pressure_kpa,
+        TangentialLoad(displacement_mm=(0.02, 0.0), friction=10.0),
     )
     assert found.converged
     assert found.motion_mm[80, 80] == pytest.approx([0.02, 0.0], abs=STICK * 0.02)
@@ -87,12 +96,16 @@ def test_slip_begins_at_the_rim():
 
 def test_no_load_moves_nothing_and_renders_the_same_bytes():
     press = pressed()
-    still = shear.solve_shear(PAD, PIXEL_MM, press.pressure_kpa, TangentialLoad(displacement_mm=(0.0, 0.0)))
+    still = shear.solve_shear(
+        PAD, PIXEL_MM, press.pressure_kpa, TangentialLoad(displacement_mm=(0.0, 0.0))
+    )
     assert not still.motion_mm.any()
     spec = load_sensor("gelslim")
     none = np.zeros((*spec.camera.shape, 2), np.float32)
     level = np.zeros(spec.camera.shape, np.float32)
-    assert np.array_equal(optics.render(spec, level, seed=1, shear_mm=none), optics.render(spec, level, seed=1))
+    assert np.array_equal(
+        optics.render(spec, level, seed=1, shear_mm=none), optics.render(spec, level, seed=1)
+    )
 
 
 def test_markers_are_drawn_where_the_shear_puts_them():
@@ -103,9 +116,13 @@ def test_markers_are_drawn_where_the_shear_puts_them():
     shifted = optics.render(spec, level, seed=None, shear_mm=moved).astype(int)
     still = optics.render_reference(spec).astype(int)
     dotless = optics.render_reference(load_sensor("gelslim_dotless")).astype(int)
-    dark_still, dark_shifted = dotless - still, dotless - shifted
+    dark_still = dotless - still
+    dark_shifted = dotless - shifted
     inner = np.s_[40:280, 60:360]
-    assert np.corrcoef(dark_still[:, :-3][inner].ravel(), dark_shifted[:, 3:][inner].ravel())[0, 1] > 0.98
+    assert (
+        np.corrcoef(dark_still[:, :-3][inner].ravel(), dark_shifted[:, 3:][inner].ravel())[0, 1]
+        > 0.98
+    )
     move_x, _ = optics.compute_marker_motion_px(spec, level, moved)
     assert move_x == pytest.approx(3.0, abs=1e-5)
 
@@ -119,10 +136,13 @@ def test_a_camera_sees_the_motion_of_the_points_it_looks_at():
         step_mm=spec.pixel_mm,
         shape=(spec.camera.rows + 2 * margin, spec.camera.cols + 2 * margin),
     )
-    move = np.stack(np.meshgrid(on.x_mm(), on.y_mm()), axis=-1).astype(np.float32)  # each point says where it is
+    # each point says where it is
+    move = np.stack(np.meshgrid(on.x_mm(), on.y_mm()), axis=-1).astype(np.float32)
     lifted = spec.rest_depth_mm - 0.5
     seen = shear.sample_motion_at_pixels(spec.camera, on, move, lifted)
-    assert seen == pytest.approx(spec.camera.back_project(lifted)[..., :2], abs=0.03 * spec.pixel_mm)
+    assert seen == pytest.approx(
+        spec.camera.back_project(lifted)[..., :2], abs=0.03 * spec.pixel_mm
+    )
 
 
 def test_wrong_loads_are_refused():
@@ -131,4 +151,6 @@ def test_wrong_loads_are_refused():
     with pytest.raises(SettingProblem, match="finite"):
         TangentialLoad(displacement_mm=(np.nan, 0.0))
     with pytest.raises(ShapeError, match="not negative"):
-        shear.solve_shear(PAD, PIXEL_MM, np.full((20, 20), -1.0), TangentialLoad(displacement_mm=(0.0, 0.0)))
+        shear.solve_shear(
+            PAD, PIXEL_MM, np.full((20, 20), -1.0), TangentialLoad(displacement_mm=(0.0, 0.0))
+        )

@@ -33,7 +33,9 @@ def read_motion(touch):
     return MarkerMotion(places_mm=places, motion_mm=touch.shear_mm[row, col].astype(float))
 
 
-@pytest.mark.parametrize(("right_mm", "down_mm", "friction"), [(0.1, 0.0, 5.0), (-0.15, 0.2, 5.0), (0.3, 0.3, 0.4)])
+@pytest.mark.parametrize(
+    ("right_mm", "down_mm", "friction"), [(0.1, 0.0, 5.0), (-0.15, 0.2, 5.0), (0.3, 0.3, 0.4)]
+)
 def test_exact_motion_gives_the_force_of_the_drag(right_mm, down_mm, friction):
     touch = drag(right_mm, down_mm, friction=friction)
     pressed = press_gel_contact(GELSLIM, touch.indentation_mm, touch.contact)
@@ -44,35 +46,51 @@ def test_exact_motion_gives_the_force_of_the_drag(right_mm, down_mm, friction):
 
 def test_a_tenth_of_the_markers_that_jumped_to_a_neighbour_change_little():
     touch = drag(0.15, -0.1)
-    pressed, motion = press_gel_contact(GELSLIM, touch.indentation_mm, touch.contact), read_motion(touch)
+    pressed = press_gel_contact(GELSLIM, touch.indentation_mm, touch.contact)
+    motion = read_motion(touch)
     wrong = motion.motion_mm.copy()
     wrong[::10] += (1.6, 0.0)
-    found = estimate_shear_force(GELSLIM.gel, pressed, MarkerMotion(places_mm=motion.places_mm, motion_mm=wrong))
+    found = estimate_shear_force(
+        GELSLIM.gel, pressed, MarkerMotion(places_mm=motion.places_mm, motion_mm=wrong)
+    )
     true = touch.truth.force_n[:2]
     assert np.linalg.norm(found - true) < 0.1 * np.linalg.norm(true)
 
 
 @pytest.mark.parametrize("tool", ["hexagon", "sphere"])
 def test_an_image_gives_the_force_of_the_drag(tool):
-    """Within 15 % with the true depth; a press without drag has a hundredth of its normal force at most."""
+    """Within 15 % with the true depth.
+
+    A press without drag has a hundredth of its normal force at most.
+    """
     reference = render_reference(GELSLIM)
     for right_mm, down_mm in ((0.2, -0.1), (0.0, 0.0)):
         touch = drag(right_mm, down_mm, tool=tool, seed=3)
         frame = TactileFrame(sensor="gelslim", image=touch.image, reference=reference)
         found = estimate_gel_force(GELSLIM, frame, touch.indentation_mm, touch.contact)
         true = touch.truth.force_n[:2]
-        assert np.linalg.norm(found.shear_n - true) < max(0.15 * np.linalg.norm(true), 0.01 * touch.force_n)
+        assert np.linalg.norm(found.shear_n - true) < max(
+            0.15 * np.linalg.norm(true), 0.01 * touch.force_n
+        )
 
 
 def test_no_shear_where_markers_or_the_reference_are_missing_or_noise_and_zero_without_contact():
-    touch, dotless = drag(0.2, 0.0), load_sensor("gelslim_dotless")
+    touch = drag(0.2, 0.0)
+    dotless = load_sensor("gelslim_dotless")
     reference = render_reference(GELSLIM)
     frame = TactileFrame(sensor="gelslim", image=touch.image, reference=reference)
     alone = TactileFrame(sensor="gelslim", image=touch.image, reference=None)
-    grey = TactileFrame(sensor="gelslim", image=np.full_like(reference, 90), reference=np.full_like(reference, 90))
+    grey = TactileFrame(
+        sensor="gelslim", image=np.full_like(reference, 90), reference=np.full_like(reference, 90)
+    )
     noise = np.random.default_rng(0).integers(60, 200, reference.shape, np.uint8)
     grains = TactileFrame(sensor="gelslim", image=noise, reference=noise)
     for sensor, given in ((GELSLIM, alone), (dotless, frame), (GELSLIM, grey), (GELSLIM, grains)):
-        assert estimate_gel_force(sensor, given, touch.indentation_mm, touch.contact).shear_n is None
+        assert (
+            estimate_gel_force(sensor, given, touch.indentation_mm, touch.contact).shear_n is None
+        )
     nothing = np.zeros_like(touch.indentation_mm)
-    assert estimate_gel_force(GELSLIM, frame, nothing, np.zeros_like(touch.contact)).shear_n == (0.0, 0.0)
+    assert estimate_gel_force(GELSLIM, frame, nothing, np.zeros_like(touch.contact)).shear_n == (
+        0.0,
+        0.0,
+    )

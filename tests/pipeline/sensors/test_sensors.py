@@ -41,7 +41,8 @@ def test_the_scale_of_the_paper_is_kept():
 
 
 def test_a_variant_differs_from_its_parent_only_where_stated():
-    dotted, dotless = load_sensor("gelslim"), load_sensor("gelslim_dotless")
+    dotted = load_sensor("gelslim")
+    dotless = load_sensor("gelslim_dotless")
     assert dotted.markers is not None
     assert dotless.markers is None
     assert dotless.camera == dotted.camera
@@ -49,7 +50,10 @@ def test_a_variant_differs_from_its_parent_only_where_stated():
 
 
 def test_a_users_sensor_may_extend_one_of_the_project(tmp_path):
-    text = '\ufeffextends = "digit"\ntitle = "my digit"\n[rest]\ndepth = { value = 30.0, unit = "mm", from = "measured" }\n'
+    text = (
+        '\ufeffextends = "digit"\ntitle = "my digit"\n[rest]\ndepth = { value = 30.0, unit = '
+        '"mm", from = "measured" }\n'
+    )
     s = load_sensor(own(tmp_path, text))
     assert s.title == "my digit"
     assert s.rest_depth_mm.mean() == pytest.approx(30.0)
@@ -64,8 +68,14 @@ def test_a_users_sensor_may_extend_one_of_the_project(tmp_path):
         ("[optics]\nglowz = []", r"optics\.glowz; do you mean optics\.glows"),
         ("[marker]\npitch = {}", "marker; do you mean markers"),
         ('titel = "my digit"', "titel; do you mean title"),
-        ('[rest]\ndepth = {value = 20.0, unit = "mm", from = "measured", asumed = true}', "unknown field asumed"),
-        ('[rest]\nkind = "mesh"\nfile = "a.stl"\nunit = "mm"\nstap = 0.1', r"rest\.stap; do you mean rest\.step"),
+        (
+            '[rest]\ndepth = {value = 20.0, unit = "mm", from = "measured", asumed = true}',
+            "unknown field asumed",
+        ),
+        (
+            '[rest]\nkind = "mesh"\nfile = "a.stl"\nunit = "mm"\nstap = 0.1',
+            r"rest\.stap; do you mean rest\.step",
+        ),
     ],
 )
 def test_a_misspelled_key_is_named_with_the_one_that_is_meant(tmp_path, text, words):
@@ -106,9 +116,9 @@ def test_a_sensor_with_another_camera_keeps_everything_else():
     small = source.with_camera(source.camera.scale(0.25))
     assert source.with_camera(source.camera) is source
     assert small.rest_depth_mm.shape == small.camera.shape
-    assert compute_digest(replace(small, camera=source.camera, rest_depth_mm=source.rest_depth_mm)) == compute_digest(
-        source
-    )
+    assert compute_digest(
+        replace(small, camera=source.camera, rest_depth_mm=source.rest_depth_mm)
+    ) == compute_digest(source)
     quiet = replace(source, limits=replace(source.limits, no_contact_change=9.0))
     assert quiet.with_camera(small.camera).limits == quiet.limits
 
@@ -132,7 +142,11 @@ def test_an_unknown_sensor_names_the_known_ones():
         ("[camera]", "[lens]", r"lacks the section \[camera\]"),
         ('kind = "gel"', 'kind = "skin"', "kind must be"),
         ("value = 240", "value = -240", "must lie within"),
-        ("fx = { value = 394.32", "fx = { value = 0.0", "camera.fx must lie within 32 and 100000 px"),
+        (
+            "fx = { value = 394.32",
+            "fx = { value = 0.0",
+            "camera.fx must lie within 32 and 100000 px",
+        ),
         ("fx = { value = 394.32", "fx = { value = 3.6", "camera.fx must lie within 32"),
         ("value = [0.0, 0.0, -25.0]", "value = [0.0, 0.0]", "list of 3"),
         ("fx = { value = 394.32", "fx = { value = nan", r"camera\.fx\.value: expected a number"),
@@ -158,11 +172,27 @@ def entry(key, value, unit):
             entry("rotation_vector", "[1e20, 0.0, 0.0]", "deg"),
             r"rotation_vector\.value\[0\]: expected a number <= 1000000000",
         ),
-        ("alignment", entry("rotation_vector", "[0.0, 361.0, 0.0]", "deg"), "within -360 and 360 deg"),
-        ("alignment", entry("translation", "[0.0, 0.0, 1000001.0]", "mm"), "within -1000 and 1000 mm"),
-        ("bubble", entry("pressure", "1e300", "kPa"), r"bubble\.pressure\.value: expected a number <="),
+        (
+            "alignment",
+            entry("rotation_vector", "[0.0, 361.0, 0.0]", "deg"),
+            "within -360 and 360 deg",
+        ),
+        (
+            "alignment",
+            entry("translation", "[0.0, 0.0, 1000001.0]", "mm"),
+            "within -1000 and 1000 mm",
+        ),
+        (
+            "bubble",
+            entry("pressure", "1e300", "kPa"),
+            r"bubble\.pressure\.value: expected a number <=",
+        ),
         ("bubble", entry("pressure", "101.0", "kPa"), "within 0 and 100 kPa"),
-        ("bubble", entry("dead_volume", "1" + "0" * 400, "mm^3"), r"bubble\.dead_volume\.value: Number out of range"),
+        (
+            "bubble",
+            entry("dead_volume", "1" + "0" * 400, "mm^3"),
+            r"bubble\.dead_volume\.value: Number out of range",
+        ),
         ("camera", entry("fx", "1e9", "px"), "within 17.5 and 100000 px"),
         ("camera", entry("cx", "-1e7", "px"), "within -100000 and 100000 px"),
         ("camera", entry("fy", "true", "px"), "expected a number or a list, got true or false"),
@@ -208,13 +238,18 @@ def test_a_list_where_one_number_belongs_is_refused(tmp_path):
 
 
 def test_a_bubble_has_a_depth_camera_with_errors_and_a_stereo_variant(tmp_path):
-    flight, stereo = load_sensor("soft_bubble"), load_sensor("soft_bubble_stereo")
+    flight = load_sensor("soft_bubble")
+    stereo = load_sensor("soft_bubble_stereo")
     assert flight.depth_camera == DepthCamera()  # what a description without the section gets
     assert (stereo.depth_camera.gap_share, stereo.depth_camera.step_mm) == (0.01, 0.1)
     assert stereo.depth_camera.distance_power == flight.depth_camera.distance_power
     assert stereo.bubble == flight.bubble
     assert load_sensor("gelslim").depth_camera is None
     some = '[depth_camera]\ngap_share = { value = 0.2, unit = "1", from = "counted" }\n'
-    assert load_sensor(own(tmp_path, f'extends = "soft_bubble"\n{some}')).depth_camera.gap_share == 0.2
+    assert (
+        load_sensor(own(tmp_path, f'extends = "soft_bubble"\n{some}')).depth_camera.gap_share == 0.2
+    )
     with pytest.raises(CalibrationError, match=r"depth_camera\.gap_share.*0 and 1"):
-        load_sensor(own(tmp_path, f'extends = "soft_bubble"\n{some.replace("0.2", "1.2")}', "other.toml"))
+        load_sensor(
+            own(tmp_path, f'extends = "soft_bubble"\n{some.replace("0.2", "1.2")}', "other.toml")
+        )

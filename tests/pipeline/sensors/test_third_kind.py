@@ -1,4 +1,6 @@
-"""A third kind of sensor comes from a module of its own and goes through depth, target depth and preview."""
+"""A third kind of sensor comes from a module of its own and goes through depth, target depth and
+preview.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +65,9 @@ class TaxelArray(SensorKind):
 
     def parse_membrane(self, section, camera, parts):
         z = section("rest").read_number("depth", "mm", 0.1, 1000.0)
-        return membrane.make_flat_membrane(z, camera.cols * z / camera.fx_px, camera.rows * z / camera.fy_px)
+        return membrane.make_flat_membrane(
+            z, camera.cols * z / camera.fx_px, camera.rows * z / camera.fy_px
+        )
 
     def find_image_problem(self, image):
         return "has negative taxels" if (image < -1.0).any() else ""
@@ -74,22 +78,34 @@ def render_image(_sensor, indentation_mm, _depth_mm, _seed, _shear_mm):
 
 
 def describe_if_no_contact(frame, _sensor, _calibration, limit):
-    return ("no taxel is pressed",) if float(np.abs(frame.image - frame.reference).max()) < limit else None
+    return (
+        ("no taxel is pressed",)
+        if float(np.abs(frame.image - frame.reference).max()) < limit
+        else None
+    )
 
 
 def estimate_depth(frame, sensor, _calibration, params, _progress):
     pressed = sensor.sensor_kind.compute_change(frame.image, frame.reference)
     return DepthMap(
-        indentation_mm=freeze(pressed), depth_mm=freeze((sensor.rest_depth_mm - pressed).astype(np.float32)),
-        contact=freeze(pressed > params.contact_limit * sensor.limits.contact_min_mm), camera=sensor.camera,
+        indentation_mm=freeze(pressed),
+        depth_mm=freeze((sensor.rest_depth_mm - pressed).astype(np.float32)),
+        contact=freeze(pressed > params.contact_limit * sensor.limits.contact_min_mm),
+        camera=sensor.camera,
         source_index=make_pixel_index(sensor.camera.shape),
-    )  # fmt: skip
+    )
 
 
 TAXELS = TaxelArray(
-    key="taxels", is_depth=True, change_sign=1.0, full_change=1.0, peak_change=2.0, display_group="gel",
-    still_change=0.1, drift_change=None,
-)  # fmt: skip
+    key="taxels",
+    is_depth=True,
+    change_sign=1.0,
+    full_change=1.0,
+    peak_change=2.0,
+    display_group="gel",
+    still_change=0.1,
+    drift_change=None,
+)
 IMAGE_RENDERERS.add(TaxelArray, render_image)
 NO_CONTACT_CHECKS.add(TaxelArray, describe_if_no_contact)
 DEPTH_ESTIMATORS.add(TaxelArray, estimate_depth)
@@ -120,8 +136,12 @@ def test_an_unknown_kind_is_refused_with_those_that_are_known(path: Path):
 
 
 def test_another_package_adds_a_kind_by_an_entry_point(path: Path, monkeypatch):
-    entry = importlib.metadata.EntryPoint(name="lab", value=f"{__name__}:TAXELS", group="tactoscope.sensor_kinds")
-    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [entry] if group == entry.group else [])
+    entry = importlib.metadata.EntryPoint(
+        name="lab", value=f"{__name__}:TAXELS", group="tactoscope.sensor_kinds"
+    )
+    monkeypatch.setattr(
+        importlib.metadata, "entry_points", lambda group: [entry] if group == entry.group else []
+    )
     entry_points.load_entry_points.cache_clear()
     try:
         assert load_sensor(str(path)).sensor_kind is TAXELS
@@ -141,7 +161,10 @@ def test_a_frame_without_contact_needs_no_estimate(sensor: SensorSpec):
     assert depth is not None
     assert depth.notes == ("no taxel is pressed",)
     assert not depth.contact.any()
-    assert photometric.skip_without_contact(make_frame(sensor, 0.8), sensor, None, DepthParams()) is None
+    assert (
+        photometric.skip_without_contact(make_frame(sensor, 0.8), sensor, None, DepthParams())
+        is None
+    )
 
 
 def test_the_kind_checks_its_frames(sensor: SensorSpec):
@@ -180,7 +203,8 @@ def test_what_a_kind_does_not_offer_is_refused_in_words(sensor: SensorSpec):
 @pytest.mark.parametrize("name", ["digit", "soft_bubble"])
 def test_a_change_restores_the_image(name: str):
     sensor = load_sensor(name)
-    kind, reference = sensor.sensor_kind, render_reference(sensor)
+    kind = sensor.sensor_kind
+    reference = render_reference(sensor)
     change = np.full(reference.shape, 2.0, np.float32)
     image = kind.apply_change(reference, change)
     assert image.dtype == reference.dtype
@@ -191,7 +215,9 @@ def test_a_subclass_has_the_entries_of_its_base_and_others_none():
     class SofterGel(GelSensor):
         """A gel in all but its description."""
 
-    softer = SofterGel(**{field.name: getattr(GEL, field.name) for field in dataclasses.fields(GEL)})
+    softer = SofterGel(
+        **{field.name: getattr(GEL, field.name) for field in dataclasses.fields(GEL)}
+    )
     assert FORCE_MODELS.get(softer) is FORCE_MODELS.get(GEL) is not None
     assert FORCE_MODELS.get(TAXELS) is None
 
@@ -201,5 +227,7 @@ def test_networks_of_touches_say_that_they_do_not_know_the_third_kind(sensor: Se
     """With weights of the user's, which a kind in a table of its own raised KeyError for."""
     gelslim = load_sensor("gelslim")
     file = weights_registry.WEIGHTS_FOLDER / "t2t_bubble.safetensors"
-    found = method.select_weights(*((gelslim, sensor) if method is t2d2 else (sensor, gelslim)), file)
+    found = method.select_weights(
+        *((gelslim, sensor) if method is t2d2 else (sensor, gelslim)), file
+    )
     assert isinstance(found, NoWeights)

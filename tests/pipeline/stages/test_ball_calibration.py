@@ -15,7 +15,11 @@ from pipeline.physics.simulation.variation import vary_sensor
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth import ball_calibration
-from pipeline.stages.depth.ball_calibration import add_depth_scale, calibrate_sensor, fit_contact_limit
+from pipeline.stages.depth.ball_calibration import (
+    add_depth_scale,
+    calibrate_sensor,
+    fit_contact_limit,
+)
 from pipeline.stages.depth.gel.result import NOT_SCALED
 from pipeline.stages.depth.illumination import selection
 from pipeline.stages.depth.illumination.light import Illumination
@@ -42,7 +46,9 @@ def test_presses_of_a_unit_that_is_read_well_without_them_change_nothing():
     assert found.expected_error.n_held_out == len(PLACES)
     assert found.expected_error.diameter_share < STAGE_TOLERANCE
     assert found.diameter_ratio == pytest.approx(1.0, abs=STAGE_TOLERANCE)
-    of_radius = calibrate_sensor(presses(mini)[:2], optics.render_reference(mini), mini, 0.5 * DIAMETER_MM)
+    of_radius = calibrate_sensor(
+        presses(mini)[:2], optics.render_reference(mini), mini, 0.5 * DIAMETER_MM
+    )
     assert of_radius.diameter_ratio == pytest.approx(2.0, rel=0.2)
 
 
@@ -54,21 +60,25 @@ def another_unit():
 
 def test_the_baseline_of_presses_is_the_depth_stage_and_not_the_built_in_table_alone(another_unit):
     unit, pictures = another_unit
-    still, mini = optics.render_reference(unit), load_sensor("gelsight_mini")
+    still = optics.render_reference(unit)
+    mini = load_sensor("gelsight_mini")
     flat = np.zeros(still.shape[:2], np.float32)
     unseen = calibrate_balls(pictures, still, mini, DIAMETER_MM, read_slopes=lambda _: (flat, flat))
     assert not unseen.uses_built_in  # anything is better than to see nothing
 
     def exact(index):
         x, y = PLACES[index]
-        return compute_slopes(hertz(still.shape[:2], unit.pixel_mm, x, y, DIAMETER_MM, 0.6), unit.pixel_mm)
+        return compute_slopes(
+            hertz(still.shape[:2], unit.pixel_mm, x, y, DIAMETER_MM, 0.6), unit.pixel_mm
+        )
 
     assert calibrate_balls(pictures, still, mini, DIAMETER_MM, read_slopes=exact).uses_built_in
 
 
 def test_presses_in_one_corner_keep_the_built_in_table(another_unit):
     unit, _ = another_unit
-    still, flat = optics.render_reference(unit), np.zeros(unit.camera.shape, np.float32)
+    still = optics.render_reference(unit)
+    flat = np.zeros(unit.camera.shape, np.float32)
     corner = [
         optics.render(unit, hertz(unit.camera.shape, unit.pixel_mm, x, y, DIAMETER_MM, 0.6), seed=x)
         for x, y in ((60, 60), (85, 70), (60, 90), (90, 95))
@@ -82,30 +92,42 @@ def test_presses_in_one_corner_keep_the_built_in_table(another_unit):
 
 def test_pixels_of_another_width_are_compared_in_that_width():
     mini = load_sensor("gelsight_mini")
-    pictures, still = presses(mini), optics.render_reference(mini)
+    pictures = presses(mini)
+    still = optics.render_reference(mini)
     plain, wide = (
         calibrate_sensor(pictures, still, mini, DIAMETER_MM * share, pixel_mm=mini.pixel_mm * share)
         for share in (1.0, 1.5)
     )
     assert wide.expected_error is not None
     assert plain.expected_error is not None
-    assert wide.expected_error.diameter_share == pytest.approx(plain.expected_error.diameter_share, abs=0.02)
+    assert wide.expected_error.diameter_share == pytest.approx(
+        plain.expected_error.diameter_share, abs=0.02
+    )
 
 
 def of_presses(coverage_map=None):
     """The Mini's own look-up as if presses had made it."""
-    fits = tuple(BallFit(index=i, x_px=x, y_px=y, radius_px=20.0, residual=0.1, used=True)
-                 for i, (x, y) in enumerate(PLACES))  # fmt: skip
-    return replace(make_built_in(load_sensor("gelsight_mini")), presses=fits, coverage_map=coverage_map)
+    fits = tuple(
+        BallFit(index=i, x_px=x, y_px=y, radius_px=20.0, residual=0.1, used=True)
+        for i, (x, y) in enumerate(PLACES)
+    )
+    return replace(
+        make_built_in(load_sensor("gelsight_mini")), presses=fits, coverage_map=coverage_map
+    )
 
 
 def test_a_touch_that_no_press_covers_is_estimated_without_calibration():
     mini = load_sensor("gelsight_mini")
-    picture, still = presses(mini)[0], optics.render_reference(mini)  # to the left
+    # to the left
+    picture = presses(mini)[0]
+    still = optics.render_reference(mini)
     frame = TactileFrame(sensor=mini.name, image=picture, reference=still)
-    by_presses, without = (estimate_depth(frame, mini, look_up, DepthParams()) for look_up in (of_presses(), None))
+    by_presses, without = (
+        estimate_depth(frame, mini, look_up, DepthParams()) for look_up in (of_presses(), None)
+    )
     here, elsewhere = (
-        estimate_depth(frame, mini, of_presses(np.array([[left, not left]])), DepthParams()) for left in (True, False)
+        estimate_depth(frame, mini, of_presses(np.array([[left, not left]])), DepthParams())
+        for left in (True, False)
     )
     assert np.array_equal(here.indentation_mm, by_presses.indentation_mm)
     assert np.array_equal(elsewhere.indentation_mm, without.indentation_mm)
@@ -115,8 +137,11 @@ def test_a_touch_that_no_press_covers_is_estimated_without_calibration():
 
 
 @pytest.mark.parametrize(("too_wide", "share"), [(1.0, None), (1.2, 0.6), (3.0, 0.75)])
-def test_contacts_wider_than_their_circles_get_a_higher_pressure_limit(monkeypatch, too_wide, share):
-    mini, shape = load_sensor("gelsight_mini"), (240, 320)
+def test_contacts_wider_than_their_circles_get_a_higher_pressure_limit(
+    monkeypatch, too_wide, share
+):
+    mini = load_sensor("gelsight_mini")
+    shape = (240, 320)
 
     def read(frame, _source, look_up, _params):  # contacts narrow down as the share grows
         wide = too_wide - (look_up.median_pressure_share or 0.3) + 0.3
@@ -126,14 +151,20 @@ def test_contacts_wider_than_their_circles_get_a_higher_pressure_limit(monkeypat
 
     monkeypatch.setattr(ball_calibration, "estimate_depth", read)
     pictures = [np.zeros((*shape, 3), np.uint8)] * len(PLACES)
-    assert fit_contact_limit(of_presses(), pictures, pictures[0], mini).median_pressure_share == share
+    assert (
+        fit_contact_limit(of_presses(), pictures, pictures[0], mini).median_pressure_share == share
+    )
 
 
 def test_a_larger_share_of_the_median_pressure_shrinks_a_contact():
     mini = load_sensor("gelsight_mini")
-    frame = TactileFrame(sensor=mini.name, image=presses(mini)[0], reference=optics.render_reference(mini))
+    frame = TactileFrame(
+        sensor=mini.name, image=presses(mini)[0], reference=optics.render_reference(mini)
+    )
     usual, more = (
-        estimate_depth(frame, mini, replace(of_presses(), median_pressure_share=share), DepthParams()).contact
+        estimate_depth(
+            frame, mini, replace(of_presses(), median_pressure_share=share), DepthParams()
+        ).contact
         for share in (None, 0.75)
     )
     assert 0.4 * usual.sum() < more.sum() < 0.95 * usual.sum()
@@ -141,24 +172,33 @@ def test_a_larger_share_of_the_median_pressure_shrinks_a_contact():
 
 
 @pytest.mark.parametrize(("model", "factor"), [("described", 1.3), ("near", 1.3), ("field", 1.0)])
-def test_depth_is_scaled_by_places_where_the_light_is_not_fitted_to_the_touch_itself(monkeypatch, model, factor):
+def test_depth_is_scaled_by_places_where_the_light_is_not_fitted_to_the_touch_itself(
+    monkeypatch, model, factor
+):
     described = load_sensor("gelsight_mini")
     prior = near_led_prior.compute_prior(described, described.pixel_mm, described.camera.shape)
     light = Illumination(model=model, parameters=tuple(prior.mean) if model == "field" else ())
     monkeypatch.setattr(selection, "choose_illumination", lambda *_: light)
     frame = TactileFrame(
-        sensor=described.name, image=presses(described)[0], reference=optics.render_reference(described)
+        sensor=described.name,
+        image=presses(described)[0],
+        reference=optics.render_reference(described),
     )
     table = make_built_in(described)
     scaled = replace(table, depth_scale_map=np.full((2, 2), 1.3, np.float32))
     plain, more = (estimate_depth(frame, described, one, DepthParams()) for one in (table, scaled))
     inside = plain.contact & more.contact
     assert inside.sum() > 100
-    assert more.indentation_mm[inside].sum() == pytest.approx(factor * plain.indentation_mm[inside].sum(), rel=0.03)
+    assert more.indentation_mm[inside].sum() == pytest.approx(
+        factor * plain.indentation_mm[inside].sum(), rel=0.03
+    )
     is_scaled = factor != 1.0
     assert (NOT_SCALED in more.notes) is not is_scaled
     known = replace(
-        scaled, presses=of_presses().presses, uses_built_in=True, expected_error=of_presses().expected_error
+        scaled,
+        presses=of_presses().presses,
+        uses_built_in=True,
+        expected_error=of_presses().expected_error,
     )
     promised = estimate_depth(frame, described, known, DepthParams()).notes[0]
     assert ("depth scaled by" in promised) is is_scaled
@@ -167,7 +207,8 @@ def test_depth_is_scaled_by_places_where_the_light_is_not_fitted_to_the_touch_it
 
 def test_presses_scale_depth_by_how_far_they_are_off_and_state_what_is_left():
     known = replace(of_presses(), uses_built_in=True)
-    off, unknown = np.full(len(PLACES), 1.25), np.full(len(PLACES), np.nan)
+    off = np.full(len(PLACES), 1.25)
+    unknown = np.full(len(PLACES), np.nan)
     scaled = add_depth_scale(known, off, off)
     assert scaled.is_built_in
     assert scaled.depth_scale_map is not None
@@ -176,13 +217,16 @@ def test_presses_scale_depth_by_how_far_they_are_off_and_state_what_is_left():
     assert scaled.expected_error.n_held_out == len(PLACES)
     assert scaled.expected_error.diameter_share < scaled.expected_error.diameter_p90 < 0.25
     assert add_depth_scale(known, off, unknown) == known
-    most = add_depth_scale(known, off, np.where(np.arange(len(PLACES)) > 0, off, np.nan)).expected_error
+    most = add_depth_scale(
+        known, off, np.where(np.arange(len(PLACES)) > 0, off, np.nan)
+    ).expected_error
     assert most is not None
     assert most.n_held_out == len(PLACES)
     assert most.diameter_share > scaled.expected_error.diameter_share
     half = np.where(np.arange(len(PLACES)) % 2 == 0, off, np.nan)
     assert add_depth_scale(known, off, half) == known  # half of the touches would not be scaled
-    wrong = np.full(len(PLACES), 3.0)  # a pixel width thrice the true one: more than a scale is trusted with
+    # a pixel width thrice the true one: more than a scale is trusted with
+    wrong = np.full(len(PLACES), 3.0)
     stated = add_depth_scale(known, wrong, wrong).expected_error
     assert stated is not None
     assert stated.diameter_share > 0.5
@@ -191,10 +235,12 @@ def test_presses_scale_depth_by_how_far_they_are_off_and_state_what_is_left():
 @pytest.mark.parametrize(
     ("off", "scaled_error", "table_error", "taken"),
     [
-        (1.1, 0.01, 0.3, "scale"), (1.1, 0.01, 0.001, "table"), (1.1, 0.3, 0.25, "description"),
+        (1.1, 0.01, 0.3, "scale"),
+        (1.1, 0.01, 0.001, "table"),
+        (1.1, 0.3, 0.25, "description"),
         (1.5, 0.27, 0.11, "table"),  # a pixel width half as large again: the scale predicts 3 %
     ],
-)  # fmt: skip
+)
 def test_the_calibration_that_measures_its_own_presses_best_is_taken(
     monkeypatch, off, scaled_error, table_error, taken
 ):
@@ -203,14 +249,20 @@ def test_the_calibration_that_measures_its_own_presses_best_is_taken(
 
     def read(frame, *_):
         x, y = PLACES[frame.index]
-        inside = np.hypot(np.arange(shape[1]) - x, (np.arange(shape[0]) - y)[:, None]) * described.pixel_mm < 1.2
+        inside = (
+            np.hypot(np.arange(shape[1]) - x, (np.arange(shape[0]) - y)[:, None])
+            * described.pixel_mm
+            < 1.2
+        )
         depth_mm = hertz(shape, described.pixel_mm, x, y, off * DIAMETER_MM, 0.6)
         light = SimpleNamespace(is_bound_to_place=True)
         return SimpleNamespace(indentation_mm=depth_mm, contact=inside), light
 
     def measure(look_up, *_):
         share = table_error if look_up.depth_scale_map is None else scaled_error
-        return ExpectedError(diameter_share=share, diameter_p90=0.3, depth_share=0.1, depth_p90=0.3, n_held_out=4)
+        return ExpectedError(
+            diameter_share=share, diameter_p90=0.3, depth_share=0.1, depth_p90=0.3, n_held_out=4
+        )
 
     monkeypatch.setattr(ball_calibration, "estimate_gel_depth", read)
     monkeypatch.setattr(ball_calibration, "calibrate_balls", lambda *_, **__: of_presses())
@@ -218,6 +270,9 @@ def test_the_calibration_that_measures_its_own_presses_best_is_taken(
     monkeypatch.setattr(ball_calibration, "measure_table_error", measure)
     images = [np.zeros((*shape, 3), np.uint8)] * len(PLACES)
     found = calibrate_sensor(images, images[0], described, DIAMETER_MM)
-    assert ("description" if found.is_built_in else "table") == {"scale": "description"}.get(taken, taken)
+    assert ("description" if found.is_built_in else "table") == {"scale": "description"}.get(
+        taken, taken
+    )
     assert (found.depth_scale_map is not None) is (taken == "scale")
-    assert found.diameter_ratio == pytest.approx(off, abs=0.07)  # under a ball the gel is a paraboloid here
+    # under a ball the gel is a paraboloid here
+    assert found.diameter_ratio == pytest.approx(off, abs=0.07)

@@ -1,4 +1,6 @@
-"""Press or drift: large, smooth touches and changes of the light, told apart by what explains them."""
+"""Press or drift: large, smooth touches and changes of the light, told apart by what explains
+them.
+"""
 
 from __future__ import annotations
 
@@ -29,20 +31,33 @@ DRIFT = {"gain": 1.03, "ramp_grey": 8.0, "shift_px": (1.4, -1.4)}
 
 
 def press_soft_ball(name, *, radius_mm, depth_mm=0.3, unit_seed=0):
-    """(described sensor, image of another instance, its reference, true surface) of a ball in the middle of the view."""
+    """(described sensor, image of another instance, its reference, true surface) of a ball in
+    the middle of the view.
+    """
     source = load_sensor(name)
     unit = vary_sensor(source, unit_seed) if unit_seed else source
     rows, cols = source.camera.shape
     y, x = ((np.arange(n) - (n - 1) / 2) * source.pixel_mm for n in (rows, cols))
-    pressed = gel.press_gel(unit.gel, source.pixel_mm, depth_mm - (x**2 + y[:, None] ** 2) / (2 * radius_mm))
-    return source, optics.render(unit, pressed.indentation_mm, seed=1), optics.render_reference(unit), pressed
+    pressed = gel.press_gel(
+        unit.gel, source.pixel_mm, depth_mm - (x**2 + y[:, None] ** 2) / (2 * radius_mm)
+    )
+    return (
+        source,
+        optics.render(unit, pressed.indentation_mm, seed=1),
+        optics.render_reference(unit),
+        pressed,
+    )
 
 
 @pytest.mark.parametrize("name", GELS)
 @pytest.mark.parametrize(("radius_mm", "unit_seed"), [(120.0, 0), (60.0, 4)])
 def test_a_large_soft_ball_is_found_with_its_depth_and_contact(name, radius_mm, unit_seed):
-    source, image, reference, pressed = press_soft_ball(name, radius_mm=radius_mm, unit_seed=unit_seed)
-    found = estimate_depth(TactileFrame(sensor=name, image=image, reference=reference), source, None, DepthParams())
+    source, image, reference, pressed = press_soft_ball(
+        name, radius_mm=radius_mm, unit_seed=unit_seed
+    )
+    found = estimate_depth(
+        TactileFrame(sensor=name, image=image, reference=reference), source, None, DepthParams()
+    )
     assert found.indentation_mm.max() == pytest.approx(pressed.indentation_mm.max(), rel=0.25)
     assert found.contact.sum() == pytest.approx(pressed.contact.sum(), rel=0.3)
 
@@ -68,11 +83,16 @@ def test_the_same_drift_alone_is_no_touch(name):
 
 def test_touches_of_an_instance_tell_its_light():
     touches = [press_soft_ball("digit", radius_mm=r, unit_seed=7) for r in (20.0, 40.0)]
-    source, image, reference, _ = press_soft_ball("digit", radius_mm=30.0, depth_mm=0.2, unit_seed=7)
+    source, image, reference, _ = press_soft_ball(
+        "digit", radius_mm=30.0, depth_mm=0.2, unit_seed=7
+    )
     described = coarse_light.describe_light(source)
-    fitted = coarse_light.estimate_light(tuple(t[1] for t in touches), reference, source, source.pixel_mm)
+    fitted = coarse_light.estimate_light(
+        tuple(t[1] for t in touches), reference, source, source.pixel_mm
+    )
     plain, own = (
-        change.explain_change(image, reference, source, light, source.pixel_mm) for light in (described, fitted)
+        change.explain_change(image, reference, source, light, source.pixel_mm)
+        for light in (described, fitted)
     )
     assert own.dent_evidence > plain.dent_evidence
 
@@ -81,25 +101,34 @@ def test_the_slopes_of_a_dent_are_those_of_its_heights():
     source = load_sensor("gelsight_mini")
     basis = coarse_light.make_dent_basis(source, source.pixel_mm)
     pressures = np.random.default_rng(0).uniform(0, 1, basis.heights.shape[-1]).astype(np.float32)
-    heights, slopes = basis.heights @ pressures, basis.slopes @ pressures
+    heights = basis.heights @ pressures
+    slopes = basis.slopes @ pressures
     down, right = np.gradient(heights, basis.block_mm)
     inside = (slice(1, -1), slice(1, -1))
     for analytic, finite in ((slopes[..., 0], right), (slopes[..., 1], down)):  # over a block
         assert np.corrcoef(analytic[inside].ravel(), finite[inside].ravel())[0, 1] > 0.98
-    assert np.abs(slopes).mean() == pytest.approx((np.abs(right).mean() + np.abs(down).mean()) / 2, rel=0.2)
+    assert np.abs(slopes).mean() == pytest.approx(
+        (np.abs(right).mean() + np.abs(down).mean()) / 2, rel=0.2
+    )
 
 
 @pytest.mark.parametrize(
     ("dent", "light", "verdict"),
-    [(-200.0, 0.0, "none"), (50.0, 0.0, "uncertain"), (500.0, 600.0, "press"), (500.0, 2300.0, "uncertain"),
-     (100.0, 3000.0, "none")],
-)  # fmt: skip
+    [
+        (-200.0, 0.0, "none"),
+        (50.0, 0.0, "uncertain"),
+        (500.0, 600.0, "press"),
+        (500.0, 2300.0, "uncertain"),
+        (100.0, 3000.0, "none"),
+    ],
+)
 def test_what_explains_a_change_better_decides(dent, light, verdict):
     assert change.decide(dent, light) == verdict
 
 
 def test_an_uncertain_contact_is_nowhere_called_exact_and_has_no_force():
-    source, target = load_sensor("gelslim"), load_sensor("digit")
+    source = load_sensor("gelslim")
+    target = load_sensor("digit")
     shape = source.camera.shape
     depth = make_depth_map(
         source.rest_depth_mm,
@@ -111,7 +140,9 @@ def test_an_uncertain_contact_is_nowhere_called_exact_and_has_no_force():
     cloud = back_projection.skip_without_contact(
         depth, resolve_alignment(source, target), back_projection.BackProjectionParams()
     )
-    view = surface_projection.skip_without_contact(cloud, target, surface_projection.SurfaceProjectionParams())
+    view = surface_projection.skip_without_contact(
+        cloud, target, surface_projection.SurfaceProjectionParams()
+    )
     touch = physical_render.skip_without_contact(view, target)
     assert depth.is_uncertain
     for value in (cloud, view, touch):

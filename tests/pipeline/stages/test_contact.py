@@ -24,12 +24,15 @@ from pipeline.stages.depth.contact import (
 from pipeline.stages.metrics.stage_metrics import iou
 
 SHAPE = (60, 80)
-PAD, PIXEL_MM = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48), 0.05
+PAD = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)
+PIXEL_MM = 0.05
 LIMITS = {"least_mm": 0.03, "pressure_share": 0.25, "smoothing_px": 1.0}
 
 
 def press_gel_height(height_mm):
-    """A gel under an object whose overlap is this function of (x, y, distance) from the middle, and the truth."""
+    """A gel under an object whose overlap is this function of (x, y, distance) from the middle,
+    and the truth.
+    """
     y, x = (np.mgrid[:120, :140] - np.array([59.5, 69.5])[:, None, None]) * PIXEL_MM
     pressed = gel.press_gel(PAD, PIXEL_MM, height_mm(x, y, np.hypot(x, y)))
     return pressed.indentation_mm, pressed.contact
@@ -48,14 +51,17 @@ def press_gel_height(height_mm):
     ],
 )
 def test_shallow_regions_in_a_corner_are_left_out(rows, cols, depth_mm, kept):
-    mask, surface = np.zeros(SHAPE, np.bool_), np.zeros(SHAPE, np.float32)
-    mask[rows, cols], surface[rows, cols] = True, depth_mm
+    mask = np.zeros(SHAPE, np.bool_)
+    surface = np.zeros(SHAPE, np.float32)
+    mask[rows, cols] = True
+    surface[rows, cols] = depth_mm
     found = remove_border_artifacts(mask, surface, slice(0, 60), slice(0, 80), SHAPE, 6.0)
     assert np.array_equal(found, mask if kept else np.zeros_like(mask))
 
 
 def test_the_end_of_the_part_that_is_worked_on_is_no_side_of_the_picture():
-    mask, surface = np.ones((10, 10), np.bool_), np.full((10, 10), 0.05, np.float32)
+    mask = np.ones((10, 10), np.bool_)
+    surface = np.full((10, 10), 0.05, np.float32)
     assert remove_border_artifacts(mask, surface, slice(5, 15), slice(5, 15), SHAPE, 6.0).all()
     assert not remove_border_artifacts(mask, surface, slice(0, 10), slice(0, 10), SHAPE, 6.0).any()
 
@@ -70,17 +76,23 @@ def test_a_strip_along_the_border_beside_a_larger_contact_is_left_out(wide, kept
     found = remove_border_artifacts(whole, surface, slice(0, 60), slice(0, 80), SHAPE, 6.0)
     assert np.array_equal(found, whole if kept else mask)
     alone = whole & ~mask
-    assert np.array_equal(remove_border_artifacts(alone, surface, slice(0, 60), slice(0, 80), SHAPE, 6.0), alone)
+    assert np.array_equal(
+        remove_border_artifacts(alone, surface, slice(0, 60), slice(0, 80), SHAPE, 6.0), alone
+    )
 
 
 def test_specks_that_hardly_press_are_left_out_beside_what_does():
     pressure = np.zeros(SHAPE, np.float32)
-    pressure[20:40, 20:40], pressure[5, 5], pressure[5, 50] = 1.0, 0.2, 0.6
+    pressure[20:40, 20:40] = 1.0
+    pressure[5, 5] = 0.2
+    pressure[5, 50] = 0.6
     found = remove_weak_specks(pressure > 0.1, pressure, 4, 0.5)
     assert found[30, 30]
     assert not found[5, 5]
     assert found[5, 50]  # as a light touch's rim, of which only pieces are seen
-    assert np.array_equal(remove_weak_specks(pressure > 2.0, pressure, 4, 0.5), np.zeros(SHAPE, np.bool_))
+    assert np.array_equal(
+        remove_weak_specks(pressure > 2.0, pressure, 4, 0.5), np.zeros(SHAPE, np.bool_)
+    )
 
 
 @given(arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=12), elements=st.booleans()))
@@ -88,7 +100,10 @@ def test_what_a_mask_encloses_is_filled(mask):
     assert np.array_equal(fill_holes(mask), binary_fill_holes(mask))
 
 
-@given(arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=12), elements=st.booleans()), st.integers(0, 9))
+@given(
+    arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=12), elements=st.booleans()),
+    st.integers(0, 9),
+)
 def test_only_small_holes_are_filled(mask, most):
     holes, n = label(binary_fill_holes(mask) & ~mask)
     small = np.isin(holes, [k for k in range(1, n + 1) if (holes == k).sum() <= most])
@@ -96,7 +111,9 @@ def test_only_small_holes_are_filled(mask, most):
 
 
 def test_the_contact_of_a_rough_ball_has_no_stairs():
-    """As on a tennis ball: what closes the gaps between its threads must not leave its own square shape."""
+    """As on a tennis ball: what closes the gaps between its threads must not leave its own
+    square shape.
+    """
     height_mm, _ = press_gel_height(lambda x, y, r: 0.5 - r * r / 12.0)
     rough = np.random.default_rng(5).normal(0.0, 1.0, height_mm.shape).astype(np.float32)
     rough = cv2.GaussianBlur(rough, (0, 0), 3.0)
@@ -110,8 +127,10 @@ def test_the_contact_of_a_rough_ball_has_no_stairs():
         (lambda x, y, r: 0.8 - 0.6 * r, 0.72),  # a cone, whose pressure is infinite at its tip
         (lambda x, y, r: 0.5 - r * r / 8.0, 0.80),
         (lambda x, y, r: 0.3 - r * r / 8.0, 0.83),
-        (lambda x, y, r: 0.5 - x * x / 4.0 - np.where(abs(y) < 1.8, 0.0, 9.0), 0.83),  # a rod, whose ends are sharp
-        (lambda x, y, r: 0.4 - np.where(np.maximum(abs(x), abs(y)) < 1.0, 0.0, 9.0), 0.94),  # a face
+        # a rod, whose ends are sharp
+        (lambda x, y, r: 0.5 - x * x / 4.0 - np.where(abs(y) < 1.8, 0.0, 9.0), 0.83),
+        # a face
+        (lambda x, y, r: 0.4 - np.where(np.maximum(abs(x), abs(y)) < 1.0, 0.0, 9.0), 0.94),
     ],
     ids=["cone", "ball", "ball lightly", "rod", "face"],
 )
@@ -121,8 +140,12 @@ def test_the_contact_of_what_mechanics_press_is_found_nearly_to_its_rim(height_m
 
 
 def test_gel_that_a_deep_contact_hardly_pulls_along_is_not_touched():
-    _, _, r = (np.broadcast_to(a, (120, 140)) for a in (0, 0, np.hypot(*np.mgrid[-60:60, -70:70]) * PIXEL_MM))
-    ball, skirt = np.maximum(0.9 - r * r / 4.0, 0.0), np.where(r < 2.6, 0.15, 0.0)
+    _, _, r = (
+        np.broadcast_to(a, (120, 140))
+        for a in (0, 0, np.hypot(*np.mgrid[-60:60, -70:70]) * PIXEL_MM)
+    )
+    ball = np.maximum(0.9 - r * r / 4.0, 0.0)
+    skirt = np.where(r < 2.6, 0.15, 0.0)
     found = detect_contact(np.maximum(ball, skirt).astype(np.float32), PIXEL_MM, **LIMITS)
     assert found[r < 1.2].all()
     assert not found[r > 2.0].any()

@@ -23,7 +23,8 @@ from tests.pipeline.calibration.test_balls import hertz
 
 QUIET_MM = 0.03  # what the stage promises far from a contact
 CONTACT_IOU = 0.8  # the blurred rim costs one to two pixels of a contact of about 20
-PEAK_TOLERANCE = 0.25  # of the peak: a gel's long tail counts as rest, and LEDs in their own shadow saturate
+# of the peak: a gel's long tail counts as rest, and LEDs in their own shadow saturate
+PEAK_TOLERANCE = 0.25
 PARAMS = DepthParams()
 
 
@@ -32,7 +33,9 @@ def press(name, depth_mm=0.5, seed=1):
     rows, cols = source.camera.shape
     truth = hertz((rows, cols), source.pixel_mm, 0.55 * cols, 0.45 * rows, 6.31, depth_mm)
     frame = TactileFrame(
-        sensor=name, image=optics.render(source, truth, seed=seed), reference=optics.render_reference(source)
+        sensor=name,
+        image=optics.render(source, truth, seed=seed),
+        reference=optics.render_reference(source),
     )
     return source, frame, truth
 
@@ -65,7 +68,9 @@ def test_an_untouched_picture_is_seen_at_once(name):
     source = load_sensor(name)
     still = optics.render_reference(source)
     frame = TactileFrame(
-        sensor=name, image=optics.render(source, np.zeros(source.camera.shape), seed=4), reference=still
+        sensor=name,
+        image=optics.render(source, np.zeros(source.camera.shape), seed=4),
+        reference=still,
     )
     found = skip_without_contact(frame, source, None, PARAMS)
     assert found is not None
@@ -87,7 +92,10 @@ def test_a_touch_is_never_called_untouched():
         (lambda f: replace(f, image=np.zeros_like(f.image)), "is black"),
         (lambda f: replace(f, reference=np.zeros_like(f.image)), "is black"),
         (lambda f: replace(f, image=np.full_like(f.image, 255)), "image of frame 0 .* is clipped"),
-        (lambda f: replace(f, reference=np.full_like(f.image, 254)), "reference of frame 0 .* is clipped"),
+        (
+            lambda f: replace(f, reference=np.full_like(f.image, 254)),
+            "reference of frame 0 .* is clipped",
+        ),
         (lambda f: replace(f, image=np.full(f.image.shape, np.nan, np.float32)), "NaN"),
         (lambda f: replace(f, image=f.image.astype(np.int64)), "RGB of 8 bits"),
     ],
@@ -107,7 +115,9 @@ def test_a_frame_that_is_partly_black_is_refused_in_one_sentence(name, side):
     source, frame, _ = press(name)
     rows, cols = frame.image.shape[:2]
     image = frame.image.copy()
-    image[{"left": np.s_[:, : cols // 2], "top": np.s_[: rows // 2], "most": np.s_[rows // 4 :]}[side]] = 0
+    image[
+        {"left": np.s_[:, : cols // 2], "top": np.s_[: rows // 2], "most": np.s_[rows // 4 :]}[side]
+    ] = 0
     bad = replace(frame, image=image)
     with pytest.raises(ShapeError, match="is black where its reference is not"):
         estimate_depth(bad, source, None, PARAMS)
@@ -115,7 +125,9 @@ def test_a_frame_that_is_partly_black_is_refused_in_one_sentence(name, side):
 
 def test_a_saturated_picture_is_doubted_and_stays_finite():
     source, frame, _ = press("gelsight_mini")
-    nearly = np.where(np.arange(frame.image.shape[0])[:, None, None] < 4, frame.image, np.uint8(255))
+    nearly = np.where(
+        np.arange(frame.image.shape[0])[:, None, None] < 4, frame.image, np.uint8(255)
+    )
     found = estimate_depth(replace(frame, image=nearly), source, None, PARAMS)
     assert np.isfinite(found.indentation_mm).all()
     assert any("saturated" in warning for warning in select_warnings(found.notes))
@@ -125,7 +137,9 @@ def test_a_contact_at_the_image_border_is_told():
     source = load_sensor("gelsight_mini")
     truth = hertz(source.camera.shape, source.pixel_mm, 4, 120, 6.31, 0.6)
     frame = TactileFrame(
-        sensor=source.name, image=optics.render(source, truth, seed=1), reference=optics.render_reference(source)
+        sensor=source.name,
+        image=optics.render(source, truth, seed=1),
+        reference=optics.render_reference(source),
     )
     found = estimate_depth(frame, source, None, PARAMS)
     assert AT_BORDER in select_warnings(found.notes)
@@ -144,7 +158,9 @@ def test_a_sensor_that_differs_in_its_limits_or_optics_alone_keeps_them_behind_t
     usual = estimate_depth(frame, source, None, PARAMS)
     shallow = replace(source, limits=replace(source.limits, indentation_max_mm=0.2))
     assert estimate_depth(frame, shallow, None, PARAMS).indentation_mm.max() == pytest.approx(0.2)
-    red = replace(source.optics, leds=tuple(replace(led, rgb=(60.0, 9.0, 9.0)) for led in source.optics.leds))
+    red = replace(
+        source.optics, leds=tuple(replace(led, rgb=(60.0, 9.0, 9.0)) for led in source.optics.leds)
+    )
     other = estimate_depth(frame, replace(source, optics=red), None, PARAMS)
     assert not np.array_equal(other.indentation_mm, usual.indentation_mm)
 
@@ -156,8 +172,13 @@ def test_a_sensor_that_rests_deeper_is_measured_at_its_own_scale():
         rest_depth_mm=1.5 * near.rest_depth_mm,
         membrane=make_flat_membrane(1.5 * near.membrane.level_mm, 20.0, 20.0),
     )
-    found = {sensor: estimate_depth(frame, spec, None, PARAMS) for sensor, spec in (("near", near), ("far", far))}
-    assert found["far"].indentation_mm.max() == pytest.approx(1.5 * found["near"].indentation_mm.max(), rel=0.1)
+    found = {
+        sensor: estimate_depth(frame, spec, None, PARAMS)
+        for sensor, spec in (("near", near), ("far", far))
+    }
+    assert found["far"].indentation_mm.max() == pytest.approx(
+        1.5 * found["near"].indentation_mm.max(), rel=0.1
+    )
 
 
 def test_a_reference_changed_in_place_is_another_reference():
@@ -180,7 +201,9 @@ def test_a_look_up_of_another_sensor_is_refused():
 
 def test_the_same_frame_gives_the_same_bytes():
     source, frame, _ = press("gelslim")
-    first, second = (estimate_depth(frame, source, None, PARAMS).indentation_mm.tobytes() for _ in range(2))
+    first, second = (
+        estimate_depth(frame, source, None, PARAMS).indentation_mm.tobytes() for _ in range(2)
+    )
     assert first == second
 
 
@@ -191,10 +214,17 @@ def bubble(depth_mm=4.0, seed=0):
     y, x = np.mgrid[: rest.shape[0], : rest.shape[1]]
     r = np.hypot(x - 90, y - 70) * source.pixel_mm
     moved = np.where(
-        r < 6, depth_mm - r * r / 40, (depth_mm - 0.9) * np.maximum(0, np.log(40 / np.maximum(r, 6)) / np.log(40 / 6))
+        r < 6,
+        depth_mm - r * r / 40,
+        (depth_mm - 0.9) * np.maximum(0, np.log(40 / np.maximum(r, 6)) / np.log(40 / 6)),
     )
     noisy = rest - moved + rng.normal(0, 0.3, rest.shape)
-    return source, TactileFrame(sensor=source.name, image=noisy.astype(np.float32), reference=rest), moved, r
+    return (
+        source,
+        TactileFrame(sensor=source.name, image=noisy.astype(np.float32), reference=rest),
+        moved,
+        r,
+    )
 
 
 def test_a_bubble_is_measured_against_its_own_rest():
@@ -224,7 +254,8 @@ def ring_on_a_bubble(seed):
     from pipeline.physics.simulation import poses, shapes
     from pipeline.physics.simulation.press import simulate_press as pressed
 
-    source, thing = load_sensor("soft_bubble"), shapes.make_shape("ellipse").mesh
+    source = load_sensor("soft_bubble")
+    thing = shapes.make_shape("ellipse").mesh
     touch = pressed(thing, poses.make_paper_grid(thing, n=12, seed=50)[7], source, seed=seed)
     rest = source.rest_depth_mm.astype(np.float32)
     return source, TactileFrame(sensor=source.name, image=touch.image, reference=rest), touch.truth
@@ -236,7 +267,8 @@ def test_a_bubble_over_a_hollow_object_is_touched_along_the_rim_only():
     rows, cols = np.nonzero(truth.contact)
     assert not found.contact[round(rows.mean()), round(cols.mean())]
     assert (found.contact & truth.contact).sum() > 0.7 * truth.contact.sum()
-    assert found.contact.sum() < 3.5 * truth.contact.sum()  # the rim is two pixels wide: two or three more on each side
+    # the rim is two pixels wide: two or three more on each side
+    assert found.contact.sum() < 3.5 * truth.contact.sum()
     moved = np.abs(found.indentation_mm - truth.indentation_mm)
     assert moved[~truth.contact].mean() < 0.06  # mm, an eighth of the noise of a reading
     assert moved[truth.contact].mean() < 0.2  # mm, half of it
@@ -251,8 +283,11 @@ def test_a_bubble_read_without_noise_is_read_exactly():
 @pytest.mark.parametrize("share", [0.5, 2.0])
 def test_a_bubbles_contact_hardly_hangs_on_its_assumed_tension(share):
     source, frame, _ = ring_on_a_bubble(seed=4)
-    other = replace(source, bubble=replace(source.bubble, height_mm=share * source.bubble.height_mm))
-    usual, found = estimate_depth(frame, source, None, PARAMS), estimate_depth(frame, other, None, PARAMS)
+    other = replace(
+        source, bubble=replace(source.bubble, height_mm=share * source.bubble.height_mm)
+    )
+    usual = estimate_depth(frame, source, None, PARAMS)
+    found = estimate_depth(frame, other, None, PARAMS)
     assert (usual.contact & found.contact).sum() > 0.6 * (usual.contact | found.contact).sum()
     assert np.abs(usual.indentation_mm - found.indentation_mm).mean() < 0.03  # mm
 
@@ -261,12 +296,24 @@ def test_a_bubble_seen_by_more_pixels_has_the_same_contact():
     import cv2
 
     source, frame, _ = ring_on_a_bubble(seed=4)
-    c, k = source.camera, 2
-    camera = Camera(rows=k * c.rows, cols=k * c.cols, fx_px=k * c.fx_px, fy_px=k * c.fy_px,
-                    cx_px=k * c.cx_px + 0.5, cy_px=k * c.cy_px + 0.5)  # fmt: skip
+    c = source.camera
+    k = 2
+    camera = Camera(
+        rows=k * c.rows,
+        cols=k * c.cols,
+        fx_px=k * c.fx_px,
+        fy_px=k * c.fy_px,
+        cx_px=k * c.cx_px + 0.5,
+        cy_px=k * c.cy_px + 0.5,
+    )
     image, rest = (np.kron(a, np.ones((k, k), np.float32)) for a in (frame.image, frame.reference))
-    fine = estimate_depth(replace(frame, image=image, reference=rest, camera=camera), source, None, PARAMS)
-    back = cv2.resize(fine.contact.astype(np.float32), (c.cols, c.rows), interpolation=cv2.INTER_AREA) > 0.5
+    fine = estimate_depth(
+        replace(frame, image=image, reference=rest, camera=camera), source, None, PARAMS
+    )
+    back = (
+        cv2.resize(fine.contact.astype(np.float32), (c.cols, c.rows), interpolation=cv2.INTER_AREA)
+        > 0.5
+    )
     usual = estimate_depth(frame, source, None, PARAMS).contact
     assert (back & usual).sum() > 0.8 * (back | usual).sum()
 
@@ -274,7 +321,9 @@ def test_a_bubble_seen_by_more_pixels_has_the_same_contact():
 def test_a_resting_bubble_is_untouched():
     source, frame, _, _ = bubble()
     rng = np.random.default_rng(7)
-    still = (np.asarray(frame.reference) + rng.normal(0, 0.3, source.camera.shape)).astype(np.float32)
+    still = (np.asarray(frame.reference) + rng.normal(0, 0.3, source.camera.shape)).astype(
+        np.float32
+    )
     assert skip_without_contact(replace(frame, image=still), source, None, PARAMS) is not None
     assert skip_without_contact(frame, source, None, PARAMS) is None
 
@@ -282,10 +331,14 @@ def test_a_resting_bubble_is_untouched():
 def test_a_bubble_without_any_reading_is_refused():
     source, frame, _, _ = bubble()
     with pytest.raises(ShapeError, match="no depth at all"):
-        estimate_depth(replace(frame, image=np.full_like(frame.image, np.nan)), source, None, PARAMS)
+        estimate_depth(
+            replace(frame, image=np.full_like(frame.image, np.nan)), source, None, PARAMS
+        )
     for nothing in (0.0, np.nan, -np.inf):
         with pytest.raises(ShapeError):
-            skip_without_contact(replace(frame, reference=np.full_like(frame.image, nothing)), source, None, PARAMS)
+            skip_without_contact(
+                replace(frame, reference=np.full_like(frame.image, nothing)), source, None, PARAMS
+            )
 
 
 @pytest.mark.parametrize("kind", [np.bool_, np.uint16, np.int32, np.complex64])
@@ -300,7 +353,9 @@ def test_a_bubbles_depth_in_another_type_of_number_is_refused(kind):
 def test_a_look_up_without_numbers_is_refused(wrong):
     source, frame, _ = press("digit")
     good = make_built_in(source)
-    bad = replace(good, model=replace(good.model, coefficients=np.full_like(good.model.coefficients, wrong)))
+    bad = replace(
+        good, model=replace(good.model, coefficients=np.full_like(good.model.coefficients, wrong))
+    )
     with pytest.raises(CalibrationError, match="digit"):
         estimate_depth(frame, source, bad, PARAMS)
 
@@ -309,7 +364,9 @@ def test_a_flat_punch_is_touched_inside_its_rim_too():
     y, x = np.mgrid[:120, :120]
     outside = np.maximum(np.maximum(abs(x - 60) - 20, abs(y - 60) - 20), 0)
     surface = (0.5 * np.exp(-outside / 8.0)).astype(np.float32)
-    found = contact.detect_contact(surface, 0.05, least_mm=0.03, pressure_share=0.25, smoothing_px=1.0)
+    found = contact.detect_contact(
+        surface, 0.05, least_mm=0.03, pressure_share=0.25, smoothing_px=1.0
+    )
     assert found[60, 60]
     assert not found[60, 100]
 
@@ -322,7 +379,9 @@ def test_real_bubble_contacts_appear_when_they_should(real_data):
     camera = Camera(rows=480, cols=640, fx_px=k[0, 0], fy_px=k[1, 1], cx_px=k[0, 2], cy_px=k[1, 2])
     source = load_sensor("soft_bubble")
     for i in (1, 4, 13, 20, 32):
-        frame = TactileFrame(sensor=source.name, image=readings[i], reference=readings[0], camera=camera)
+        frame = TactileFrame(
+            sensor=source.name, image=readings[i], reference=readings[0], camera=camera
+        )
         touched = estimate_depth(frame, source, None, PARAMS).contact.any()
         assert touched == (65 <= file["frame"][i] <= 109)
 
@@ -334,7 +393,8 @@ def test_real_digit_presses_all_show_one_contact(real_data):
     def read(name):
         return np.ascontiguousarray(cv2.imread(str(real_data / "digit_balls" / name))[..., ::-1])
 
-    source, still = load_sensor("digit"), read("background.png")
+    source = load_sensor("digit")
+    still = read("background.png")
     for i in range(0, 42, 6):
         frame = TactileFrame(sensor=source.name, image=read(f"{i:04d}.png"), reference=still)
         assert skip_without_contact(frame, source, None, PARAMS) is None
@@ -345,22 +405,37 @@ def test_a_recorded_frame_says_first_what_its_look_up_is_worth():
     source, frame, _ = press("gelsight_mini")
     assert estimate_depth(frame, source, None, PARAMS).notes[0].startswith(UNCALIBRATED)
     pressed = replace(
-        make_built_in(source), presses=(BallFit(index=0, x_px=9, y_px=9, radius_px=9, residual=0, used=True),)
+        make_built_in(source),
+        presses=(BallFit(index=0, x_px=9, y_px=9, radius_px=9, residual=0, used=True),),
     )
     assert "uncalibrated" not in estimate_depth(frame, source, pressed, PARAMS).notes[0]
 
 
-@pytest.mark.parametrize(("change", "words"), [(lambda p: p[:, :, ::-1], "red and blue look swapped"),
-                                               (lambda p: p[::-1], "mirrored top to bottom"),
-                                               (lambda p: p[::-1, ::-1], "rotated by 180 degrees")])  # fmt: skip
-def test_a_recording_whose_colours_lie_elsewhere_is_doubted_unless_a_unit_was_calibrated_so(change, words):
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda p: p[:, :, ::-1], "red and blue look swapped"),
+        (lambda p: p[::-1], "mirrored top to bottom"),
+        (lambda p: p[::-1, ::-1], "rotated by 180 degrees"),
+    ],
+)
+def test_a_recording_whose_colours_lie_elsewhere_is_doubted_unless_a_unit_was_calibrated_so(
+    change, words
+):
     source, frame, _ = press("digit")
-    assert not any("reference image is not" in note for note in estimate_depth(frame, source, None, PARAMS).notes)
+    assert not any(
+        "reference image is not" in note
+        for note in estimate_depth(frame, source, None, PARAMS).notes
+    )
     image, reference = (np.ascontiguousarray(change(a)) for a in (frame.image, frame.reference))
     changed = replace(frame, image=image, reference=reference)
-    assert any(words in note for note in select_warnings(estimate_depth(changed, source, None, PARAMS).notes))
+    assert any(
+        words in note
+        for note in select_warnings(estimate_depth(changed, source, None, PARAMS).notes)
+    )
     own = replace(
-        make_built_in(source), presses=(BallFit(index=0, x_px=9, y_px=9, radius_px=9, residual=0, used=True),)
+        make_built_in(source),
+        presses=(BallFit(index=0, x_px=9, y_px=9, radius_px=9, residual=0, used=True),),
     )
     assert not any(words in note for note in estimate_depth(changed, source, own, PARAMS).notes)
 
@@ -384,7 +459,11 @@ def test_right_pictures_of_real_units_are_not_called_odd_and_mirrored_ones_of_a_
         return np.ascontiguousarray(cv2.imread(str(real_data.joinpath(*where)))[..., ::-1])
 
     def describe_mismatch(name, image, reference):
-        frame = TactileFrame(sensor=name, image=np.ascontiguousarray(image), reference=np.ascontiguousarray(reference))
+        frame = TactileFrame(
+            sensor=name,
+            image=np.ascontiguousarray(image),
+            reference=np.ascontiguousarray(reference),
+        )
         return photometric.describe_mismatch(frame, load_sensor(name))
 
     for folder in sorted((real_data / "mini_things").iterdir()):
@@ -392,7 +471,9 @@ def test_right_pictures_of_real_units_are_not_called_odd_and_mirrored_ones_of_a_
         for file in sorted(folder.glob("*.jpg"))[:2]:
             assert not describe_mismatch("gelsight_mini", read(file), still)
     still = read("gsmini_balls", "background.png")
-    balls = [read(file) for file in sorted((real_data / "gsmini_balls").glob("ball_9.500mm_*.png"))[::6]]
+    balls = [
+        read(file) for file in sorted((real_data / "gsmini_balls").glob("ball_9.500mm_*.png"))[::6]
+    ]
     assert not any(describe_mismatch("gelsight_mini", ball, still) for ball in balls)
     found = [describe_mismatch("gelsight_mini", ball[:, ::-1], still[:, ::-1]) for ball in balls]
     assert sum("mirrored" in clause for clause in found) >= len(balls) - 1

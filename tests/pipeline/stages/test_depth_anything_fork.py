@@ -1,4 +1,6 @@
-"""Checkpoints of MMintLab/depth_anything_v2: distance from the camera, from the depth of both fingers."""
+"""Checkpoints of MMintLab/depth_anything_v2: distance from the camera, from the depth of both
+fingers.
+"""
 
 from __future__ import annotations
 
@@ -44,20 +46,28 @@ def checkpoint(net, path, **others):
 def grasp():
     """A touch2touch grasp whose fingers are pressed by different amounts."""
     rows, cols = torch.meshgrid(torch.arange(140.0), torch.arange(175.0), indexing="ij")
-    imprint = torch.stack([0.001 * deep * torch.exp(-((rows - 70) ** 2 + (cols - 90) ** 2) / 800) for deep in (4, 9)])
+    imprint = torch.stack(
+        [0.001 * deep * torch.exp(-((rows - 70) ** 2 + (cols - 90) ** 2) / 800) for deep in (4, 9)]
+    )
     return {**bubble(), "bubble_imprint": imprint[:, None]}
 
 
 def published_distance_m(net, grasp, largest_m, finger):
-    """Depth of both fingers from 0 to 1, cubic to 56 px in multiples of 14, sigmoid times the largest, bilinear."""
+    """Depth of both fingers from 0 to 1, cubic to 56 px in multiples of 14, sigmoid times the
+    largest, bilinear.
+    """
     shown = grasp["bubble_depth_ref"] - grasp["bubble_imprint"]
     shown = (shown - shown.min()) / (shown.max() - shown.min())
-    small = functional.interpolate(shown[finger][None], (SIDE, 70), mode="bicubic").expand(-1, 3, -1, -1)
+    small = functional.interpolate(shown[finger][None], (SIDE, 70), mode="bicubic").expand(
+        -1, 3, -1, -1
+    )
     with torch.inference_mode():
         raw = net(small, None, "relative")[0], net(small, None, "metric")[0]
     assert (raw[0] > 0).all()
     assert torch.allclose(torch.sigmoid(raw[0]), raw[1], atol=1e-6)
-    return functional.interpolate(largest_m * raw[1][:, None], (140, 175), mode="bilinear", align_corners=True)[0, 0]
+    return functional.interpolate(
+        largest_m * raw[1][:, None], (140, 175), mode="bilinear", align_corners=True
+    )[0, 0]
 
 
 @pytest.mark.parametrize("finger", [0, 1])
@@ -72,7 +82,8 @@ def test_the_indentation_is_the_rest_minus_the_published_distance(net, grasp, tm
     rest_mm = 80.0
     indentation = rest_mm - distance_mm
     assert 0.5 < indentation.min() < indentation.max() < BUBBLE.limits.indentation_max_mm
-    np.testing.assert_allclose(found.indentation_mm, indentation, atol=0.02)  # the rest surface is smoothed
+    # the rest surface is smoothed
+    np.testing.assert_allclose(found.indentation_mm, indentation, atol=0.02)
     np.testing.assert_allclose(found.depth_mm, distance_mm, atol=0.02)
     assert not any("assumed" in note for note in found.notes)
 
@@ -80,7 +91,10 @@ def test_the_indentation_is_the_rest_minus_the_published_distance(net, grasp, tm
 class Says:
     """A network of distances that answers with one share."""
 
-    answer, largest_mm, side, image_content = "distance", 0.0, SIDE, "frame"
+    answer = "distance"
+    largest_mm = 0.0
+    side = SIDE
+    image_content = "frame"
 
     def __init__(self, share):
         self.share = share
@@ -89,11 +103,18 @@ class Says:
         return torch.full((1, *image.shape[-2:]), self.share), None
 
 
-@pytest.mark.parametrize(("share", "params", "deep_mm", "word"), [
-    (0.6, {}, 80 - 72.0, "120 mm is assumed"), (0.4, {"largest_mm": 190.0}, 80 - 76.0, ""),
-    (1e-9, {}, 0.0, "nothing is touched"), (0.9, {}, 0.0, "nothing is touched"),
-])  # fmt: skip
-def test_a_distance_beyond_the_membranes_reach_is_no_touch(grasp, tmp_path, share, params, deep_mm, word):
+@pytest.mark.parametrize(
+    ("share", "params", "deep_mm", "word"),
+    [
+        (0.6, {}, 80 - 72.0, "120 mm is assumed"),
+        (0.4, {"largest_mm": 190.0}, 80 - 76.0, ""),
+        (1e-9, {}, 0.0, "nothing is touched"),
+        (0.9, {}, 0.0, "nothing is touched"),
+    ],
+)
+def test_a_distance_beyond_the_membranes_reach_is_no_touch(
+    grasp, tmp_path, share, params, deep_mm, word
+):
     frame = open_recording(saved(tmp_path / "data_0.pt", grasp)).streams[0].frame(0)
     found = estimate_depth(frame, BUBBLE, None, Says(share), DepthAnythingParams(**params), SILENT)
     np.testing.assert_allclose(found.indentation_mm, deep_mm, atol=0.05)
@@ -103,15 +124,23 @@ def test_a_distance_beyond_the_membranes_reach_is_no_touch(grasp, tmp_path, shar
 
 
 def test_the_range_of_a_grasp_is_that_of_both_fingers(grasp, tmp_path):
-    frames = [stream.frame(0) for stream in open_recording(saved(tmp_path / "data_0.pt", grasp)).streams]
+    frames = [
+        stream.frame(0) for stream in open_recording(saved(tmp_path / "data_0.pt", grasp)).streams
+    ]
     assert frames[0].grasp_range == frames[1].grasp_range == pytest.approx((71.0, 80.0), abs=1e-3)
     assert frames[0].image.min() > 75.0
 
 
-@pytest.mark.parametrize(("text", "expected"), [
-    ("", {"answer": "distance", "image_content": "frame", "contact": True}),
-    ('answer = "metric"\nimage_content = "difference"\ncontact = false', {"answer": "metric", "contact": False}),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", {"answer": "distance", "image_content": "frame", "contact": True}),
+        (
+            'answer = "metric"\nimage_content = "difference"\ncontact = false',
+            {"answer": "metric", "contact": False},
+        ),
+    ],
+)
 def test_a_description_says_what_a_checkpoint_predicts(tmp_path, text, expected):
     torch.manual_seed(0)
     path = checkpoint(DepthAnything(encoder="vits"), tmp_path / "latest.pth")
@@ -124,15 +153,25 @@ def test_a_description_says_what_a_checkpoint_predicts(tmp_path, text, expected)
 
 def test_a_contact_head_that_does_not_fit_its_network_is_left_out(net, tmp_path):
     """The fork gives every encoder the head of the small one, which a larger one cannot run."""
-    head = {"mask_head.mask_head.0.weight": torch.zeros(32, 63, 3, 3), "mask_head.mask_head.0.bias": torch.zeros(32)}
-    weights = published_weights.read_depth_anything(checkpoint(net, tmp_path / "latest.pth", **head))
+    head = {
+        "mask_head.mask_head.0.weight": torch.zeros(32, 63, 3, 3),
+        "mask_head.mask_head.0.bias": torch.zeros(32),
+    }
+    weights = published_weights.read_depth_anything(
+        checkpoint(net, tmp_path / "latest.pth", **head)
+    )
     assert weights.config["contact"] is False
     assert load_network(weights).mask_head is None
 
 
-@pytest.mark.parametrize(("text", "problem"), [
-    ("max_depth = 0.12", "'max_depth'"), ('largest_mm = "far"', "largest_mm in the"), ('answer = "near"', "'near'"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("max_depth = 0.12", "'max_depth'"),
+        ('largest_mm = "far"', "largest_mm in the"),
+        ('answer = "near"', "'near'"),
+    ],
+)
 def test_a_wrong_description_is_reported(net, grasp, tmp_path: Path, text, problem):
     path = checkpoint(net, tmp_path / "latest.pth")
     (tmp_path / "latest.toml").write_text(text)
@@ -141,4 +180,7 @@ def test_a_wrong_description_is_reported(net, grasp, tmp_path: Path, text, probl
         assert problem in weights.why
         return
     frame = open_recording(saved(tmp_path / "data_0.pt", grasp)).streams[0].frame(0)
-    assert problem in DEPTH_ANYTHING.run(frame, BUBBLE, None, weights, DepthAnythingParams(), SILENT).reason
+    assert (
+        problem
+        in DEPTH_ANYTHING.run(frame, BUBBLE, None, weights, DepthAnythingParams(), SILENT).reason
+    )

@@ -23,10 +23,15 @@ TOUCH = 5
 class KnownAnswer:
     """Answers by what a function says of the picture; keeps what it was shown."""
 
-    answer, largest_mm, side, image_content = "metric", 1.6, 56, "image"
+    answer = "metric"
+    largest_mm = 1.6
+    side = 56
+    image_content = "image"
 
     def __init__(self, says, contact=None):
-        self._says, self._contact, self.shown = says, contact, []
+        self._says = says
+        self._contact = contact
+        self.shown = []
 
     def __call__(self, picture, whole, sense):
         self.shown.append((tuple(picture.shape), whole, sense))
@@ -52,7 +57,9 @@ def physical(opened, frame):
 
 
 def asked(opened, frame, network, **params):
-    return estimate_depth(frame, opened.source, None, network, DepthAnythingParams(**params), SILENT)
+    return estimate_depth(
+        frame, opened.source, None, network, DepthAnythingParams(**params), SILENT
+    )
 
 
 def half(picture):
@@ -65,7 +72,9 @@ def test_a_metric_output_becomes_an_indentation_on_the_frames_pixels(opened, fra
     assert found.indentation_mm.shape == frame.image.shape[:2]
     np.testing.assert_allclose(found.indentation_mm, 0.8, atol=1e-6)
     np.testing.assert_allclose(
-        found.depth_mm + found.indentation_mm, physical.depth_mm + physical.indentation_mm, atol=1e-5
+        found.depth_mm + found.indentation_mm,
+        physical.depth_mm + physical.indentation_mm,
+        atol=1e-5,
     )
     assert found.contact.all()
     rows, cols = frame.image.shape[:2]
@@ -80,16 +89,24 @@ def test_a_metric_output_becomes_an_indentation_on_the_frames_pixels(opened, fra
 
 
 def test_without_a_contact_head_the_sensors_limit_defines_contact(opened, frame):
-    found = asked(opened, frame, KnownAnswer(lambda p: torch.linspace(0, 1, p.shape[-1]).expand(1, *p.shape[-2:])))
+    found = asked(
+        opened,
+        frame,
+        KnownAnswer(lambda p: torch.linspace(0, 1, p.shape[-1]).expand(1, *p.shape[-2:])),
+    )
     assert np.array_equal(found.contact, found.indentation_mm > opened.source.limits.contact_min_mm)
     assert any("predict no contact" in note for note in found.notes)
 
 
 def test_a_relative_output_is_fitted_to_the_physical_estimate(opened, frame, physical):
-    small = torch.nn.functional.interpolate(torch.from_numpy(physical.indentation_mm.copy())[None, None], (70, 56))[0]
+    small = torch.nn.functional.interpolate(
+        torch.from_numpy(physical.indentation_mm.copy())[None, None], (70, 56)
+    )[0]
 
     def predict_ramp(picture, sign=1.0):
-        return torch.nn.functional.interpolate(7.0 + sign * 30.0 * small[None], picture.shape[-2:], mode="bilinear")[0]
+        return torch.nn.functional.interpolate(
+            7.0 + sign * 30.0 * small[None], picture.shape[-2:], mode="bilinear"
+        )[0]
 
     network = KnownAnswer(predict_ramp)
     network.answer = "relative"
@@ -130,15 +147,22 @@ def test_a_users_file_is_loaded_and_a_foreign_one_gives_the_reason(opened, tmp_p
     torch.save(net.half().state_dict(), tmp_path / "depth_anything_v2_vits.pth")
 
     def first(file):
-        request = Request(recording=SAMPLE, source="digit", target="gelslim", methods=(("depth", "depth_anything"),),
-                          weights=() if file is None else (("", file),))  # fmt: skip
+        request = Request(
+            recording=SAMPLE,
+            source="digit",
+            target="gelslim",
+            methods=(("depth", "depth_anything"),),
+            weights=() if file is None else (("", file),),
+        )
         made = open_translation(request)
         try:
             return made.with_(stage="depth", shorter_side_px=28)[TOUCH].result("depth").notes[0]
         finally:
             made.recording.close()
 
-    assert first(tmp_path / "depth_anything_v2_vits.pth").startswith("Depth Anything V2 saw 42x28 pixels, 6 patches")
+    assert first(tmp_path / "depth_anything_v2_vits.pth").startswith(
+        "Depth Anything V2 saw 42x28 pixels, 6 patches"
+    )
     assert "weights of Depth Anything V2 are shipped" in first(None)
     (tmp_path / "x.pth").write_bytes(b"nothing")
     assert first(tmp_path / "x.pth").startswith("physics: no network for this sensor; ")

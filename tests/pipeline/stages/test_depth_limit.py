@@ -18,7 +18,8 @@ from pipeline.stages.touch.touch_from_change import check_depth_limit, make_touc
 from tests.pipeline.stages.target_views import estimate_views
 from tests.pipeline.stages.test_t2d2_t2t import ConstantDenoiser
 
-GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")
+GEL = load_sensor("gelslim")
+BUBBLE = load_sensor("soft_bubble")
 DEEPEST_MM = 5.4  # of a GelSlim's 1.5 mm, and the bubble camera is 3.9 mm nearer
 
 
@@ -31,20 +32,30 @@ def imprint(deep_mm):
 )
 def test_only_touches_beyond_the_limit_have_a_warning(deep_mm, by_mm, has_warning):
     bubble = move_bubble_closer(BUBBLE, by_mm)
-    warnings = check_depth_limit(imprint(deep_mm), GEL, bubble, alignment.resolve_alignment(GEL, bubble))
+    warnings = check_depth_limit(
+        imprint(deep_mm), GEL, bubble, alignment.resolve_alignment(GEL, bubble)
+    )
     assert select_warnings(warnings) == warnings
     assert bool(warnings) is has_warning
     if has_warning:
-        assert float(warnings[0].split("is ")[1].split()[0]) == pytest.approx(deep_mm - DEEPEST_MM, abs=0.6)
+        assert float(warnings[0].split("is ")[1].split()[0]) == pytest.approx(
+            deep_mm - DEEPEST_MM, abs=0.6
+        )
 
 
 def test_objects_outside_the_view_and_gel_images_have_no_warning():
-    touch, stand = imprint(0.0), alignment.resolve_alignment(GEL, BUBBLE)
+    touch = imprint(0.0)
+    stand = alignment.resolve_alignment(GEL, BUBBLE)
     outside_view = np.array(touch.image)
     outside_view[:20] -= 13.0
     assert check_depth_limit(replace(touch, image=outside_view), GEL, BUBBLE, stand) == ()
     assert (
-        check_depth_limit(make_touch_from_change(GEL, np.ones((*GEL.camera.shape, 3), np.float32)), BUBBLE, GEL, stand)
+        check_depth_limit(
+            make_touch_from_change(GEL, np.ones((*GEL.camera.shape, 3), np.float32)),
+            BUBBLE,
+            GEL,
+            stand,
+        )
         == ()
     )
 
@@ -61,10 +72,8 @@ def test_physics_answers_for_t2t_that_is_deeper_than_the_source_can_be_pressed()
     still = optics.render_reference(GEL)
     touched = still.copy()
     touched[120:200, 170:250] = 255 - touched[120:200, 170:250]
-    frame, stand = (
-        TactileFrame(sensor="gelslim", image=touched, reference=still),
-        alignment.resolve_alignment(GEL, BUBBLE),
-    )
+    frame = TactileFrame(sensor="gelslim", image=touched, reference=still)
+    stand = alignment.resolve_alignment(GEL, BUBBLE)
     reads = frame, GEL, None, stand, BUBBLE, estimate_views(frame, GEL, stand, BUBBLE)[0]
     made = t2t.generate_touch(*reads, ConstantDenoiser(13.0), DiffusionParams(steps=2))
     assert isinstance(made, Fallback)

@@ -27,10 +27,16 @@ def drifted(image, *, gain=1.0, ramp_grey=0.0, shift_px=(0.0, 0.0), seed=0):
     rows, cols = image.shape[:2]
     by = np.array([[1.0, 0.0, shift_px[0]], [0.0, 1.0, shift_px[1]]])
     moved = cv2.warpAffine(
-        image.astype(np.float32), by, (cols, rows), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+        image.astype(np.float32),
+        by,
+        (cols, rows),
+        flags=cv2.INTER_CUBIC,
+        borderMode=cv2.BORDER_REPLICATE,
     )
     light = gain * moved + (ramp_grey * np.linspace(-0.5, 0.5, cols))[None, :, None]
-    return np.clip(np.rint(light + np.random.default_rng(seed).normal(0, 1.5, image.shape)), 0, 255).astype(np.uint8)
+    return np.clip(
+        np.rint(light + np.random.default_rng(seed).normal(0, 1.5, image.shape)), 0, 255
+    ).astype(np.uint8)
 
 
 def frame(source, image, reference=None):
@@ -39,8 +45,15 @@ def frame(source, image, reference=None):
 
 
 @pytest.mark.parametrize("name", ["gelslim", "digit", "gelsight_mini"])
-@pytest.mark.parametrize("how", [{"gain": 1.06}, {"ramp_grey": 20.0}, {"shift_px": (2.0, -1.0)},
-                                 {"gain": 0.95, "ramp_grey": -12.0, "shift_px": (-1.0, 1.5)}])  # fmt: skip
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"gain": 1.06},
+        {"ramp_grey": 20.0},
+        {"shift_px": (2.0, -1.0)},
+        {"gain": 0.95, "ramp_grey": -12.0, "shift_px": (-1.0, 1.5)},
+    ],
+)
 def test_a_picture_that_only_drifted_is_untouched(name, how):
     source = load_sensor(name)
     image = drifted(optics.render_reference(source), **how)
@@ -62,7 +75,9 @@ def test_removed_drift_is_noted():
 
 def test_shift_gain_and_ramp_are_measured():
     still = optics.render_reference(load_sensor("gelslim"))
-    found, foreign = drift.fit_drift(drifted(still, gain=1.04, ramp_grey=10.0, shift_px=(1.6, -0.7)), still)
+    found, foreign = drift.fit_drift(
+        drifted(still, gain=1.04, ramp_grey=10.0, shift_px=(1.6, -0.7)), still
+    )
     assert not foreign
     assert found.shift_px == pytest.approx((1.6, -0.7), abs=0.1)
     assert found.gain == pytest.approx([1.04] * 3, abs=0.01)
@@ -71,7 +86,10 @@ def test_shift_gain_and_ramp_are_measured():
 
 def test_what_is_removed_grows_with_the_drift_without_a_jump():
     still = optics.render_reference(load_sensor("gelsight_mini"))
-    fits = [drift.fit_drift(drifted(still, ramp_grey=ramp), still)[0] for ramp in np.arange(3.0, 6.0, 0.1)]
+    fits = [
+        drift.fit_drift(drifted(still, ramp_grey=ramp), still)[0]
+        for ramp in np.arange(3.0, 6.0, 0.1)
+    ]
     removed = np.array([0.0 if fit is None else fit.ramp_grey[:, 0].mean() for fit in fits])
     assert removed[0] == 0.0  # as little is what a touch does to the light far from it
     assert removed[-1] == pytest.approx(5.9 / 2, abs=0.3)
@@ -84,7 +102,8 @@ def test_a_touch_is_no_drift_and_is_found_through_one(name):
     state = rest.describe_rest(touch, source, None, PARAMS, SILENT)
     assert observe_change(touch.image, touch.reference, state).rest.drift is None
     image = drifted(touch.image, gain=1.03, ramp_grey=12.0, shift_px=(0.0, 1.0))
-    found, wanted = estimate_depth(replace(touch, image=image), source, None, PARAMS), contact_of(truth)
+    found = estimate_depth(replace(touch, image=image), source, None, PARAMS)
+    wanted = contact_of(truth)
     assert (found.contact & wanted).sum() / (found.contact | wanted).sum() > 0.75
 
 
@@ -113,10 +132,14 @@ def test_a_picture_with_large_markers_that_has_moved_is_put_back():
 def test_a_face_that_fills_the_view_is_not_taken_for_drift_nor_drift_for_a_face():
     source = load_sensor("gelsight_mini")
     rows, cols = source.camera.shape
-    outside = np.maximum(np.abs(np.arange(cols) - 0.5 * (cols - 1)) - 0.47 * cols, 0.0) * source.pixel_mm
+    outside = (
+        np.maximum(np.abs(np.arange(cols) - 0.5 * (cols - 1)) - 0.47 * cols, 0.0) * source.pixel_mm
+    )
     face = np.tile(0.5 * np.exp(-outside / 0.3), (rows, 1)).astype(np.float32)
     how = {"gain": 0.97, "ramp_grey": 12.0}
-    found = estimate_depth(frame(source, drifted(optics.render(source, face, seed=1), **how)), source, None, PARAMS)
+    found = estimate_depth(
+        frame(source, drifted(optics.render(source, face, seed=1), **how)), source, None, PARAMS
+    )
     assert found.contact.mean() > 0.9
     assert any("fills the view" in note for note in found.notes)
     assert any("the light has drifted" in note for note in found.notes)
@@ -130,7 +153,9 @@ def test_a_face_that_fills_the_view_is_not_taken_for_drift_nor_drift_for_a_face(
 def test_a_real_reference_that_has_moved_far_is_put_back(real_data):
     import cv2
 
-    still = np.ascontiguousarray(cv2.imread(str(real_data / "digit_balls" / "background.png"))[..., ::-1])
+    still = np.ascontiguousarray(
+        cv2.imread(str(real_data / "digit_balls" / "background.png"))[..., ::-1]
+    )
     for seed in range(3):
         found, _ = drift.fit_drift(drifted(still, shift_px=(3.0, -4.0), seed=seed), still)
         assert found is not None
@@ -138,7 +163,9 @@ def test_a_real_reference_that_has_moved_far_is_put_back(real_data):
 
 
 def test_the_prior_pulls_the_whole_shift_to_none_and_not_its_last_step():
-    """Blocks without texture tell nothing of a shift: what earlier steps have moved is taken back."""
+    """Blocks without texture tell nothing of a shift: what earlier steps have moved is taken
+    back.
+    """
     flat = np.full((12, 3), 90.0, np.float32)
     place = drift._make_positions(3, 4)
     still = drift._Blocks(mean=flat, by_x=np.zeros_like(flat), by_y=np.zeros_like(flat))
@@ -151,7 +178,9 @@ def test_the_prior_pulls_the_whole_shift_to_none_and_not_its_last_step():
 def test_another_exposure_is_taken_out_and_hides_no_touch(name, exposure):
     source, touch, truth = press(name, depth_mm=0.4)
     wanted = contact_of(truth)
-    found = estimate_depth(replace(touch, image=drifted(touch.image, gain=exposure)), source, None, PARAMS)
+    found = estimate_depth(
+        replace(touch, image=drifted(touch.image, gain=exposure)), source, None, PARAMS
+    )
     assert (found.contact & wanted).sum() / (found.contact | wanted).sum() > 0.6
     still = frame(source, drifted(touch.reference, gain=exposure), touch.reference)
     found = estimate_depth(still, source, None, PARAMS)

@@ -1,4 +1,6 @@
-"""Legal values without content (nothing, one point, no depth anywhere) through every public function of the stages."""
+"""Legal values without content (nothing, one point, no depth anywhere) through every public
+function of the stages.
+"""
 
 from __future__ import annotations
 
@@ -57,23 +59,35 @@ def make_cloud(name: str, kind: str, place: tuple[float, float]) -> Cloud:
 
 
 def make_target_depth(name: str, kind: str, place: tuple[float, float]) -> TargetDepth:
-    made, depth = view(small(name), np.zeros(small(name).camera.shape)), make_depth(name, kind, place)
+    made = view(small(name), np.zeros(small(name).camera.shape))
+    depth = make_depth(name, kind, place)
     if kind == "one pixel":
         touched = depth.contact
-        return replace(made, contact=touched, indentation_mm=np.where(touched, depth.indentation_mm, 0).astype(np.float32),
-                       depth_mm=np.where(touched, depth.depth_mm, np.nan).astype(np.float32),
-                       source_index=np.where(touched, 0, -1).astype(np.int32))  # fmt: skip
+        return replace(
+            made,
+            contact=touched,
+            indentation_mm=np.where(touched, depth.indentation_mm, 0).astype(np.float32),
+            depth_mm=np.where(touched, depth.depth_mm, np.nan).astype(np.float32),
+            source_index=np.where(touched, 0, -1).astype(np.int32),
+        )
     return replace(made, in_view=np.zeros_like(made.in_view)) if kind == "no depth" else made
 
 
 def make_frame(name: str, kind: str, place: tuple[float, float]) -> TactileFrame:
-    sensor, depth = small(name), make_depth(name, kind, place)
+    sensor = small(name)
+    depth = make_depth(name, kind, place)
     if sensor.kind == "gel":
         still = np.full((*sensor.camera.shape, 3), 90, np.uint8)
         image = still.copy()
         image[depth.contact] = 200
-        return TactileFrame(sensor=name, image=np.zeros_like(image) if kind == "no depth" else image, reference=still)
-    return TactileFrame(sensor=name, image=depth.depth_mm, reference=sensor.rest_depth_mm.astype(np.float32))
+        return TactileFrame(
+            sensor=name,
+            image=np.zeros_like(image) if kind == "no depth" else image,
+            reference=still,
+        )
+    return TactileFrame(
+        sensor=name, image=depth.depth_mm, reference=sensor.rest_depth_mm.astype(np.float32)
+    )
 
 
 def project(name: str, mode: str) -> Callable[..., Any]:
@@ -83,14 +97,20 @@ def project(name: str, mode: str) -> Callable[..., Any]:
 
 
 def rasterise(name: str, kind: str, place: Any) -> Any:
-    made, camera, membrane = make_cloud(name, kind, place), small(name).camera, small(name).membrane
+    made = make_cloud(name, kind, place)
+    camera = small(name).camera
+    membrane = small(name).membrane
     pixel, _ = rasterisation.assign_pixels(made, camera)
     rasterisation.compute_zbuffer(made, camera, pixel)
     splat = rasterisation.splat_cloud(made, camera, membrane, pixel)
     surface = rasterisation.rasterise_surface(made, camera, membrane, **SURFACE)
-    assert splat.n_drawn_px == surface.n_drawn_px == (kind == "one pixel" and bool((pixel >= 0).any()))
+    assert (
+        splat.n_drawn_px == surface.n_drawn_px == (kind == "one pixel" and bool((pixel >= 0).any()))
+    )
     assert np.isfinite(surface.depth_mm).sum() == surface.n_drawn_px
-    return surface_projection.project_checked_cloud(made, small(name), projection("surface", compute_coverage=True))
+    return surface_projection.project_checked_cloud(
+        made, small(name), projection("surface", compute_coverage=True)
+    )
 
 
 def touch_of(name: str, kind: str, place: Any) -> Any:
@@ -104,7 +124,8 @@ def membrane_of(name: str, kind: str, place: Any) -> Any:
 
 
 def bubble(kind: str, place: Any) -> Any:
-    frame, sensor = make_frame("soft_bubble", kind, place), small("soft_bubble")
+    frame = make_frame("soft_bubble", kind, place)
+    sensor = small("soft_bubble")
     bubble_depth.compute_largest_change(frame.image, frame.reference)
     bubble_depth.describe_if_no_contact(frame, sensor, None, 0.5)
     return bubble_depth.estimate_depth(frame, sensor, smoothing_px=1.0, least_mm=0.3)
@@ -112,7 +133,9 @@ def bubble(kind: str, place: Any) -> Any:
 
 def force(name: str, kind: str, place: Any) -> Any:
     depth = make_depth(name, kind, place)
-    known = contact_force.estimate_force(depth, small(name), make_frame(name, kind, place), NoParams())
+    known = contact_force.estimate_force(
+        depth, small(name), make_frame(name, kind, place), NoParams()
+    )
     assert np.isfinite(known.normal_n)
     assert kind == "one pixel" or known.normal_n == 0.0
 
@@ -121,9 +144,15 @@ def tracked(name: str, kind: str, place: Any) -> Any:
     depth = make_depth(name, kind, place)
     surface = membrane_surface.make_surface(depth)
     assert not surface.is_touched
-    assert surface_registration.register_surfaces(surface, surface, np.eye(4)) is None or kind == "one pixel"
+    assert (
+        surface_registration.register_surfaces(surface, surface, np.eye(4)) is None
+        or kind == "one pixel"
+    )
     assert surface_registration.measure_overlap(surface, np.eye(4)) in (0.0, 1.0)
-    assert [Tracker().add_frame(0, surface).state, Tracker().add_frame(0, None).state] == ["no contact", "lost"]
+    assert [Tracker().add_frame(0, surface).state, Tracker().add_frame(0, None).state] == [
+        "no contact",
+        "lost",
+    ]
     result = track.track_frames((0, 1), lambda _: depth)
     assert track.compute_error(result, lambda _: np.eye(4)) is None
     record = track.make_record(result, "depth", None)
@@ -152,10 +181,13 @@ def nothing_tracked(_kind: str, _place: Any) -> Any:
 
 
 def poses(name: str, kind: str, place: Any) -> list[Any]:
-    touched, thing = make_depth(name, kind, place), mesh("ball")
+    touched = make_depth(name, kind, place)
+    thing = mesh("ball")
     found = [
         signed_distances.estimate_pose(touched, thing, signed_distances.PoseParams(n_starts=6)),
-        signed_distances.estimate_pose_planar(touched, thing, signed_distances.PoseParams(n_starts=6)),
+        signed_distances.estimate_pose_planar(
+            touched, thing, signed_distances.PoseParams(n_starts=6)
+        ),
         signed_distances.estimate_pose_icp(touched, thing, signed_distances.PoseParams(n_starts=6)),
     ]
     seen = scene.extract_scene(touched, 100, 0)
@@ -166,20 +198,29 @@ def poses(name: str, kind: str, place: Any) -> list[Any]:
 FUNCTIONS: dict[str, Callable[[str, Any], Any]] = {
     "bubble depth": bubble,
     "tracking of no frame": nothing_tracked,
-    **{f"{what}, {name}": make for name in SENSORS for what, make in {
-        "back projection": lambda kind, place, name=name: back_projection.back_project_depth(
-            make_depth(name, kind, place), aligned(small(name), small("digit")), back_projection.BackProjectionParams(stride=1)),
-        "projected as surface": project(name, "surface"),
-        "projected as points": project(name, "paper"),
-        "rasterised": lambda kind, place, name=name: rasterise(name, kind, place),
-        "touch": lambda kind, place, name=name: touch_of(name, kind, place),
-        "touch depth": lambda kind, place, name=name: membrane_of(name, kind, place),
-        "force": lambda kind, place, name=name: force(name, kind, place),
-        "tracking": lambda kind, place, name=name: tracked(name, kind, place),
-        "tracking at the rim": lambda kind, place, name=name: tracked_at_the_rim(name, kind, place),
-        "pose": lambda kind, place, name=name: poses(name, kind, place),
-    }.items()},
-}  # fmt: skip
+    **{
+        f"{what}, {name}": make
+        for name in SENSORS
+        for what, make in {
+            "back projection": lambda kind, place, name=name: back_projection.back_project_depth(
+                make_depth(name, kind, place),
+                aligned(small(name), small("digit")),
+                back_projection.BackProjectionParams(stride=1),
+            ),
+            "projected as surface": project(name, "surface"),
+            "projected as points": project(name, "paper"),
+            "rasterised": lambda kind, place, name=name: rasterise(name, kind, place),
+            "touch": lambda kind, place, name=name: touch_of(name, kind, place),
+            "touch depth": lambda kind, place, name=name: membrane_of(name, kind, place),
+            "force": lambda kind, place, name=name: force(name, kind, place),
+            "tracking": lambda kind, place, name=name: tracked(name, kind, place),
+            "tracking at the rim": lambda kind, place, name=name: tracked_at_the_rim(
+                name, kind, place
+            ),
+            "pose": lambda kind, place, name=name: poses(name, kind, place),
+        }.items()
+    },
+}
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)

@@ -9,7 +9,9 @@ from pipeline.stages.depth import false_contacts
 
 def test_a_shallow_plate_is_removed_and_a_second_touch_stays():
     y, x = np.mgrid[:120, :200].astype(np.float32)
-    balls = [np.maximum(d - ((x - c) ** 2 + (y - 60) ** 2) / 2000, 0) for d, c in ((0.5, 40), (0.2, 100))]
+    balls = [
+        np.maximum(d - ((x - c) ** 2 + (y - 60) ** 2) / 2000, 0) for d, c in ((0.5, 40), (0.2, 100))
+    ]
     plate = 0.1 * np.exp(-(((x - 170) / 25) ** 2 + ((y - 60) / 25) ** 2))
     surface = (balls[0] + balls[1] + plate).astype(np.float32)
     touched = (balls[0] > 0) | (balls[1] > 0) | (plate > 0.08)
@@ -23,7 +25,11 @@ def test_a_step_at_the_end_of_the_changed_region_is_removed():
     y, x = np.mgrid[:120, :200].astype(np.float32)
     ball = np.maximum(0.5 - ((x - 40) ** 2 + (y - 60) ** 2) / 2000, 0)
     changed = np.broadcast_to(x < 150, x.shape)
-    raised = 0.15 * np.where(changed, np.clip((x - 110) / 40, 0, 1), 0.0) * np.exp(-(((y - 60) / 40) ** 2))
+    raised = (
+        0.15
+        * np.where(changed, np.clip((x - 110) / 40, 0, 1), 0.0)
+        * np.exp(-(((y - 60) / 40) ** 2))
+    )
     surface = (ball + cv2.GaussianBlur(raised, (0, 0), 1.0)).astype(np.float32)
     touched = (ball > 0) | (raised > 0.06)
     assert false_contacts.remove_false_contacts(touched, surface, 0.05)[60, 140]
@@ -48,7 +54,8 @@ def test_a_bump_on_raised_gel_is_removed_and_a_light_touch_stays(around_mm, rema
 def test_parts_of_a_light_touch_stay_without_steep_flanks():
     y, x = np.mgrid[:120, :200]
     balls = [
-        np.clip(0.5 - np.hypot(x - cx, y - 60) / 60.0, 0.0, 1.0) * depth for cx, depth in ((50, 0.06), (130, 0.05))
+        np.clip(0.5 - np.hypot(x - cx, y - 60) / 60.0, 0.0, 1.0) * depth
+        for cx, depth in ((50, 0.06), (130, 0.05))
     ]
     surface = (balls[0] + balls[1]).astype(np.float32)
     remaining = false_contacts.remove_false_contacts(surface > 0, surface, 0.05)
@@ -56,14 +63,18 @@ def test_parts_of_a_light_touch_stay_without_steep_flanks():
     assert remaining[60, 130]
 
 
-@pytest.mark.parametrize(("centre", "share", "remains"), [(4, 0.3, False), (4, 0.5, True), (60, 0.3, True)])
+@pytest.mark.parametrize(
+    ("centre", "share", "remains"), [(4, 0.3, False), (4, 0.5, True), (60, 0.3, True)]
+)
 def test_a_region_at_the_border_has_a_good_part_of_the_deepest_depth(centre, share, remains):
     y, x = np.mgrid[:120, :200].astype(np.float32)
     deep = np.maximum(0.6 - ((x - 140) ** 2 + (y - 60) ** 2) / 1000, 0)
     other = np.maximum(share * 0.6 - ((x - centre) ** 2 + (y - 60) ** 2) / 1000, 0)
     border = np.pad(np.zeros((118, 198), np.bool_), 1, constant_values=True)
-    surface, touched = (deep + other).astype(np.float32), (deep > 0) | (other > 0)
+    surface = (deep + other).astype(np.float32)
+    touched = (deep > 0) | (other > 0)
     remaining = false_contacts.remove_false_contacts(touched, surface, 0.05, border)
     assert remaining[60, 140]
     assert remaining[60, centre] == remains
-    assert false_contacts.remove_false_contacts(touched, surface, 0.05)[60, centre]  # only the border tells
+    # only the border tells
+    assert false_contacts.remove_false_contacts(touched, surface, 0.05)[60, centre]

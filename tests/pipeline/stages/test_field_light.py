@@ -10,27 +10,36 @@ from pipeline.calibration.shading_field import SurfaceSamples
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.illumination import field_light
 
-SHAPE, PIXEL_MM = (240, 320), 0.0634
+SHAPE = (240, 320)
+PIXEL_MM = 0.0634
 WRONG_DEPTHS = (0.5, 0.7, 1.5, 2.0)
 PRECISION = 1e-4  # of q: single precision
 
 
 def draw_field(seed):
     optics = load_sensor("gelsight_mini").optics
-    return near_led_prior.sample_instances(optics, PIXEL_MM, SHAPE, 1, np.random.default_rng(seed))[0].ravel()
+    return near_led_prior.sample_instances(optics, PIXEL_MM, SHAPE, 1, np.random.default_rng(seed))[
+        0
+    ].ravel()
 
 
 def render_samples(coefficients, depth, seed=0):
     """Colours of a dent, at pixels of a dent `depth` times as deep."""
     rng = np.random.default_rng(seed)
     u, v = rng.uniform(-0.2, 0.2, (2, 400))
-    angle, steep = rng.uniform(0, 2 * np.pi, 400), 0.4 * np.sqrt(rng.random(400))
-    slopes, deep = np.stack([steep * np.cos(angle), steep * np.sin(angle)], axis=1), rng.uniform(0.1, 0.5, 400)
-    at, terms = shading_field.compute_position_terms(u, v), shading_field.compute_shading_terms(slopes, deep)
+    angle = rng.uniform(0, 2 * np.pi, 400)
+    steep = 0.4 * np.sqrt(rng.random(400))
+    slopes = np.stack([steep * np.cos(angle), steep * np.sin(angle)], axis=1)
+    deep = rng.uniform(0.1, 0.5, 400)
+    at = shading_field.compute_position_terms(u, v)
+    terms = shading_field.compute_shading_terms(slopes, deep)
     q = shading_field.predict_colours(coefficients, at, terms)
     terms = shading_field.compute_shading_terms(depth * slopes, depth * deep)
     return SurfaceSamples(
-        u=u.astype(np.float32), v=v.astype(np.float32), shading_terms=terms, change=q.astype(np.float32)
+        u=u.astype(np.float32),
+        v=v.astype(np.float32),
+        shading_terms=terms,
+        change=q.astype(np.float32),
     )
 
 
@@ -41,7 +50,9 @@ def prior():
 
 def estimate_from(prior, coefficients, depth):
     """What is estimated from a dent `depth` times as deep as the colours are of."""
-    return field_light.estimate_likeliest_depth(prior, lambda factor: render_samples(coefficients, depth * factor))
+    return field_light.estimate_likeliest_depth(
+        prior, lambda factor: render_samples(coefficients, depth * factor)
+    )
 
 
 @pytest.mark.parametrize("depth", WRONG_DEPTHS)

@@ -1,4 +1,6 @@
-"""The illumination of a frame and of its recording: a function of content, cached in memory and on disk."""
+"""The illumination of a frame and of its recording: a function of content, cached in memory and
+on disk.
+"""
 
 from __future__ import annotations
 
@@ -80,16 +82,28 @@ def test_an_illumination_is_the_same_after_the_disk(tmp_path):
 
 def test_all_frames_of_a_recording_share_its_leds():
     frames, truths, _ = touch_another_gelslim()
-    source, context = load_sensor("gelslim"), tuple(frame.image for frame in frames)
-    results = [estimate_gel_depth(replace(frame, context_frames=context), source, None, PARAMS) for frame in frames]
-    assert all("fitted to 2 touches of the recording" in " ".join(depth.notes) for depth, _ in results)
+    source = load_sensor("gelslim")
+    context = tuple(frame.image for frame in frames)
+    results = [
+        estimate_gel_depth(replace(frame, context_frames=context), source, None, PARAMS)
+        for frame in frames
+    ]
+    assert all(
+        "fitted to 2 touches of the recording" in " ".join(depth.notes) for depth, _ in results
+    )
     first, second = (measured for _, measured in results)
-    state = rest.describe_rest(replace(frames[0], context_frames=context), source, None, PARAMS, SILENT)
+    state = rest.describe_rest(
+        replace(frames[0], context_frames=context), source, None, PARAMS, SILENT
+    )
     touches = [light.find_touch(f.image, f.reference, state, SILENT) for f in frames]
     assert first == second
-    assert first.parameters == tuple(fit_leds(source, [touch.observe(touch.described[0]) for touch in touches]))
+    assert first.parameters == tuple(
+        fit_leds(source, [touch.observe(touch.described[0]) for touch in touches])
+    )
     for frame, truth, (depth, _) in zip(frames, truths, results, strict=True):
-        described, _ = estimate_gel_depth(frame, source, None, PARAMS, illumination=Illumination(model="trusted"))
+        described, _ = estimate_gel_depth(
+            frame, source, None, PARAMS, illumination=Illumination(model="trusted")
+        )
         assert mean_error_mm(depth, truth) < 0.6 * mean_error_mm(described, truth)
 
 
@@ -101,16 +115,22 @@ def test_one_context_frame_changes_nothing():
 @pytest.mark.parametrize("name", ["gelslim", "digit"])
 def test_results_do_not_depend_on_what_was_asked_before(name):
     (frame, _), _, _ = touch_another_gelslim(name)
-    source, other = load_sensor(name), DepthParams(smoothing_px=2.0, sensitivity=1.5)
+    source = load_sensor(name)
+    other = DepthParams(smoothing_px=2.0, sensitivity=1.5)
     requests = {"default": PARAMS, "other": other}
     orders = (list(requests), list(requests)[::-1])
     results = []
     for order in orders:
         clear_caches()
         results.append(
-            {key: estimate_depth(frame, source, None, requests[key]).indentation_mm.tobytes() for key in order}
+            {
+                key: estimate_depth(frame, source, None, requests[key]).indentation_mm.tobytes()
+                for key in order
+            }
         )
     assert results[0] == results[1]
     for key, params in requests.items():
         clear_caches()
-        assert estimate_depth(frame, source, None, params).indentation_mm.tobytes() == results[0][key]
+        assert (
+            estimate_depth(frame, source, None, params).indentation_mm.tobytes() == results[0][key]
+        )

@@ -40,15 +40,20 @@ def test_another_instance_is_distinguished_from_drift(name):
     assert is_warned(name, first, second)
     rng = np.random.default_rng(7)
     for _ in range(4):
-        gain, ramp = 1.0 + rng.uniform(-0.03, 0.03), rng.uniform(-12.0, 12.0)
+        gain = 1.0 + rng.uniform(-0.03, 0.03)
+        ramp = rng.uniform(-12.0, 12.0)
         angle = rng.uniform(0.0, 2.0 * np.pi)
-        later = drifted(first, gain=gain, ramp_grey=ramp, shift_px=(2.0 * np.cos(angle), 2.0 * np.sin(angle)))
+        later = drifted(
+            first, gain=gain, ramp_grey=ramp, shift_px=(2.0 * np.cos(angle), 2.0 * np.sin(angle))
+        )
         assert not is_warned(name, first, later)
 
 
 def test_more_drift_than_one_instance_has_in_a_day_is_warned_of():
     reference = optics.render_reference(load_sensor("gelsight_mini"))
-    later, other = (drifted(reference, gain=gain, ramp_grey=ramp) for gain, ramp in ((0.94, 14.0), (0.85, 30.0)))
+    later, other = (
+        drifted(reference, gain=gain, ramp_grey=ramp) for gain, ramp in ((0.94, 14.0), (0.85, 30.0))
+    )
     assert not is_warned("gelsight_mini", reference, later)
     assert is_warned("gelsight_mini", reference, other)
 
@@ -58,10 +63,13 @@ def test_depth_with_the_calibration_of_another_instance_is_warned_of():
     instance = vary_sensor(source, 1, 1.0)
     dent = np.zeros(source.camera.shape, np.float32)
     dent[140:180, 100:140] = 0.3
-    image, reference = optics.render(instance, dent, seed=0), optics.render_reference(instance)
+    image = optics.render(instance, dent, seed=0)
+    reference = optics.render_reference(instance)
     frame = TactileFrame(sensor="digit", image=image, reference=reference)
     own, other = (
-        estimate_depth(frame, source, make_calibration("digit", render_instance("digit", seed)), DepthParams())
+        estimate_depth(
+            frame, source, make_calibration("digit", render_instance("digit", seed)), DepthParams()
+        )
         for seed in (1, 2)
     )
     assert any("another instance" in warning for warning in select_warnings(other.notes))
@@ -70,12 +78,16 @@ def test_depth_with_the_calibration_of_another_instance_is_warned_of():
 
 def test_a_calibration_without_a_reference_image_is_not_checked():
     reference = render_instance("digit", 1)
-    assert instance_check.check_sensor_instance(make_built_in(load_sensor("digit")), reference) == ()
+    assert (
+        instance_check.check_sensor_instance(make_built_in(load_sensor("digit")), reference) == ()
+    )
 
 
 def test_images_of_another_size_are_compared_at_the_calibrations():
     first, second = (render_instance("gelsight_mini", seed) for seed in (1, 2))
-    smaller = np.ascontiguousarray(cv2.resize(first, None, fx=0.4, fy=0.4, interpolation=cv2.INTER_AREA))
+    smaller = np.ascontiguousarray(
+        cv2.resize(first, None, fx=0.4, fy=0.4, interpolation=cv2.INTER_AREA)
+    )
     assert not is_warned("gelsight_mini", first, smaller)
     assert is_warned("gelsight_mini", second, smaller)
 

@@ -1,4 +1,6 @@
-"""Touch by latent diffusion, from the source's image and from the target depth: seeds, guidance, cancelling, conversion to mm, and two quirks of the released code."""
+"""Touch by latent diffusion, from the source's image and from the target depth: seeds, guidance,
+cancelling, conversion to mm, and two quirks of the released code.
+"""
 
 from __future__ import annotations
 
@@ -32,9 +34,18 @@ SHOWN = np.random.default_rng(0).normal(size=(3, 32, 32)).astype(np.float32)
 def net():
     torch.manual_seed(0)
     made = LatentDiffusion(
-        side=32, width=8, channel_multipliers="1 2", blocks=1, attention="2", heads=2, groups=4, autoencoder_width=8,
-        autoencoder_multipliers="1 1 2 2", autoencoder_blocks=1, condition_channels=4,
-    )  # fmt: skip
+        side=32,
+        width=8,
+        channel_multipliers="1 2",
+        blocks=1,
+        attention="2",
+        heads=2,
+        groups=4,
+        autoencoder_width=8,
+        autoencoder_multipliers="1 1 2 2",
+        autoencoder_blocks=1,
+        condition_channels=4,
+    )
     with torch.no_grad():
         made.model["diffusion_model"].out[2].weight.normal_(0, 0.02)
     return made.eval().requires_grad_(False)
@@ -43,7 +54,9 @@ def net():
 def counted(net, monkeypatch):
     calls = []
     plain = type(net).predict_noise
-    monkeypatch.setattr(type(net), "predict_noise", lambda self, *a: calls.extend(a[2]) or plain(self, *a))
+    monkeypatch.setattr(
+        type(net), "predict_noise", lambda self, *a: calls.extend(a[2]) or plain(self, *a)
+    )
     return calls
 
 
@@ -69,7 +82,9 @@ def test_guidance_acts_only_on_weights_trained_with_condition_dropout(net, monke
 
 
 def test_equal_seeds_give_equal_bytes(net):
-    first, again, other = (sample_image(net, SHOWN, LatentParams(steps=4, seed=seed))[0] for seed in (3, 3, 4))
+    first, again, other = (
+        sample_image(net, SHOWN, LatentParams(steps=4, seed=seed))[0] for seed in (3, 3, 4)
+    )
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
 
@@ -103,7 +118,8 @@ def test_imprint_encoding_is_invertible():
     assert (shown.min(), shown.max()) == (-1.0, 1.0)
     assert np.allclose(decode_image(shown, "bubble"), imprint, atol=1e-4)
     twice = decode_image(shown, "bubble", map_twice=True)
-    assert twice.min() == pytest.approx(0.5 * sum(BUBBLE_FORMAT.image_range))  # the released scripts' upper half
+    # the released scripts' upper half
+    assert twice.min() == pytest.approx(0.5 * sum(BUBBLE_FORMAT.image_range))
     assert twice.max() == pytest.approx(BUBBLE_FORMAT.image_range[1])
 
 
@@ -114,9 +130,15 @@ def test_generated_imprints_are_renormalised():
     assert np.array_equal(latent_diffusion._renormalise_depth(made, (2.0, 0.0), (4.0, 6.0)), made)
 
 
-@pytest.mark.parametrize(("setting", "trained_raw", "times"), [
-    ("as trained", False, 1.0), ("as trained", True, 255.0), ("yes", False, 255.0), ("no", True, 1.0),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("setting", "trained_raw", "times"),
+    [
+        ("as trained", False, 1.0),
+        ("as trained", True, 255.0),
+        ("yes", False, 255.0),
+        ("no", True, 1.0),
+    ],
+)
 def test_the_condition_is_scaled_as_in_training_and_impossible_depths_are_left_to_physics(
     monkeypatch, setting, trained_raw, times
 ):
@@ -124,7 +146,8 @@ def test_the_condition_is_scaled_as_in_training_and_impossible_depths_are_left_t
     from pipeline.physics import optics
     from pipeline.sensors import alignment
 
-    gel, bubble = load_sensor("gelslim"), load_sensor("soft_bubble")
+    gel = load_sensor("gelslim")
+    bubble = load_sensor("soft_bubble")
     rest = optics.render_reference(gel)
     image = rest.copy()
     image[100:200, 100:250] = 255 - image[100:200, 100:250]
@@ -148,11 +171,17 @@ def test_the_condition_is_scaled_as_in_training_and_impossible_depths_are_left_t
     reads = frame, gel, None, both, bubble, estimate_views(frame, gel, both, bubble)[0]
     touch = latent_diffusion.generate_touch(*reads, network, params)
     assert latent_diffusion.OUTSIDE_VIEW in touch.notes
-    plain = latent_diffusion.resize_to_square(gel.sensor_kind.compute_relative_change(image, rest), 32)
+    plain = latent_diffusion.resize_to_square(
+        gel.sensor_kind.compute_relative_change(image, rest), 32
+    )
     assert np.allclose(seen[0], normalise(times * plain, "gel"), atol=1e-4)
-    monkeypatch.setattr(latent_diffusion, "sample_image", lambda *_: (np.ones((3, 32, 32), np.float32), ()))
+    monkeypatch.setattr(
+        latent_diffusion, "sample_image", lambda *_: (np.ones((3, 32, 32), np.float32), ())
+    )
     impossible = latent_diffusion.generate_touch(*reads, network, params)
-    assert isinstance(impossible, Fallback), "22.5 mm into the bubble: the gel cannot be pressed so far"
+    assert isinstance(impossible, Fallback), (
+        "22.5 mm into the bubble: the gel cannot be pressed so far"
+    )
     assert "another alignment" in impossible.reason
     assert impossible.result.membrane is not None
     network.trained_on_recordings = True
@@ -164,27 +193,44 @@ def test_the_condition_is_scaled_as_in_training_and_impossible_depths_are_left_t
 def contact_view():
     """A target depth on a GelSlim: a square that a source sees in the middle of half the image."""
     gel = load_sensor("gelslim")
-    indentation, in_view = np.zeros(gel.camera.shape, np.float32), np.zeros(gel.camera.shape, np.bool_)
-    indentation[140:180, 190:240], in_view[:, 100:320] = 0.5, True
+    indentation = np.zeros(gel.camera.shape, np.float32)
+    in_view = np.zeros(gel.camera.shape, np.bool_)
+    indentation[140:180, 190:240] = 0.5
+    in_view[:, 100:320] = True
     return TargetDepth(
-        depth_mm=freeze((gel.rest_depth_mm - indentation).astype(np.float32)), contact=freeze(indentation > 0),
-        indentation_mm=freeze(indentation), camera=gel.camera, in_view=freeze(in_view),
+        depth_mm=freeze((gel.rest_depth_mm - indentation).astype(np.float32)),
+        contact=freeze(indentation > 0),
+        indentation_mm=freeze(indentation),
+        camera=gel.camera,
+        in_view=freeze(in_view),
         source_index=freeze(np.full(gel.camera.shape, -1, np.int32)),
-    )  # fmt: skip
+    )
 
 
 def make_depth_weights(**config):
     torch.manual_seed(0)
     config = {
-        "side": 32, "width": 8, "channel_multipliers": "1 2", "blocks": 1, "attention": "2", "heads": 2, "groups": 4,
-        "autoencoder_width": 8, "autoencoder_multipliers": "1 1 2 2", "autoencoder_blocks": 1, "condition_channels": 4,
-        "condition": "depth", **config,
-    }  # fmt: skip
+        "side": 32,
+        "width": 8,
+        "channel_multipliers": "1 2",
+        "blocks": 1,
+        "attention": "2",
+        "heads": 2,
+        "groups": 4,
+        "autoencoder_width": 8,
+        "autoencoder_multipliers": "1 1 2 2",
+        "autoencoder_blocks": 1,
+        "condition_channels": 4,
+        "condition": "depth",
+        **config,
+    }
     net = LatentDiffusion(**config)
     with torch.no_grad():
         net.model["diffusion_model"].out[2].weight.normal_(0, 0.02)
     tensors = {name: tensor.numpy() for name, tensor in net.state_dict().items()}
-    return Weights(name="test", kind="latent", config=config, tensors=tensors, card={"task": "latent"})
+    return Weights(
+        name="test", kind="latent", config=config, tensors=tensors, card={"task": "latent"}
+    )
 
 
 def run_from_depth(view, weights, **params):
@@ -195,7 +241,9 @@ def run_from_depth(view, weights, **params):
 
 def test_a_touch_from_depth_has_the_bytes_of_its_seed(contact_view):
     weights = make_depth_weights()
-    first, again, other = (run_from_depth(contact_view, weights, seed=seed).output for seed in (1, 1, 2))
+    first, again, other = (
+        run_from_depth(contact_view, weights, seed=seed).output for seed in (1, 1, 2)
+    )
     assert first.image.shape == (*contact_view.camera.shape, 3)
     assert np.array_equal(first.image, again.image)
     assert not np.array_equal(first.image, other.image)
@@ -204,7 +252,9 @@ def test_a_touch_from_depth_has_the_bytes_of_its_seed(contact_view):
 
 
 def test_the_condition_from_depth_is_depth_mask_and_view(contact_view):
-    """D_T'' in contact, M_T'' and the source's view as area means, whose sums are those of the fields."""
+    """D_T'' in contact, M_T'' and the source's view as area means, whose sums are those of the
+    fields.
+    """
     view = contact_view
     square = build_depth_square("gel", view.indentation_mm, view.contact, view.in_view, 32)
     assert square.shape == (3, 32, 32)
@@ -216,7 +266,9 @@ def test_the_condition_from_depth_is_depth_mask_and_view(contact_view):
 
 def test_a_target_depth_without_contact_or_weights_is_left_to_physics(contact_view):
     empty = np.zeros(contact_view.camera.shape, np.bool_)
-    still = replace(contact_view, contact=freeze(empty), indentation_mm=freeze(empty.astype(np.float32)))
+    still = replace(
+        contact_view, contact=freeze(empty), indentation_mm=freeze(empty.astype(np.float32))
+    )
     assert run_from_depth(still, make_depth_weights()).state == "skipped"
     found = run_from_depth(contact_view, NoWeights(why="none are shipped"))
     assert "no network for this pair; none are shipped" in found.fallback
@@ -224,8 +276,10 @@ def test_a_target_depth_without_contact_or_weights_is_left_to_physics(contact_vi
 
 
 def test_weights_of_the_other_condition_are_refused(tmp_path):
-    gel, bubble = load_sensor("gelslim"), load_sensor("soft_bubble")
-    depth_file, image_file = tmp_path / "depth.safetensors", tmp_path / "image.safetensors"
+    gel = load_sensor("gelslim")
+    bubble = load_sensor("soft_bubble")
+    depth_file = tmp_path / "depth.safetensors"
+    image_file = tmp_path / "image.safetensors"
     save_weights(depth_file, make_depth_weights())
     save_weights(image_file, make_depth_weights(condition="image"))
     refused = latent_diffusion.select_weights(bubble, gel, depth_file)

@@ -1,4 +1,6 @@
-"""Which light a sensor instance has: chosen by one touch, or by several touches for all frames of their recording."""
+"""Which light a sensor instance has: chosen by one touch, or by several touches for all frames
+of their recording.
+"""
 
 from __future__ import annotations
 
@@ -39,26 +41,40 @@ def caches(tmp_path, monkeypatch):
 
 
 def draw_touches(seed=3):
-    """Presses of a ball on a Mini whose LEDs stand next to the gel: light that no distant LEDs explain."""
+    """Presses of a ball on a Mini whose LEDs stand next to the gel: light that no distant LEDs
+    explain.
+    """
     source = load_sensor("gelsight_mini")
     (rows, cols), reference = source.camera.shape, optics.render_reference(source)
     rng = np.random.default_rng(seed)
-    field = near_led_prior.sample_instances(source.optics, source.pixel_mm, (rows, cols), 1, rng)[0].ravel()
+    field = near_led_prior.sample_instances(source.optics, source.pixel_mm, (rows, cols), 1, rng)[
+        0
+    ].ravel()
     patch = ImagePatch(
-        x_px=np.arange(cols, dtype=np.float32), y_px=np.arange(rows, dtype=np.float32),
-        change=np.zeros(reference.shape, np.float32), reference=reference.astype(np.float32),
-        changed=np.ones((rows, cols), np.bool_), downsampling=1, pixel_mm=source.pixel_mm, smoothing_px=0.0,
+        x_px=np.arange(cols, dtype=np.float32),
+        y_px=np.arange(rows, dtype=np.float32),
+        change=np.zeros(reference.shape, np.float32),
+        reference=reference.astype(np.float32),
+        changed=np.ones((rows, cols), np.bool_),
+        downsampling=1,
+        pixel_mm=source.pixel_mm,
+        smoothing_px=0.0,
         unmarked_share=np.ones((rows, cols, 3), np.float32),
-    )  # fmt: skip
-    light, mesh = field_light.make_field_light(field, patch, source), shapes.make_shape("sphere").mesh
+    )
+    light = field_light.make_field_light(field, patch, source)
+    mesh = shapes.make_shape("sphere").mesh
     frames = []
     for index, (x, y) in enumerate(PLACES_MM):
-        press = simulate_press(mesh, translation(x, y, -0.8 - mesh.vertices_mm[:, 2].min()), source, seed=2)
+        press = simulate_press(
+            mesh, translation(x, y, -0.8 - mesh.vertices_mm[:, 2].min()), source, seed=2
+        )
         surface = np.array(press.truth.indentation_mm)
         change = light.render(surface, *compute_slopes(surface, source.pixel_mm)).change
         image = reference + simulate_recorded_change(change, patch, light.blur_px)
         image = np.clip(np.rint(image + rng.normal(0.0, 1.0, image.shape)), 0, 255).astype(np.uint8)
-        frames.append(TactileFrame(sensor="gelsight_mini", image=image, reference=reference, index=index))
+        frames.append(
+            TactileFrame(sensor="gelsight_mini", image=image, reference=reference, index=index)
+        )
     return source, frames
 
 
@@ -70,10 +86,14 @@ def find_touches(source, frames):
 def test_a_recording_is_read_in_one_kind_of_light_and_each_touch_in_a_field_of_its_own(monkeypatch):
     source, frames = draw_touches()
     context = tuple(frame.image for frame in frames[:2])
-    _, first = estimate_gel_depth(replace(frames[0], context_frames=context), source, None, DepthParams())
+    _, first = estimate_gel_depth(
+        replace(frames[0], context_frames=context), source, None, DepthParams()
+    )
     monkeypatch.setattr(selection, "fit_leds", None)  # the choice stands for all frames
     monkeypatch.setattr(selection, "choose_illumination", None)
-    _, third = estimate_gel_depth(replace(frames[2], context_frames=context), source, None, DepthParams())
+    _, third = estimate_gel_depth(
+        replace(frames[2], context_frames=context), source, None, DepthParams()
+    )
     assert first.model == third.model == "field"
     assert first.is_complete
     assert first.parameters != third.parameters
@@ -83,7 +103,9 @@ def test_a_field_is_the_same_alone_and_in_its_recording():
     source, frames = draw_touches()
     context = tuple(frame.image for frame in frames[:2])
     _, alone = estimate_gel_depth(frames[2], source, None, DepthParams())
-    _, among = estimate_gel_depth(replace(frames[2], context_frames=context), source, None, DepthParams())
+    _, among = estimate_gel_depth(
+        replace(frames[2], context_frames=context), source, None, DepthParams()
+    )
     assert alone == among
 
 
@@ -99,32 +121,46 @@ def read_image(path):
 
 
 def test_a_real_digit_fits_a_field_to_each_touch_and_asks_it_near_the_dent_alone(real_data):
-    source, folder = load_sensor("digit"), real_data / "digit_balls"
+    source = load_sensor("digit")
+    folder = real_data / "digit_balls"
     reference = read_image(folder / "background.png")
     images = [read_image(folder / f"{index:04d}.png") for index in DIGIT_PRESSES]
     frame = TactileFrame(sensor="digit", image=images[2], reference=reference)
     depth, alone = estimate_gel_depth(frame, source, None, DepthParams())
-    _, among = estimate_gel_depth(replace(frame, context_frames=tuple(images[:2])), source, None, DepthParams())
+    _, among = estimate_gel_depth(
+        replace(frame, context_frames=tuple(images[:2])), source, None, DepthParams()
+    )
     assert alone.model == "field"
     assert alone == among
     y, x = np.nonzero(depth.contact)
     assert len(y) > 1000
-    far = np.hypot(*np.indices(depth.contact.shape) - np.array([y.mean(), x.mean()])[:, None, None]) > 100
+    far = (
+        np.hypot(*np.indices(depth.contact.shape) - np.array([y.mean(), x.mean()])[:, None, None])
+        > 100
+    )
     assert np.abs(depth.indentation_mm[far]).max() < 0.05
 
 
 def test_a_real_gelslim_is_read_by_near_leds_that_its_recording_chose(real_data):
-    plain, folder = load_sensor("gelslim"), real_data / "gelslim3_balls"
+    plain = load_sensor("gelslim")
+    folder = real_data / "gelslim3_balls"
     camera = plain.camera
     focal_px = float(np.median(plain.rest_depth_mm)) / GELSLIM_3_PX_MM
     source = plain.with_camera(
         Camera(
-            rows=camera.rows, cols=camera.cols, fx_px=focal_px, fy_px=focal_px, cx_px=camera.cx_px, cy_px=camera.cy_px
+            rows=camera.rows,
+            cols=camera.cols,
+            fx_px=focal_px,
+            fy_px=focal_px,
+            cx_px=camera.cx_px,
+            cy_px=camera.cy_px,
         )
     )
     reference = read_image(folder / "ref.jpg")
     images = tuple(read_image(folder / f"sample_{index}.jpg") for index in (3, 10, 20))
-    frame = TactileFrame(sensor="gelslim", image=images[2], reference=reference, context_frames=images[:2])
+    frame = TactileFrame(
+        sensor="gelslim", image=images[2], reference=reference, context_frames=images[:2]
+    )
     depth, measured = estimate_gel_depth(frame, source, None, DepthParams())
     assert measured.model == "near"
     assert measured.from_context

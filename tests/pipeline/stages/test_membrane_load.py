@@ -5,14 +5,17 @@ import pytest
 
 from pipeline.stages.depth.membrane_load import estimate_load, estimate_noise_mm2
 
-PIXEL_MM, CURVATURE_PER_MM = 0.4, 0.027
+PIXEL_MM = 0.4
+CURVATURE_PER_MM = 0.027
 SHAPE = (90, 100)
 NOISE_MM = 0.4  # of one reading
 NEVER_SEEN_MM = 50.0
 
 
 def solved(load):
-    """The move (rows, cols) mm of a membrane held well beyond the image, by a plain sine transform."""
+    """The move (rows, cols) mm of a membrane held well beyond the image, by a plain sine
+    transform.
+    """
     from scipy import fft
 
     wide = np.pad(load, 60) * CURVATURE_PER_MM * PIXEL_MM**2
@@ -35,10 +38,18 @@ def read(moved, seen=None, **options):
     import cv2
 
     seen = np.ones(SHAPE, np.bool_) if seen is None else seen
-    start = np.asarray(cv2.GaussianBlur(np.where(seen, moved, np.float32(0.0)), (0, 0), 2.0), np.float32)
+    start = np.asarray(
+        cv2.GaussianBlur(np.where(seen, moved, np.float32(0.0)), (0, 0), 2.0), np.float32
+    )
     return estimate_load(
-        moved, seen, candidates(), start, pixel_mm=PIXEL_MM, curvature_per_mm=CURVATURE_PER_MM, **options
-    )  # fmt: skip
+        moved,
+        seen,
+        candidates(),
+        start,
+        pixel_mm=PIXEL_MM,
+        curvature_per_mm=CURVATURE_PER_MM,
+        **options,
+    )
 
 
 def noisy(seed=3):
@@ -53,7 +64,8 @@ def test_without_noise_a_ring_presses_as_a_ring():
     assert pressed[wanted].all()
     assert pressed.sum() < 1.5 * wanted.sum()  # half a pixel more on each side of a line of two
     assert found.load[45, 52] < 1.0  # the middle hangs free
-    assert np.abs(found.displacement_mm - solved(ring())).max() < 0.05  # mm, a tenth of the noise of cameras
+    # mm, a tenth of the noise of cameras
+    assert np.abs(found.displacement_mm - solved(ring())).max() < 0.05
 
 
 def test_under_noise_the_middle_of_a_ring_still_hangs_free():
@@ -84,16 +96,23 @@ def test_pixels_that_were_not_read_are_not_used():
 
 def test_an_offset_of_the_camera_is_no_load():
     true = solved(ring())
-    a, b = read(true), read(true + np.float32(2.0))
+    a = read(true)
+    b = read(true + np.float32(2.0))
     assert np.abs(b.load - a.load).max() < 0.02 * a.load.max()
 
 
 def test_twice_the_assumed_curvature_is_half_the_load():
     image = solved(ring())
-    start, seen = np.zeros(SHAPE, np.float32), np.ones(SHAPE, np.bool_)
+    start = np.zeros(SHAPE, np.float32)
+    seen = np.ones(SHAPE, np.bool_)
     a, b = (
         estimate_load(
-            image, seen, candidates(), start, pixel_mm=PIXEL_MM, curvature_per_mm=k * CURVATURE_PER_MM
+            image,
+            seen,
+            candidates(),
+            start,
+            pixel_mm=PIXEL_MM,
+            curvature_per_mm=k * CURVATURE_PER_MM,
         ).load.sum()
         for k in (1.0, 2.0)
     )
@@ -106,10 +125,14 @@ def test_noise_is_measured_at_the_scale_of_a_millimetre(grain_px):
 
     image = np.random.default_rng(1).normal(0, NOISE_MM, (160, 200)).astype(np.float32)
     if grain_px:
-        image = cv2.GaussianBlur(image, (0, 0), grain_px)  # takes the fine noise away, not that of a mean over blocks
+        # takes the fine noise away, not that of a mean over blocks
+        image = cv2.GaussianBlur(image, (0, 0), grain_px)
     hill = 5e-4 * np.add.outer(np.arange(160.0) ** 2, np.arange(200.0) ** 2)
-    found = estimate_noise_mm2((image + hill).astype(np.float32), np.ones(image.shape, np.bool_), PIXEL_MM)
-    assert found == pytest.approx(NOISE_MM * PIXEL_MM, rel=0.3)  # from some 700 blocks, the blur leaking out of them
+    found = estimate_noise_mm2(
+        (image + hill).astype(np.float32), np.ones(image.shape, np.bool_), PIXEL_MM
+    )
+    # from some 700 blocks, the blur leaking out of them
+    assert found == pytest.approx(NOISE_MM * PIXEL_MM, rel=0.3)
 
 
 def test_too_small_an_image_is_taken_to_be_as_noisy_as_usual():

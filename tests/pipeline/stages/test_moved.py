@@ -11,21 +11,27 @@ from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from tests.pipeline.calibration.test_balls import hertz
 
-GRAIN_PX, GRAIN_GREY = 5, 9.0  # of a small film that was dithered and then enlarged
+# of a small film that was dithered and then enlarged
+GRAIN_PX = 5
+GRAIN_GREY = 9.0
 
 
 def grainy(picture, seed):
     import cv2
 
     rows, cols = picture.shape[:2]
-    small = np.random.default_rng(seed).normal(0, GRAIN_GREY, (rows // GRAIN_PX, cols // GRAIN_PX, 3))
+    small = np.random.default_rng(seed).normal(
+        0, GRAIN_GREY, (rows // GRAIN_PX, cols // GRAIN_PX, 3)
+    )
     grain = cv2.resize(small.astype(np.float32), (cols, rows), interpolation=cv2.INTER_CUBIC)
     return np.clip(np.rint(picture.astype(np.float32) + grain), 0, 255).astype(np.uint8)
 
 
 def read(source, picture, seed):
     frame = TactileFrame(
-        sensor=source.name, image=grainy(picture, seed), reference=grainy(optics.render_reference(source), 99)
+        sensor=source.name,
+        image=grainy(picture, seed),
+        reference=grainy(optics.render_reference(source), 99),
     )
     return estimate_depth(frame, source, None, DepthParams())
 

@@ -1,4 +1,6 @@
-"""No contact in, no touch out: whatever the method, nothing is sampled of a frame that does not touch the target."""
+"""No contact in, no touch out: whatever the method, nothing is sampled of a frame that does not
+touch the target.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +25,15 @@ from pipeline.translation.catalogue import BUILT_IN
 from tests.pipeline.stages.target_views import estimate_views
 from tests.pipeline.stages.test_light_changes import add_spot
 
-GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")
+GEL = load_sensor("gelslim")
+BUBBLE = load_sensor("soft_bubble")
 METHODS = tuple(method.name for method in BUILT_IN.stage("touch").methods)
 SAMPLERS = (
-    (t2d2, "sample_residual"), (t2t, "sample_residual"), (latent_diffusion, "sample_image"), (vqvae, "_run_network"),
-)  # fmt: skip
+    (t2d2, "sample_residual"),
+    (t2t, "sample_residual"),
+    (latent_diffusion, "sample_image"),
+    (vqvae, "_run_network"),
+)
 
 
 def evaluate(name, frame, *, target=BUBBLE, target_too_far_mm=0.0):
@@ -37,10 +43,15 @@ def evaluate(name, frame, *, target=BUBBLE, target_too_far_mm=0.0):
         alignment.resolve_alignment(GEL, target), rigid.translation(0.0, 0.0, target_too_far_mm)
     )
     inputs = {
-        "frame": frame, "source": GEL, "target": target, "calibration": None, "mesh": None, "previous": None,
+        "frame": frame,
+        "source": GEL,
+        "target": target,
+        "calibration": None,
+        "mesh": None,
+        "previous": None,
         "alignment": moved,
         **{m.weights_name: m.weights(GEL, target, None) for m in methods if m.weights is not None},
-    }  # fmt: skip
+    }
     return Graph(methods).evaluate(["touch", "touch_depth", "pose"], inputs, {})
 
 
@@ -70,8 +81,13 @@ def sampled(monkeypatch):
     for module, name in SAMPLERS:
         sample = getattr(module, name)
         monkeypatch.setattr(
-            module, name, lambda *given, _sample=sample, _name=name, **more: (asked.append(_name), _sample(*given, **more))[1]
-        )  # fmt: skip
+            module,
+            name,
+            lambda *given, _sample=sample, _name=name, **more: (
+                asked.append(_name),
+                _sample(*given, **more),
+            )[1],
+        )
     return asked
 
 
@@ -89,7 +105,11 @@ def test_nothing_made_of_an_uncertain_frame_is_called_exact_or_untouched(lit_fra
     for name in METHODS:
         results = evaluate(name, lit_frame, target=GEL)
         for stage, result in results.items():
-            assert any(isinstance(note, UncertainContact) for note in result.notes), (name, stage, result.notes)
+            assert any(isinstance(note, UncertainContact) for note in result.notes), (
+                name,
+                stage,
+                result.notes,
+            )
             for note in result.notes:
                 assert "exact" not in note, (name, stage)
                 assert not note.startswith("no contact"), (name, stage)
@@ -102,7 +122,9 @@ def test_a_frame_without_change_is_exact_on_a_gel(still):
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_a_target_out_of_reach_is_not_touched_and_the_alignment_is_named(name, touched_frame, sampled):
+def test_a_target_out_of_reach_is_not_touched_and_the_alignment_is_named(
+    name, touched_frame, sampled
+):
     assert evaluate(name, touched_frame)["touch_depth"].output.contact.any()
     sampled.clear()
     results = evaluate(name, touched_frame, target_too_far_mm=9.0)
@@ -112,11 +134,16 @@ def test_a_target_out_of_reach_is_not_touched_and_the_alignment_is_named(name, t
     assert "correct the alignment" in " ".join(touch.notes)
     assert not any("check the source" in note or "no contact:" in note for note in touch.notes)
     warnings = [warning for result in results.values() for warning in result.warnings]
-    assert any(isinstance(warning, AlignmentWarning) for warning in warnings), "offers to centre the touch"
+    assert any(isinstance(warning, AlignmentWarning) for warning in warnings), (
+        "offers to centre the touch"
+    )
 
 
 def test_latent_touches_deeper_than_possible_cost_one_step(touched_frame, monkeypatch):
-    """The shipped network knows grasps of one depth; physics answers, and the 200 steps are not sampled."""
+    """The shipped network knows grasps of one depth.
+
+    Physics answers, and the 200 steps are not sampled.
+    """
     steps = []
     sample = latent_diffusion.sample_image
 
@@ -131,14 +158,19 @@ def test_latent_touches_deeper_than_possible_cost_one_step(touched_frame, monkey
     assert "another alignment" in found.fallback
 
 
-def test_weights_of_recorded_pairs_are_asked_wherever_the_source_is_touched(touched_frame, lit_frame):
+def test_weights_of_recorded_pairs_are_asked_wherever_the_source_is_touched(
+    touched_frame, lit_frame
+):
     """They know how their sensors lay to each other; the described alignment may not."""
     from tests.pipeline.stages.test_touch_from_source import weights_of
 
     weights = replace(
-        weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8), config={"trained_on_recordings": 1.0}
+        weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8),
+        config={"trained_on_recordings": 1.0},
     )
-    far = alignment.correct_alignment(alignment.resolve_alignment(GEL, BUBBLE), rigid.translation(0.0, 0.0, 30.0))
+    far = alignment.correct_alignment(
+        alignment.resolve_alignment(GEL, BUBBLE), rigid.translation(0.0, 0.0, 30.0)
+    )
     guard = guard_contact(lambda *_: "asked")
 
     def run(frame, weights):
@@ -159,10 +191,15 @@ def test_methods_and_parameters_of_depth_reach_touches_from_images(name, touched
         methods = BUILT_IN.methods("t2d2", {"touch": name, **others}, kinds)
         graph = Graph(methods) if graph is None else graph.with_methods(methods)
         inputs = {
-            "frame": touched_frame, "source": GEL, "target": BUBBLE, "calibration": None,
-            "alignment": alignment.resolve_alignment(GEL, BUBBLE), "touch_weights": NoWeights(why="none"),
-            "depth_weights": NoWeights(why="none"), "true_depth": replace(depth, contact=np.zeros_like(depth.contact)),
-        }  # fmt: skip
+            "frame": touched_frame,
+            "source": GEL,
+            "target": BUBBLE,
+            "calibration": None,
+            "alignment": alignment.resolve_alignment(GEL, BUBBLE),
+            "touch_weights": NoWeights(why="none"),
+            "depth_weights": NoWeights(why="none"),
+            "true_depth": replace(depth, contact=np.zeros_like(depth.contact)),
+        }
         return graph, graph.evaluate(["touch"], inputs, params)
 
     depth = estimate_views(touched_frame, GEL, alignment.resolve_alignment(GEL, BUBBLE), BUBBLE)[1]
@@ -170,7 +207,10 @@ def test_methods_and_parameters_of_depth_reach_touches_from_images(name, touched
     assert results["touch"].output.membrane.contact.any()
     deeper = 0.9 * float(depth.indentation_mm.max()) / GEL.limits.contact_min_mm
     _, limited = evaluate_with({"depth": DepthParams(contact_limit=min(deeper, 10.0))}, graph)
-    assert limited["touch"].output.membrane.contact.sum() < results["touch"].output.membrane.contact.sum()
+    assert (
+        limited["touch"].output.membrane.contact.sum()
+        < results["touch"].output.membrane.contact.sum()
+    )
     _, untouched = evaluate_with({}, graph, depth="truth")
     assert untouched["touch"].state == "skipped"
     _, splat = evaluate_with({}, graph, target_depth="paper")
@@ -180,7 +220,9 @@ def test_methods_and_parameters_of_depth_reach_touches_from_images(name, touched
 def test_the_default_methods_are_those_of_the_default_route():
     t2t = BUILT_IN.methods("t2t")
     for kind in ("gel", "bubble"):
-        known = {m.stage: m for m in BUILT_IN.methods("t2d2", kinds={"source": kind, "target": kind})}
+        known = {
+            m.stage: m for m in BUILT_IN.methods("t2d2", kinds={"source": kind, "target": kind})
+        }
         chosen = [m for m in Graph(t2t).list_methods(kind) if m not in t2t]
         assert [m.stage for m in chosen] == ["depth", "cloud", "target_depth"]
         assert all(known[m.stage] is m for m in chosen)

@@ -21,7 +21,8 @@ from pipeline.stages.touch.stage import OBJECT, STAGE
 from pipeline.translation.catalogue import BUILT_IN
 from pipeline.views.image_views import TOUCH
 
-GEL, BUBBLE = load_sensor("gelslim"), move_bubble_closer(load_sensor("soft_bubble"), BUBBLE_DEEPER_MM)
+GEL = load_sensor("gelslim")
+BUBBLE = move_bubble_closer(load_sensor("soft_bubble"), BUBBLE_DEEPER_MM)
 SHAPE = "notched_elbow"
 POSE = rigid.translation(1.0, -2.0, -0.7) @ rigid.rotation((0.03, -0.02, 0.4))
 
@@ -39,14 +40,22 @@ def truth():
 
 @pytest.fixture(scope="module")
 def graph():
-    return Graph(BUILT_IN.methods("t2d2", {"touch": "object"}, {"source": "gel", "target": "bubble"}))
+    return Graph(
+        BUILT_IN.methods("t2d2", {"touch": "object"}, {"source": "gel", "target": "bubble"})
+    )
 
 
 def translate(graph, frame, mesh, **params):
     inputs = {
-        "frame": frame, "source": GEL, "target": BUBBLE, "calibration": None, "mesh": mesh, "previous": None,
-        "alignment": resolve_alignment(GEL, BUBBLE), "touch_weights": t2d2.select_weights(GEL, BUBBLE, None),
-    }  # fmt: skip
+        "frame": frame,
+        "source": GEL,
+        "target": BUBBLE,
+        "calibration": None,
+        "mesh": mesh,
+        "previous": None,
+        "alignment": resolve_alignment(GEL, BUBBLE),
+        "touch_weights": t2d2.select_weights(GEL, BUBBLE, None),
+    }
     chosen = {"touch": ObjectParams(**params)} if params else {}
     return graph.evaluate(["touch"], inputs, chosen)["touch"]
 
@@ -57,10 +66,13 @@ def test_the_object_is_pressed_beyond_what_the_source_sees(graph, frame, truth):
     physics = graph.with_methods(BUILT_IN.methods("t2d2", {"touch": "physics"}, {"source": "gel"}))
     rendered = translate(physics, frame, mesh).output
     error, by_physics = (
-        np.abs(one.membrane.indentation_mm - truth.indentation_mm)[truth.contact].mean() for one in (touch, rendered)
+        np.abs(one.membrane.indentation_mm - truth.indentation_mm)[truth.contact].mean()
+        for one in (touch, rendered)
     )
     assert error < 0.2 * by_physics
-    assert (touch.membrane.contact & truth.contact).sum() > 0.9 * (touch.membrane.contact | truth.contact).sum()
+    assert (touch.membrane.contact & truth.contact).sum() > 0.9 * (
+        touch.membrane.contact | truth.contact
+    ).sum()
     assert touch.membrane.expected_error_mm.shape == BUBBLE.camera.shape
     assert touch.membrane.expected_error_mm.max() > 0
 

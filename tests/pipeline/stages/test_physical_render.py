@@ -11,10 +11,15 @@ from pipeline.physics import gel, optics
 from pipeline.physics.simulation.press import simulate_press
 from pipeline.physics.simulation.shapes.solids import make_chamfered_prism
 from pipeline.sensors.spec import load_sensor
-from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch, skip_without_contact
+from pipeline.stages.touch.physical_render import (
+    PhysicalRenderParams,
+    render_touch,
+    skip_without_contact,
+)
 
 SURFACE_MM = 2e-3  # the stage's solver tolerance (0.5 um) at a contact edge
-LEFT_OUT_MM = 0.1  # of 0.3 mm: one pixel without a value springs up by 0.065 mm between its neighbours
+# of 0.3 mm: one pixel without a value springs up by 0.065 mm between its neighbours
+LEFT_OUT_MM = 0.1
 SENSORS = ("gelslim", "digit", "gelsight_mini", "soft_bubble")
 
 
@@ -43,11 +48,16 @@ def test_no_contact_gives_the_reference_image_at_no_cost(name):
     spec = load_sensor(name)
     empty = view_of(spec, np.zeros(spec.camera.shape, bool), 0.0)
     touch = render_touch(empty, spec, PhysicalRenderParams())
-    wanted = optics.render_reference(spec) if spec.kind == "gel" else spec.rest_depth_mm.astype(np.float32)
+    wanted = (
+        optics.render_reference(spec)
+        if spec.kind == "gel"
+        else spec.rest_depth_mm.astype(np.float32)
+    )
     assert np.array_equal(touch.image, wanted)
     assert not touch.membrane.indentation_mm.any()
     assert (touch.source_index == -1).all()
-    assert skip_without_contact(empty, spec, PhysicalRenderParams()).image is touch.image  # kept, not made again
+    # kept, not made again
+    assert skip_without_contact(empty, spec, PhysicalRenderParams()).image is touch.image
 
 
 @pytest.mark.parametrize("name", SENSORS)
@@ -55,7 +65,9 @@ def test_the_same_view_and_seed_give_the_same_bytes(name):
     spec = load_sensor(name)
     depth_mm = 0.5 if spec.kind == "gel" else 5.0
     view = view_of(spec, corner(spec), depth_mm)
-    one, again = (render_touch(view, spec, PhysicalRenderParams(add_noise=True, seed=4)) for _ in range(2))
+    one, again = (
+        render_touch(view, spec, PhysicalRenderParams(add_noise=True, seed=4)) for _ in range(2)
+    )
     other = render_touch(view, spec, PhysicalRenderParams(add_noise=True, seed=5))
     assert one.image.tobytes() == again.image.tobytes()
     assert one.image.tobytes() != other.image.tobytes()
@@ -68,24 +80,40 @@ def test_a_true_contact_reproduces_the_true_gel_surface(surface):
     y, x = np.mgrid[: spec.camera.rows, : spec.camera.cols]
     overlap = 0.5 - ((x - 110.0) ** 2 + (y - 170.0) ** 2) * spec.pixel_mm**2 / (2 * 4.0)
     true = gel.press_gel(spec.gel, spec.pixel_mm, overlap)
-    touch = render_touch(view_of(spec, true.contact, true.indentation_mm), spec, PhysicalRenderParams(surface=surface))
+    touch = render_touch(
+        view_of(spec, true.contact, true.indentation_mm),
+        spec,
+        PhysicalRenderParams(surface=surface),
+    )
     assert np.abs(touch.membrane.indentation_mm - true.indentation_mm).max() < SURFACE_MM
-    assert (touch.membrane.contact & true.contact).sum() > 0.97 * (touch.membrane.contact | true.contact).sum()
-    assert np.abs(touch.image.astype(int) - optics.render(spec, true.indentation_mm, seed=None)).max() <= 2
+    assert (touch.membrane.contact & true.contact).sum() > 0.97 * (
+        touch.membrane.contact | true.contact
+    ).sum()
+    assert (
+        np.abs(touch.image.astype(int) - optics.render(spec, true.indentation_mm, seed=None)).max()
+        <= 2
+    )
 
 
 @pytest.mark.parametrize("side_mm", [6.0, 9.1, 13.3])
 def test_a_bubble_covers_the_object_up_to_its_edge(side_mm):
-    """Compared with the simulator on the same plate: measured points end half a pixel before the edge."""
-    spec, half = load_sensor("soft_bubble"), side_mm / 2
-    plate = make_chamfered_prism(((-half, -half), (half, -half), (half, half), (-half, half)), 8.0, 0.05, "plate")
+    """Compared with the simulator on the same plate: measured points end half a pixel before the
+    edge.
+    """
+    spec = load_sensor("soft_bubble")
+    half = side_mm / 2
+    plate = make_chamfered_prism(
+        ((-half, -half), (half, -half), (half, half), (-half, half)), 8.0, 0.05, "plate"
+    )
     truth = simulate_press(plate, rigid.translation(0.4, -0.3, -4.0), spec, seed=None).truth
     vertices_mm = rigid.apply(truth.sensor_from_object, plate.vertices_mm)
     seen, _ = render_mesh(vertices_mm, plate.triangles, spec.camera)
     with np.errstate(invalid="ignore"):
         view = view_of(spec, seen < spec.rest_depth_mm, np.nan_to_num(spec.rest_depth_mm - seen))
     membrane = render_touch(view, spec, PhysicalRenderParams()).membrane
-    assert (membrane.depth_mm <= np.where(view.contact, view.depth_mm, np.inf) + 1e-4).all(), "through the object"
+    assert (membrane.depth_mm <= np.where(view.contact, view.depth_mm, np.inf) + 1e-4).all(), (
+        "through the object"
+    )
     assert view.contact.sum() > 100
     assert np.abs(membrane.indentation_mm - truth.indentation_mm)[view.contact].mean() < 0.03
 
@@ -95,9 +123,11 @@ def test_a_bubble_is_slack_over_the_points_and_free_elsewhere():
     mask = corner(spec, 0.6)
     touch = render_touch(view_of(spec, mask, 6.0), spec, PhysicalRenderParams())
     between = np.zeros_like(mask)
-    between[spec.camera.rows // 2 - 18, spec.camera.cols // 2 + 18] = True  # in the crook of the L, 18 px from both
+    # in the crook of the L, 18 px from both
+    between[spec.camera.rows // 2 - 18, spec.camera.cols // 2 + 18] = True
     assert 0.5 < touch.membrane.indentation_mm[between][0] < 6.0
-    assert np.percentile(touch.membrane.indentation_mm[mask], 10) > 5.5  # rays past the sharp edge see the flank
+    # rays past the sharp edge see the flank
+    assert np.percentile(touch.membrane.indentation_mm[mask], 10) > 5.5
     assert touch.membrane.indentation_mm[2, 2] < 0.0  # the air bulges it out far away
     assert touch.membrane.contact.sum() > 0.3 * mask.sum()
     assert not (touch.membrane.contact & (touch.membrane.indentation_mm < 1.0)).any()
@@ -107,9 +137,12 @@ def test_a_bubble_is_slack_over_the_points_and_free_elsewhere():
 def test_depth_is_rest_minus_indentation_and_pixels_index_the_view(name):
     spec = load_sensor(name)
     mask = corner(spec)
-    touch = render_touch(view_of(spec, mask, 0.4 if spec.kind == "gel" else 4.0), spec, PhysicalRenderParams())
+    touch = render_touch(
+        view_of(spec, mask, 0.4 if spec.kind == "gel" else 4.0), spec, PhysicalRenderParams()
+    )
     assert (
-        np.abs(spec.rest_depth_mm - touch.membrane.indentation_mm - touch.membrane.depth_mm).max() < 1e-4
+        np.abs(spec.rest_depth_mm - touch.membrane.indentation_mm - touch.membrane.depth_mm).max()
+        < 1e-4
     )  # float32 at 80 mm
     assert np.array_equal(touch.source_index >= 0, mask)
     assert touch.source_index[mask].tolist() == np.flatnonzero(mask).tolist()
@@ -136,7 +169,9 @@ def test_ragged_masks_and_contacts_at_the_border_stay_finite():
         view = view_of(spec, mask, 0.4 + 0.05 * rng.standard_normal(mask.shape))
         for surface in ("press", "follow"):
             assert np.isfinite(
-                render_touch(view, spec, PhysicalRenderParams(surface=surface)).membrane.indentation_mm
+                render_touch(
+                    view, spec, PhysicalRenderParams(surface=surface)
+                ).membrane.indentation_mm
             ).all()
 
 
@@ -144,7 +179,9 @@ def test_an_object_at_the_image_border_continues_outside():
     spec = load_sensor("digit")
     band = np.zeros(spec.camera.shape, bool)
     band[140:180] = True
-    surface = render_touch(view_of(spec, band, 0.4), spec, PhysicalRenderParams()).membrane.indentation_mm
+    surface = render_touch(
+        view_of(spec, band, 0.4), spec, PhysicalRenderParams()
+    ).membrane.indentation_mm
     along_edge = surface[130, [0, 120]]
     assert along_edge[0] == pytest.approx(along_edge[1], abs=0.03)
 
@@ -156,7 +193,8 @@ def test_contact_without_depth_is_left_out_with_a_note(name, value):
     camera = whole.camera.scale(0.2)
     spec = replace(whole, camera=camera, rest_depth_mm=whole.membrane.rest_depth_mm(camera))
     clean = view_of(spec, corner(spec), 0.3)
-    pushed, depth = np.array(clean.indentation_mm), np.array(clean.depth_mm)
+    pushed = np.array(clean.indentation_mm)
+    depth = np.array(clean.depth_mm)
     row, col = (n // 2 for n in camera.shape)
     pushed[row, col] = np.nan if value == 3e38 else value
     depth[row, col] = value
@@ -165,7 +203,8 @@ def test_contact_without_depth_is_left_out_with_a_note(name, value):
         touch = render_touch(bad, spec, PhysicalRenderParams(surface=surface))
         near = render_touch(clean, spec, PhysicalRenderParams(surface=surface))
         assert any("1 contact pixels" in note for note in touch.notes)
-        made, wanted = touch.membrane.indentation_mm, near.membrane.indentation_mm
+        made = touch.membrane.indentation_mm
+        wanted = near.membrane.indentation_mm
         assert np.isfinite(made).all()
         off_mm = np.abs(made - wanted)
         assert 0 < off_mm[row, col] < LEFT_OUT_MM

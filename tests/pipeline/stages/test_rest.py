@@ -25,16 +25,27 @@ FACE_IOU = 0.9
 
 @lru_cache
 def pressed_box(name, share):
-    """A level face, `share` of the view's shorter side wide, pressed in by 0.5 mm: (sensor, frame, truth)."""
+    """A level face, `share` of the view's shorter side wide, pressed in by 0.5 mm: (sensor,
+    frame, truth).
+    """
     source = load_sensor(name)
     half = 0.5 * share * min(source.camera.shape) * source.pixel_mm
-    box = shapes.make_chamfered_prism([(-half, -half), (half, -half), (half, half), (-half, half)], 8.0, 0.0, "box")
-    touch = simulate_press(box, rigid.translation(0.0, 0.0, -0.5 - box.vertices_mm[:, 2].min()), source, seed=1)
-    return source, TactileFrame(sensor=name, image=touch.image, reference=optics.render_reference(source)), touch.truth
+    box = shapes.make_chamfered_prism(
+        [(-half, -half), (half, -half), (half, half), (-half, half)], 8.0, 0.0, "box"
+    )
+    touch = simulate_press(
+        box, rigid.translation(0.0, 0.0, -0.5 - box.vertices_mm[:, 2].min()), source, seed=1
+    )
+    return (
+        source,
+        TactileFrame(sensor=name, image=touch.image, reference=optics.render_reference(source)),
+        touch.truth,
+    )
 
 
 @pytest.mark.parametrize(
-    ("name", "share"), [("gelsight_mini", 0.65), ("gelslim", 1.0), ("digit", 1.2), ("gelsight_mini", 1.2)]
+    ("name", "share"),
+    [("gelsight_mini", 0.65), ("gelslim", 1.0), ("digit", 1.2), ("gelsight_mini", 1.2)],
 )
 def test_a_face_is_touched_all_over_whether_its_rim_is_seen_or_cut_off(name, share):
     source, frame, truth = pressed_box(name, share)
@@ -45,11 +56,16 @@ def test_a_face_is_touched_all_over_whether_its_rim_is_seen_or_cut_off(name, sha
 def test_a_contact_that_fills_the_view_is_said_to():
     source, frame, truth = pressed_box("gelsight_mini", 1.25)
     assert truth.contact.mean() > 0.9
-    assert any("fills the view" in note for note in estimate_depth(frame, source, None, DepthParams()).notes)
+    assert any(
+        "fills the view" in note
+        for note in estimate_depth(frame, source, None, DepthParams()).notes
+    )
 
 
 @pytest.mark.parametrize("lifted_mm", [0.3, 0.42])
-def test_gel_that_the_pictures_border_cuts_is_no_face_because_one_flank_was_read_too_flat(lifted_mm):
+def test_gel_that_the_pictures_border_cuts_is_no_face_because_one_flank_was_read_too_flat(
+    lifted_mm,
+):
     x = np.arange(220)
     bar = 0.5 * np.maximum(1 - ((x - 110) / 16.0) ** 2, 0)
     lifted = lifted_mm / (1 + np.exp(-(x - 118) / 3.0))
@@ -86,7 +102,10 @@ def test_all_of_a_third_of_the_gel_that_lies_too_high_is_brought_to_rest(lifted_
     bar = 0.8 * np.maximum(1 - ((x - 110) / 16.0) ** 2, 0)
     lifted = lifted_mm / (1 + np.exp(-(x - 118) / 3.0))
     found = rest_level.level_surface(
-        np.tile(bar + lifted, (160, 1)).astype(np.float32), np.tile(bar > 0, (160, 1)), PIXEL_MM, GEL
+        np.tile(bar + lifted, (160, 1)).astype(np.float32),
+        np.tile(bar > 0, (160, 1)),
+        PIXEL_MM,
+        GEL,
     )
     assert np.abs(found.surface_mm[:, -20:]).max() < 0.05
 
@@ -101,9 +120,11 @@ def test_specks_of_noise_on_gel_that_lies_too_high_enclose_no_face():
         at = np.hypot(x - 290 - 75 * np.cos(angle), y - 160 - 75 * np.sin(angle))
         surface += 0.02 * np.exp(-((at / 2.5) ** 2))
     whole = change_detection.ImageWindow(
-        rows=slice(0, rows), cols=slice(0, cols), changed=np.ones((rows, cols), np.bool_),
+        rows=slice(0, rows),
+        cols=slice(0, cols),
+        changed=np.ones((rows, cols), np.bool_),
         blend_weight=np.ones((rows, cols), np.float32),
-    )  # fmt: skip
+    )
     settled, inside = gel_contact._level_surface(surface, whole, source, source.pixel_mm)
     assert not inside.any()
     assert np.abs(settled[:, -40:]).max() < 0.05
@@ -113,10 +134,14 @@ def test_a_light_face_of_which_only_pieces_of_the_rim_are_seen_is_found_all_over
     source = load_sensor("digit")
     face = shapes.make_shape("square").mesh
     unit = vary_sensor(source, 6)
-    touch = simulate_press(face, rigid.translation(0.0, 0.0, -0.025 - face.vertices_mm[:, 2].min()), unit, seed=1)
+    touch = simulate_press(
+        face, rigid.translation(0.0, 0.0, -0.025 - face.vertices_mm[:, 2].min()), unit, seed=1
+    )
     frame = TactileFrame(sensor="digit", image=touch.image, reference=optics.render_reference(unit))
     found = estimate_depth(frame, source, None, DepthParams())
-    assert (found.contact & touch.truth.contact).sum() / (found.contact | touch.truth.contact).sum() > FACE_IOU
+    assert (found.contact & touch.truth.contact).sum() / (
+        found.contact | touch.truth.contact
+    ).sum() > FACE_IOU
 
 
 def test_a_patch_as_deep_as_the_rim_around_it_is_the_inside_of_a_face():
@@ -132,15 +157,21 @@ def test_rings_are_not_filled():
     y, x = np.mgrid[:200, :200]
     away = np.hypot(y - 100, x - 100)
     surface = (0.4 * np.exp(-(((away - 65) / 6.0) ** 2))).astype(np.float32)
-    assert not rest_level.level_surface(surface, abs(away - 65) < 5, PIXEL_MM, GEL).face_interior.any()
+    assert not rest_level.level_surface(
+        surface, abs(away - 65) < 5, PIXEL_MM, GEL
+    ).face_interior.any()
 
 
 def test_the_far_field_is_what_a_pressed_layer_does():
     source, _, truth = pressed_box("gelsight_mini", 0.35)
-    around = rest_level.compute_far_field(truth.indentation_mm, truth.contact, source.pixel_mm, source.gel)
+    around = rest_level.compute_far_field(
+        truth.indentation_mm, truth.contact, source.pixel_mm, source.gel
+    )
     import cv2
 
-    away = cv2.distanceTransform((~truth.contact).astype(np.uint8), cv2.DIST_L2, 5) * source.pixel_mm
+    away = (
+        cv2.distanceTransform((~truth.contact).astype(np.uint8), cv2.DIST_L2, 5) * source.pixel_mm
+    )
     outside = (away > 1.0) & (away < 4.0)
     assert truth.indentation_mm[outside].min() < -0.03  # a bulge
     assert np.abs(around - truth.indentation_mm)[outside].mean() < 0.01
@@ -151,7 +182,11 @@ def test_what_is_looked_at_around_a_touch_ends_in_a_round_line():
     touched[20, 25] = True
     window = change_detection.grow_to_window(touched, (320, 400), 0.05)
     y, x = np.nonzero(window.changed)
-    y, x = y + window.rows.start - 163.5, x + window.cols.start - 203.5
-    edge = [np.hypot(x, y)[np.abs(np.arctan2(y, x) - angle) < 0.05].max() for angle in np.linspace(-3, 3, 25)]
+    y = y + window.rows.start - 163.5
+    x = x + window.cols.start - 203.5
+    edge = [
+        np.hypot(x, y)[np.abs(np.arctan2(y, x) - angle) < 0.05].max()
+        for angle in np.linspace(-3, 3, 25)
+    ]
     assert np.ptp(edge) < 6.0  # 2 mm are 40 px; squares of 8 px would leave 16
     assert (np.diff(np.sort(np.unique(window.blend_weight))) < 0.1).all()

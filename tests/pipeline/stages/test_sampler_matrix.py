@@ -1,4 +1,5 @@
-"""Steps times guidance over all shipped networks that sample, and one without condition dropout: finite, and guided.
+"""Steps times guidance over all shipped networks that sample, and one without condition dropout:
+finite, and guided.
 
 Guidance acts from four steps on, and only where a network was trained without its condition, too.
 """
@@ -30,11 +31,14 @@ GUIDED_STEPS = 4
 
 def load(name):
     weights = load_weights(
-        weights_registry.WEIGHTS_FOLDER / f"{SHIPPED_LATENT if name == WITHOUT_DROPOUT else name}.safetensors"
+        weights_registry.WEIGHTS_FOLDER
+        / f"{SHIPPED_LATENT if name == WITHOUT_DROPOUT else name}.safetensors"
     )
     assert weights.kind in SAMPLING_KINDS
     if name == WITHOUT_DROPOUT:  # as the released checkpoints
-        weights = replace(weights, config={**weights.config, "trained_with_condition_dropout": False})
+        weights = replace(
+            weights, config={**weights.config, "trained_with_condition_dropout": False}
+        )
     return weights
 
 
@@ -46,8 +50,12 @@ def sample_once(weights, steps, guidance):
     network = load_network(weights)
     rng = np.random.default_rng(0)
     if weights.kind == "latent":
-        condition = rng.standard_normal((weights.config.get("condition_inputs", 3), network.side, network.side))
-        return sample_image(network, condition.astype(np.float32), LatentParams(steps=steps, guidance=guidance))
+        condition = rng.standard_normal(
+            (weights.config.get("condition_inputs", 3), network.side, network.side)
+        )
+        return sample_image(
+            network, condition.astype(np.float32), LatentParams(steps=steps, guidance=guidance)
+        )
     condition = rng.standard_normal((network.inputs, 16, 24)).astype(np.float32)
     found = sample_residual(network, condition, DiffusionParams(steps=steps, guidance=guidance))
     return np.stack([found.final.residual_mm, found.final.contact_correction]), found.notes
@@ -63,14 +71,18 @@ def check_cells(name, all_steps, guidances):
         if not weights.trained_with_condition_dropout:
             assert all(np.array_equal(sample, cells[1.0][0]) for sample, _ in cells.values())
             assert all(
-                (notes == (NO_CONDITION_DROPOUT,)) == (guidance != 1.0) for guidance, (_, notes) in cells.items()
+                (notes == (NO_CONDITION_DROPOUT,)) == (guidance != 1.0)
+                for guidance, (_, notes) in cells.items()
             )
         elif not acts:
             assert "without guidance" in cells[4.0][1][0]
 
 
 def test_all_networks_that_sample_are_listed():
-    kinds = {path.stem: load_weights(path).kind for path in weights_registry.WEIGHTS_FOLDER.glob("*.safetensors")}
+    kinds = {
+        path.stem: load_weights(path).kind
+        for path in weights_registry.WEIGHTS_FOLDER.glob("*.safetensors")
+    }
     assert sorted(name for name, kind in kinds.items() if kind in SAMPLING_KINDS) == SHIPPED
 
 

@@ -1,4 +1,6 @@
-"""Surfaces corrected by rendering: against true depth of simulated presses, and across the light models."""
+"""Surfaces corrected by rendering: against true depth of simulated presses, and across the light
+models.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ from pipeline.stages.depth.photometric import DepthParams, estimate_depth, estim
 from tests.pipeline.calibration.test_balls import hertz
 
 PARAMS = DepthParams()
-DESCRIBED, TRUSTED = Illumination(), Illumination(model="trusted")
+DESCRIBED = Illumination()
+TRUSTED = Illumination(model="trusted")
 # Mean errors in contact, mm
 CONTACT_MM = 0.06  # a flat face of 0.6 mm: vertical flanks, of which the blur keeps nine tenths
 LIGHT_MM = 0.02  # of 0.15 mm; the calibration table alone, without blur and shadows, has 0.013
@@ -36,14 +39,17 @@ EITHER_MM = 0.04  # of 0.4 mm, where the LEDs may be a sixth stronger or weaker 
 UNUSUAL_MM = 0.06  # of 0.4 mm: one touch determines the scale of usual instances alone
 WALL_MM = 0.035  # of 0.5 mm; 0.022 now, 0.054 while a wall counted as much as any slope
 BULGE_MM = 0.03  # outside a contact of 0.4 mm
-TIMES_CLOSER = 2.0  # than the calibration table alone; three to four are usual where shadows are long
+# than the calibration table alone; three to four are usual where shadows are long
+TIMES_CLOSER = 2.0
 FLAT_SHARE = 0.75  # of the depth of a flat face: the blur removes some of a steep flank
 
 
 def press_shape(source, depth_mm, *, name="star", at_mm=(0.3, -0.4), seed=2):
     """A shape pressed on a sensor: (frame, truth)."""
     mesh = shapes.make_shape(name).mesh
-    press = simulate_press(mesh, translation(*at_mm, -depth_mm - mesh.vertices_mm[:, 2].min()), source, seed=seed)
+    press = simulate_press(
+        mesh, translation(*at_mm, -depth_mm - mesh.vertices_mm[:, 2].min()), source, seed=seed
+    )
     reference = optics.render_reference(source)
     return TactileFrame(sensor=source.name, image=press.image, reference=reference), press.truth
 
@@ -51,7 +57,11 @@ def press_shape(source, depth_mm, *, name="star", at_mm=(0.3, -0.4), seed=2):
 @lru_cache
 def press_digit(depth_mm, *, instance=None, name="star"):
     """A shape pressed on a DIGIT, or on another instance of one: (sensor, frame, truth)."""
-    source = load_sensor("digit") if instance is None else variation.vary_sensor(load_sensor("digit"), instance)
+    source = (
+        load_sensor("digit")
+        if instance is None
+        else variation.vary_sensor(load_sensor("digit"), instance)
+    )
     return source, *press_shape(source, depth_mm, name=name)
 
 
@@ -72,12 +82,18 @@ def press_mini(*, near):
     gx, gy = compute_slopes(truth.indentation_mm, source.pixel_mm)
     change = optics.compute_colour_change(source, gx, gy)
     if near:
-        prior, positions = make_prior(source), slope_model.compute_positions(source.camera.shape)
+        prior = make_prior(source)
+        positions = slope_model.compute_positions(source.camera.shape)
         field = field_light.expand_field(prior.mean, *positions)[..., :3]
-        field *= np.float32([1.6, 1.0, 0.6])[:, None]  # red changes more with slopes than usual, blue less
-        tilt = np.stack([-gx, -gy, np.ones_like(gx)], axis=-1) / np.sqrt(1 + gx**2 + gy**2)[..., None] - (0, 0, 1)
+        # red changes more with slopes than usual, blue less
+        field *= np.float32([1.6, 1.0, 0.6])[:, None]
+        tilt = np.stack([-gx, -gy, np.ones_like(gx)], axis=-1) / np.sqrt(1 + gx**2 + gy**2)[
+            ..., None
+        ] - (0, 0, 1)
         change = (field * tilt[:, :, None]).sum(axis=-1) / slope_model.compute_gain(reference)
-    light = reference + cv2.GaussianBlur(change.astype(np.float32), (0, 0), optics.require_optics(source).blur_px)
+    light = reference + cv2.GaussianBlur(
+        change.astype(np.float32), (0, 0), optics.require_optics(source).blur_px
+    )
     image = optics.digitise_light(light.astype(np.float32), 1.8, 1)
     return TactileFrame(sensor=source.name, image=image, reference=reference), truth
 
@@ -107,7 +123,10 @@ def test_a_deep_press_is_measured_through_its_shadows(instance):
 
 def test_the_unchanged_inside_of_a_flat_face_is_not_taken_for_rest():
     source, frame, truth = press_digit(0.7, name="square")
-    assert estimate_depth(frame, source, None, PARAMS).indentation_mm[truth.contact].mean() > FLAT_SHARE * 0.7
+    assert (
+        estimate_depth(frame, source, None, PARAMS).indentation_mm[truth.contact].mean()
+        > FLAT_SHARE * 0.7
+    )
 
 
 def test_a_light_press_is_measured_to_a_few_hundredths_of_a_millimetre():
@@ -134,9 +153,10 @@ def test_the_bulge_around_a_touch_is_not_taken_for_rest():
 def test_light_that_does_not_explain_the_image_is_not_trusted():
     source, frame, _ = press_digit(0.6)
     swapped = replace(
-        frame, image=np.ascontiguousarray(frame.image[:, :, ::-1]),
+        frame,
+        image=np.ascontiguousarray(frame.image[:, :, ::-1]),
         reference=np.ascontiguousarray(frame.reference[:, :, ::-1]),
-    )  # fmt: skip
+    )
     plain, odd = (estimate_gel_depth(one, source, None, PARAMS)[1] for one in (frame, swapped))
     assert plain.is_trusted
     assert odd == DESCRIBED
@@ -150,7 +170,10 @@ def test_the_leds_of_another_instance_are_fitted_to_its_touch():
     assert mean_error_mm(depth, truth) < 0.5 * mean_error_mm(trusted, truth)
     fitted = selection.get_optics(measured, source)
     off = [
-        max(abs(led.azimuth_deg - true.azimuth_deg) for led, true in zip(some.leds, instance.optics.leds, strict=True))
+        max(
+            abs(led.azimuth_deg - true.azimuth_deg)
+            for led, true in zip(some.leds, instance.optics.leds, strict=True)
+        )
         for some in (fitted, source.optics)
     ]
     assert off[0] < 0.5 * off[1]
@@ -163,7 +186,8 @@ def test_iterations_end_where_the_surface_hardly_moves_any_more(depth_mm, settle
     change = observe_change(frame.image, frame.reference, state)
     changed = slopes.make_changed_image(frame.image, state, change, state.calibration)
     _, cells = changed.patches
-    light, n_integrated = selection.make_light(DESCRIBED, cells, source), 0
+    light = selection.make_light(DESCRIBED, cells, source)
+    n_integrated = 0
     integrate = changed.make_integrator(cells, SILENT)
 
     def count(gx, gy):
@@ -171,7 +195,9 @@ def test_iterations_end_where_the_surface_hardly_moves_any_more(depth_mm, settle
         n_integrated += 1
         return integrate(gx, gy)
 
-    refine_surface(np.zeros(cells.changed.shape, np.float32), cells, light, count, 12, until_settled=True)
+    refine_surface(
+        np.zeros(cells.changed.shape, np.float32), cells, light, count, 12, until_settled=True
+    )
     assert (n_integrated < 12) == settles
 
 
@@ -195,9 +221,14 @@ def test_a_table_fitted_to_indentations_is_not_corrected():
     fit = BallFit(index=0, x_px=9.0, y_px=9.0, radius_px=5.0, residual=0.01, used=True)
     fitted = replace(make_built_in(load_sensor("digit")), presses=(fit,))
     source, frame, _ = press_digit(0.6)
-    assert not rest.RestState(source=source, calibration=fitted, light=None, notes=()).uses_illumination
+    assert not rest.RestState(
+        source=source, calibration=fitted, light=None, notes=()
+    ).uses_illumination
     plain = estimate_depth(frame, use_table_alone(source), fitted, PARAMS)
-    assert estimate_depth(frame, source, fitted, PARAMS).indentation_mm.tobytes() == plain.indentation_mm.tobytes()
+    assert (
+        estimate_depth(frame, source, fitted, PARAMS).indentation_mm.tobytes()
+        == plain.indentation_mm.tobytes()
+    )
 
 
 def test_drifted_colours_are_no_second_contact():
@@ -215,7 +246,8 @@ def test_the_model_that_explains_the_image_is_chosen(near):
     frame, truth = press_mini(near=near)
     depth, measured = estimate_gel_depth(frame, load_sensor("gelsight_mini"), None, PARAMS)
     assert measured.model == ("field" if near else "leds")
-    # No usual instance has these near LEDs: one touch does not determine its depth exactly in their light.
+    # No usual instance has these near LEDs: one touch does not determine its depth exactly in their
+    # light.
     assert mean_error_mm(depth, truth) < (UNUSUAL_MM if near else EITHER_MM)
 
 
@@ -223,16 +255,21 @@ def test_a_field_fitted_to_the_touch_beats_the_described_light():
     frame, truth = press_mini(near=True)
     source = load_sensor("gelsight_mini")
     own = estimate_depth(frame, source, None, PARAMS)
-    near, _ = estimate_gel_depth(frame, source, None, PARAMS, illumination=Illumination(model="near"))
+    near, _ = estimate_gel_depth(
+        frame, source, None, PARAMS, illumination=Illumination(model="near")
+    )
     assert mean_error_mm(own, truth) < 0.7 * mean_error_mm(near, truth)
 
 
 def test_a_led_close_to_the_gel_hardly_shades_slopes_next_to_it():
     source = load_sensor("gelsight_mini")
     table = near_led_prior.compute_gains(source)  # its corners are the image's
-    at = np.stack(np.meshgrid(np.linspace(-1, 1, table.shape[1]), np.linspace(-1, 1, table.shape[0])), axis=-1)
+    at = np.stack(
+        np.meshgrid(np.linspace(-1, 1, table.shape[1]), np.linspace(-1, 1, table.shape[0])), axis=-1
+    )
     for led in optics.require_optics(source).leds:
-        azimuth, colour = np.radians(led.azimuth_deg), int(np.argmax(led.rgb))
+        azimuth = np.radians(led.azimuth_deg)
+        colour = int(np.argmax(led.rgb))
         side = at @ (np.cos(azimuth), np.sin(azimuth))
         near, far = (table[..., colour][mask].mean() for mask in (side > 0.7, side < -0.7))
         assert near < 0.7 * far
@@ -250,7 +287,9 @@ def test_weak_shading_is_warned_of(monkeypatch):
     assert any(weak[1:])
     assert not near_led_prior.has_weak_shading(np.zeros_like(contact), reference, source)
     frame, _ = press_mini(near=True)
-    assert not any("hardly shade" in note for note in estimate_depth(frame, source, None, PARAMS).notes)
+    assert not any(
+        "hardly shade" in note for note in estimate_depth(frame, source, None, PARAMS).notes
+    )
     monkeypatch.setattr(near_led_prior, "has_weak_shading", lambda *_: True)
     assert any("hardly shade" in note for note in estimate_depth(frame, source, None, PARAMS).notes)
 
@@ -260,7 +299,8 @@ def test_wider_pixels_give_the_same_shape_in_other_units():
     frame, _ = press_mini(near=False)
     wide = replace(make_built_in(source), pixel_mm=1.5 * source.pixel_mm)
     plain, wider = (
-        estimate_depth(frame, source, table, PARAMS).indentation_mm for table in (make_built_in(source), wide)
+        estimate_depth(frame, source, table, PARAMS).indentation_mm
+        for table in (make_built_in(source), wide)
     )
     assert float(wider.max() / plain.max()) == pytest.approx(1.5, rel=0.1)
 
@@ -270,8 +310,11 @@ def test_real_digit_balls_leave_one_contact(real_data):
     def read(name):
         return np.ascontiguousarray(cv2.imread(str(real_data / "digit_balls" / name))[..., ::-1])
 
-    source, reference = load_sensor("digit"), read("background.png")
+    source = load_sensor("digit")
+    reference = read("background.png")
     for i in range(0, 42, 6):
         frame = TactileFrame(sensor="digit", image=read(f"{i:04d}.png"), reference=reference)
-        n, _ = cv2.connectedComponents(estimate_depth(frame, source, None, PARAMS).contact.astype(np.uint8))
+        n, _ = cv2.connectedComponents(
+            estimate_depth(frame, source, None, PARAMS).contact.astype(np.uint8)
+        )
         assert n == 2  # and the background

@@ -1,4 +1,6 @@
-"""T2D2 and T2T between described sensors: what the network adds to physics, and what it must not change."""
+"""T2D2 and T2T between described sensors: what the network adds to physics, and what it must not
+change.
+"""
 
 from dataclasses import replace
 
@@ -34,7 +36,8 @@ from pipeline.stages.touch.t2d2 import T2D2Params
 from pipeline.translation.catalogue import BUILT_IN
 from tests.pipeline.stages.target_views import estimate_views
 
-GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")
+GEL = load_sensor("gelslim")
+BUBBLE = load_sensor("soft_bubble")
 
 
 def unweighted(**how):
@@ -45,12 +48,17 @@ def unweighted(**how):
 class ConstantDenoiser(torch.nn.Module):
     """A denoiser with constant output that records its conditions."""
 
-    unit_mm, sigma_max, sigma_min, noise_correlation = 1.0, 8.0, 0.02, 0.0
-    error_factors, error_exponent = (1.0, 1.0), 1.0
+    unit_mm = 1.0
+    sigma_max = 8.0
+    sigma_min = 0.02
+    noise_correlation = 0.0
+    error_factors = (1.0, 1.0)
+    error_exponent = 1.0
 
     def __init__(self, residual, contact=0.0, spread=0.1):
         super().__init__()
-        self.said, self.shown = (residual, contact, float(np.log(spread))), []
+        self.said = (residual, contact, float(np.log(spread)))
+        self.shown = []
 
     def forward(self, noisy, sigma, condition):
         self.shown.append(condition)
@@ -67,15 +75,22 @@ def view_of(target, deep_mm=3.0):
     depth = np.where(contact, target.rest_depth_mm - deep_mm, np.nan).astype(np.float32)
     index = np.where(contact, make_pixel_index(shape), -1).astype(np.int32)
     return TargetDepth(
-        depth_mm=depth, contact=contact, indentation_mm=indentation, camera=target.camera, source_index=index,
+        depth_mm=depth,
+        contact=contact,
+        indentation_mm=indentation,
+        camera=target.camera,
+        source_index=index,
         in_view=known,
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("target", [BUBBLE, GEL], ids=["bubble", "gel"])
 def test_zero_steps_give_the_physical_render_without_the_network(target):
-    view, net = view_of(target, 0.5), ConstantDenoiser(1.0)
-    physics = physical_render.render_touch(view, target, physical_render.PhysicalRenderParams(add_noise=True, seed=3))
+    view = view_of(target, 0.5)
+    net = ConstantDenoiser(1.0)
+    physics = physical_render.render_touch(
+        view, target, physical_render.PhysicalRenderParams(add_noise=True, seed=3)
+    )
     answer = t2d2.generate_touch(view, target, net, unweighted(steps=0, add_noise=True, seed=3))
     touch = answer.result
     assert answer.reason == "physics: no denoising step"
@@ -89,8 +104,12 @@ def test_the_residual_is_added_and_the_image_rendered_again(target):
     view = view_of(target, 0.5)
     physics = physical_render.render_touch(view, target, physical_render.PhysicalRenderParams())
     touch = t2d2.generate_touch(view, target, ConstantDenoiser(0.2), unweighted())
-    assert np.abs(touch.membrane.indentation_mm - physics.membrane.indentation_mm - 0.2).max() < 1e-5
-    assert np.allclose(touch.membrane.depth_mm, target.rest_depth_mm - touch.membrane.indentation_mm, atol=1e-4)
+    assert (
+        np.abs(touch.membrane.indentation_mm - physics.membrane.indentation_mm - 0.2).max() < 1e-5
+    )
+    assert np.allclose(
+        touch.membrane.depth_mm, target.rest_depth_mm - touch.membrane.indentation_mm, atol=1e-4
+    )
     assert np.allclose(touch.membrane.expected_error_mm, 0.1)
     assert touch.in_view.all()
     if target is BUBBLE:
@@ -105,9 +124,18 @@ def test_bubble_samples_have_the_variance_below_the_least_noise_and_gel_samples_
     """The posterior mean is the same for every seed; samples differ by the last ancestral step."""
 
     def spread(target, expected):
-        generated = [t2d2.generate_touch(view_of(target, 0.5), target, ConstantDenoiser(0.2, spread=expected), unweighted(steps=4, seed=s))
-                for s in range(4)]  # fmt: skip
-        return float(np.stack([touch.membrane.indentation_mm for touch in generated]).std(0, ddof=1).mean())
+        generated = [
+            t2d2.generate_touch(
+                view_of(target, 0.5),
+                target,
+                ConstantDenoiser(0.2, spread=expected),
+                unweighted(steps=4, seed=s),
+            )
+            for s in range(4)
+        ]
+        return float(
+            np.stack([touch.membrane.indentation_mm for touch in generated]).std(0, ddof=1).mean()
+        )
 
     assert 0.6 * ConstantDenoiser.sigma_min < spread(BUBBLE, 1.0) < 1.2 * ConstantDenoiser.sigma_min
     assert 0.004 < spread(BUBBLE, 0.007) < 0.012, "no more than is open"
@@ -125,7 +153,9 @@ def test_a_zero_residual_keeps_the_render_and_contact_follows_the_network():
     everywhere = t2d2.generate_touch(view, GEL, ConstantDenoiser(0.0, contact=1.0), unweighted())
     assert everywhere.membrane.contact.all()
     assert f"{np.count_nonzero(~physics.membrane.contact)} px" in everywhere.notes[-1]
-    assert not t2d2.generate_touch(view, GEL, ConstantDenoiser(0.0, contact=-1.0), unweighted()).membrane.contact.any()
+    assert not t2d2.generate_touch(
+        view, GEL, ConstantDenoiser(0.0, contact=-1.0), unweighted()
+    ).membrane.contact.any()
 
 
 def test_contact_of_the_source_gel_is_kept_for_a_bubble():
@@ -140,7 +170,9 @@ def test_indentation_is_limited_to_the_sensor_maximum():
 
 
 def test_no_contact_needs_neither_weights_nor_network():
-    answer = T2D2.run(view_of(BUBBLE, 0.0), BUBBLE, NoWeights(why="none"), unweighted(steps=200), SILENT)
+    answer = T2D2.run(
+        view_of(BUBBLE, 0.0), BUBBLE, NoWeights(why="none"), unweighted(steps=200), SILENT
+    )
     assert isinstance(answer, Skipped)
     assert not answer.output.membrane.contact.any()
 
@@ -155,7 +187,9 @@ def test_missing_weights_fall_back_to_physics_with_the_reason():
 
 
 def test_kept_states_are_rendered_and_end_with_the_touch():
-    touch = t2d2.generate_touch(view_of(GEL, 0.5), GEL, ConstantDenoiser(0.2), unweighted(steps=3, keep_states=True))
+    touch = t2d2.generate_touch(
+        view_of(GEL, 0.5), GEL, ConstantDenoiser(0.2), unweighted(steps=3, keep_states=True)
+    )
     assert len(touch.steps) == 3
     assert np.array_equal(touch.steps[-1].image, touch.image)
     assert touch.steps[0].sigma == pytest.approx(8.0)
@@ -175,13 +209,21 @@ def test_the_condition_is_on_the_working_grid():
 def ball_frames():
     """(frame of a GelSlim, frame of a bubble, its truth) under one ball."""
     thing = shapes.make_shape("sphere").mesh
-    pose = poses.sample_press_pose(thing, np.random.default_rng(2), spread_mm=0.0, depth_mm=(0.8, 0.8))
-    under, over = simulate_press(thing, pose, GEL, seed=1), simulate_press(thing, pose, BUBBLE, seed=1)
+    pose = poses.sample_press_pose(
+        thing, np.random.default_rng(2), spread_mm=0.0, depth_mm=(0.8, 0.8)
+    )
+    under = simulate_press(thing, pose, GEL, seed=1)
+    over = simulate_press(thing, pose, BUBBLE, seed=1)
     return (
-        TactileFrame(sensor="gelslim", image=under.image, reference=optics.render_reference(GEL)), under.truth,
-        TactileFrame(sensor="soft_bubble", image=over.image, reference=BUBBLE.rest_depth_mm.astype(np.float32)),
+        TactileFrame(sensor="gelslim", image=under.image, reference=optics.render_reference(GEL)),
+        under.truth,
+        TactileFrame(
+            sensor="soft_bubble",
+            image=over.image,
+            reference=BUBBLE.rest_depth_mm.astype(np.float32),
+        ),
         over.truth,
-    )  # fmt: skip
+    )
 
 
 def list_reads(frame):
@@ -198,10 +240,13 @@ def list_reads_in_contact(frame):
 
 
 def test_the_condition_is_aligned_with_the_target(ball_frames):
-    shown = t2t.build_condition(ball_frames[0], GEL, alignment.resolve_alignment(GEL, BUBBLE), BUBBLE)
+    shown = t2t.build_condition(
+        ball_frames[0], GEL, alignment.resolve_alignment(GEL, BUBBLE), BUBBLE
+    )
     truth = ball_frames[3]
     assert shown.shape == (IMAGE_CHANNELS, *make_working_sensor(BUBBLE).camera.shape)
-    change, known = np.abs(shown[:-1]).sum(0), shown[-1] > 0
+    change = np.abs(shown[:-1]).sum(0)
+    known = shown[-1] > 0
     at = np.argwhere(truth.contact).mean(0) * np.array(change.shape) / truth.contact.shape
     weight = change * known * (change > 0.5 * change[known].max())
     found = (np.argwhere(weight > 0) * weight[weight > 0][:, None]).sum(0) / weight.sum()
@@ -211,7 +256,9 @@ def test_the_condition_is_aligned_with_the_target(ball_frames):
 def test_a_translated_alignment_translates_the_condition(ball_frames):
     between = alignment.resolve_alignment(GEL, BUBBLE)
     moved = alignment.correct_alignment(between, rigid.translation(4.3, 0.0, 0.0))
-    plain, other = (t2t.build_condition(ball_frames[0], GEL, a, BUBBLE)[-1] for a in (between, moved))
+    plain, other = (
+        t2t.build_condition(ball_frames[0], GEL, a, BUBBLE)[-1] for a in (between, moved)
+    )
     shift = np.argwhere(other > 0).mean(0) - np.argwhere(plain > 0).mean(0)
     assert shift[1] == pytest.approx(4.3 * BUBBLE.camera.fx_px / 76.0, abs=0.8)
     assert abs(shift[0]) < 0.3
@@ -232,7 +279,9 @@ def test_t2t_is_the_network_alone_and_physics_without_steps(ball_frames):
 def test_t2t_skips_a_frame_without_contact(ball_frames):
     net = ConstantDenoiser(1.0)
     at_rest = replace(ball_frames[0], image=ball_frames[0].reference)
-    answer = frame_chain.guard_contact(t2t.generate_touch)(*list_reads(at_rest), net, unweighted(steps=200), SILENT)
+    answer = frame_chain.guard_contact(t2t.generate_touch)(
+        *list_reads(at_rest), net, unweighted(steps=200), SILENT
+    )
     assert isinstance(answer, Skipped)
     assert not net.shown
 
@@ -253,15 +302,18 @@ def test_weights_are_selected_by_sensors():
     assert isinstance(other, NoWeights) == (not t2d2.has_trained_pixel_size(load_sensor("digit")))
 
 
-@pytest.mark.parametrize(("method", "file", "source", "target", "problem"), [
-    ("t2t", "t2t_bubble", "gelslim", "gelslim", "not from a gel to a gel"),
-    ("t2t", "t2t_bubble", "soft_bubble", "soft_bubble", "not from a bubble to a bubble"),
-    ("t2d2", "", "soft_bubble", "gelslim", "less than the bubble's own error"),
-    ("t2d2", "t2d2_bubble", "gelslim", "gelslim", "touches of a bubble, not of a gel"),
-    ("t2t", "mine", "gelslim", "soft_bubble", "touches of a gel, not of a bubble"),
-    ("t2d2", "mine", "gelslim", "soft_bubble", "touches of a gel, not of a bubble"),
-    ("latent_t2d2", "mine", "gelslim", "soft_bubble", "touches of a gel, not of a bubble"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("method", "file", "source", "target", "problem"),
+    [
+        ("t2t", "t2t_bubble", "gelslim", "gelslim", "not from a gel to a gel"),
+        ("t2t", "t2t_bubble", "soft_bubble", "soft_bubble", "not from a bubble to a bubble"),
+        ("t2d2", "", "soft_bubble", "gelslim", "less than the bubble's own error"),
+        ("t2d2", "t2d2_bubble", "gelslim", "gelslim", "touches of a bubble, not of a gel"),
+        ("t2t", "mine", "gelslim", "soft_bubble", "touches of a gel, not of a bubble"),
+        ("t2d2", "mine", "gelslim", "soft_bubble", "touches of a gel, not of a bubble"),
+        ("latent_t2d2", "mine", "gelslim", "soft_bubble", "touches of a gel, not of a bubble"),
+    ],
+)
 def test_weights_of_another_direction_are_not_used(tmp_path, method, file, source, target, problem):
     path = weights_registry.WEIGHTS_FOLDER / f"{file}.safetensors" if file else None
     if file == "mine":
@@ -269,7 +321,10 @@ def test_weights_of_another_direction_are_not_used(tmp_path, method, file, sourc
         task = {"t2t": "touch_to_touch", "t2d2": "touch_residual", "latent_t2d2": "latent"}[method]
         path = tmp_path / "mine.safetensors"
         kind = task if task == "latent" else shipped.kind
-        save_weights(path, replace(shipped, kind=kind, card={"task": task, weights_registry.TARGET_KIND: "gel"}))
+        save_weights(
+            path,
+            replace(shipped, kind=kind, card={"task": task, weights_registry.TARGET_KIND: "gel"}),
+        )
     found = BUILT_IN.method("touch", method).weights(load_sensor(source), load_sensor(target), path)
     assert isinstance(found, NoWeights)
     assert problem in found.why
@@ -280,32 +335,57 @@ def test_shipped_weights_are_better_than_physics_on_unseen_grasps(target):
     spec = load_sensor(target)
     found = T2D2.weights(load_sensor("digit"), spec, None)
     if isinstance(found, NoWeights):
-        assert "shipped" in found.why, "shipped weights that do not fit are no reason to answer by physics"
+        assert "shipped" in found.why, (
+            "shipped weights that do not fit are no reason to answer by physics"
+        )
         return
-    net, task = load_network(found), TouchResidualTask(target=target)
+    net = load_network(found)
+    task = TouchResidualTask(target=target)
     held_out = [task.make_validation_example("unseen_grasps", index) for index in range(6)]
     figures = task.evaluate(net, held_out)
-    assert figures["confidence-weighted error in contact, mm"] < 0.95 * figures["no-prediction error in contact, mm"]
+    assert (
+        figures["confidence-weighted error in contact, mm"]
+        < 0.95 * figures["no-prediction error in contact, mm"]
+    )
     assert found.card["minutes"]
 
 
 def test_a_route_without_depth_evaluates_the_default_depth_method_unseen(ball_frames):
-    """The bubble network, so that T2T and T2D2 are compared with the same physics; physics without its weights."""
-    frame, between = ball_frames[2], alignment.resolve_alignment(BUBBLE, GEL)
+    """The bubble network, so that T2T and T2D2 are compared with the same physics.
+
+    Physics without its weights.
+    """
+    frame = ball_frames[2]
+    between = alignment.resolve_alignment(BUBBLE, GEL)
     methods = BUILT_IN.methods("t2t", kinds={"source": "bubble", "target": "gel"})
     inputs = {
-        "frame": frame, "source": BUBBLE, "target": GEL, "calibration": None, "alignment": between,
+        "frame": frame,
+        "source": BUBBLE,
+        "target": GEL,
+        "calibration": None,
+        "alignment": between,
         "touch_weights": NoWeights(why="none"),
-    }  # fmt: skip
+    }
     by_network = bubble_network.estimate_frame(
-        frame, BUBBLE, None, load_predictor(bubble_network.select_weights(BUBBLE, BUBBLE, None)), NetworkParams()
+        frame,
+        BUBBLE,
+        None,
+        load_predictor(bubble_network.select_weights(BUBBLE, BUBBLE, None)),
+        NetworkParams(),
     )
     by_physics = depth.estimate_depth(frame, BUBBLE, None, depth.DepthParams())
     for seen, weights in (
-        (by_network, bubble_network.select_weights(BUBBLE, GEL, None)), (by_physics, NoWeights(why="none")),
-    ):  # fmt: skip
-        view = project_cloud(back_project_depth(seen, between, BackProjectionParams()), GEL, SurfaceProjectionParams())
-        expected = physical_render.render_touch(view, GEL, physical_render.PhysicalRenderParams()).membrane
+        (by_network, bubble_network.select_weights(BUBBLE, GEL, None)),
+        (by_physics, NoWeights(why="none")),
+    ):
+        view = project_cloud(
+            back_project_depth(seen, between, BackProjectionParams()),
+            GEL,
+            SurfaceProjectionParams(),
+        )
+        expected = physical_render.render_touch(
+            view, GEL, physical_render.PhysicalRenderParams()
+        ).membrane
         results = Graph(methods).evaluate(["touch"], {**inputs, "depth_weights": weights}, {})
         assert list(results) == ["touch"]
         assert np.array_equal(results["touch"].output.membrane.contact, expected.contact)

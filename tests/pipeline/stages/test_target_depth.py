@@ -24,23 +24,32 @@ from pipeline.stages.target_depth.surface_projection import (
 )
 from tests.pipeline.stages.test_back_projection import depth_map
 
-PAPER, SURFACE = PointSplatParams(), SurfaceProjectionParams()
+PAPER = PointSplatParams()
+SURFACE = SurfaceProjectionParams()
 SOURCE = Camera(rows=120, cols=160, fx_px=400.0, fy_px=400.0, cx_px=79.5, cy_px=59.5)
-CENTRE_MM, RADIUS_MM = np.array([0.0, 0.0, 55.0]), 15.0
-SAG_MM = 6e-4  # a chord of one source diagonal, d^2 / 8 R, seen at up to 65 degrees; and float32 at 50 mm
-RIM_SAG_MM = 3 * SAG_MM  # half a step beyond two points a chord apart: 3/8 of f'' h^2 where a chord has 1/8
+CENTRE_MM = np.array([0.0, 0.0, 55.0])
+RADIUS_MM = 15.0
+# a chord of one source diagonal, d^2 / 8 R, seen at up to 65 degrees; and float32 at 50 mm
+SAG_MM = 6e-4
+# half a step beyond two points a chord apart: 3/8 of f'' h^2 where a chord has 1/8
+RIM_SAG_MM = 3 * SAG_MM
 
 
 def target_sensor(rows=70, cols=90, fx_px=200.0, rest_mm=45.0):
-    camera = Camera(rows=rows, cols=cols, fx_px=fx_px, fy_px=fx_px, cx_px=(cols - 1) / 2, cy_px=(rows - 1) / 2)
+    camera = Camera(
+        rows=rows, cols=cols, fx_px=fx_px, fy_px=fx_px, cx_px=(cols - 1) / 2, cy_px=(rows - 1) / 2
+    )
     pad = membrane.make_flat_membrane(rest_mm, 30.0, 30.0)
-    return replace(load_sensor("gelslim"), camera=camera, membrane=pad, rest_depth_mm=pad.rest_depth_mm(camera))
+    return replace(
+        load_sensor("gelslim"), camera=camera, membrane=pad, rest_depth_mm=pad.rest_depth_mm(camera)
+    )
 
 
 def sphere_depth_mm(camera):
     x, y = camera.rays()
     ray = np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.ones(camera.shape)], axis=-1)
-    a, b = (ray**2).sum(-1), ray @ CENTRE_MM
+    a = (ray**2).sum(-1)
+    b = ray @ CENTRE_MM
     root = b**2 - a * (CENTRE_MM @ CENTRE_MM - RADIUS_MM**2)
     return np.where(root >= 0, (b - np.sqrt(np.maximum(root, 0.0))) / a, np.nan)
 
@@ -53,7 +62,9 @@ def sphere_cloud(angle_deg=0.0, stride=1):
     )
     depth = sphere_depth_mm(SOURCE)
     alignment = Alignment(alignment_from_source=turn, target_from_alignment=np.eye(4))
-    return back_project_depth(depth_map(depth, depth < 41.0, SOURCE), alignment, BackProjectionParams(stride=stride))
+    return back_project_depth(
+        depth_map(depth, depth < 41.0, SOURCE), alignment, BackProjectionParams(stride=stride)
+    )
 
 
 def cloud_of(points, index=None, grid=(50, 50)):
@@ -83,7 +94,9 @@ def test_the_surface_of_a_sphere_has_no_holes_and_lies_on_the_sphere(angle_deg, 
 
 @pytest.mark.parametrize("hole", [False, True])
 def test_a_mask_extends_half_a_source_pixel_beyond_its_outermost_points(hole):
-    """20 x 30 source pixels of 0.5 mm, 2.5 target pixels each at 40 mm, are drawn at their full size."""
+    """20 x 30 source pixels of 0.5 mm, 2.5 target pixels each at 40 mm, are drawn at their full
+    size.
+    """
     rows, cols = np.mgrid[:20, :30]
     sheet = np.stack([(cols - 14.5) * 0.5, (rows - 9.5) * 0.5, 40.0 + 0.05 * cols], -1)
     there = ~((rows == 10) & (cols == 15)) if hole else np.ones((20, 30), bool)
@@ -98,11 +111,15 @@ def test_a_mask_extends_half_a_source_pixel_beyond_its_outermost_points(hole):
     corners_mm2 = 4 * 0.5**2 / 8  # cut off where the mask turns
     hole_mm2 = 0.5**2 / 2 if hole else 0.0  # a lonely gap closes by half
     slant = 1.0 - 0.1 * z_mm[:, 0].mean() / z_mm[:, 2].mean()
-    assert abs(area_mm2 / slant - (15.0 * 10.0 - corners_mm2 - hole_mm2)) < 0.5  # a tenth of a target pixel all round
+    # a tenth of a target pixel all round
+    assert abs(area_mm2 / slant - (15.0 * 10.0 - corners_mm2 - hole_mm2)) < 0.5
 
 
 def test_noise_close_to_the_lens_has_limited_cost():
-    """Depths of micrometres: each triangle would cover the image, 19,000 times; at most LAYERS of them are drawn."""
+    """Depths of micrometres: each triangle would cover the image, 19,000 times.
+
+    At most LAYERS of them are drawn.
+    """
     rng = np.random.default_rng(0)
     z, x, y = rng.uniform(2e-3, 6e-3, 10_000), *rng.uniform(-0.2, 0.2, (2, 10_000))
     noise = cloud_of(np.stack([x * z, y * z, z], -1), grid=(100, 100))
@@ -110,18 +127,26 @@ def test_noise_close_to_the_lens_has_limited_cost():
     view = project_cloud(noise, target, replace(SURFACE, grazing_deg=90.0))
     np.testing.assert_array_equal(view.source_index >= 0, np.isfinite(view.depth_mm))
     assert any("overlaps itself" in note for note in view.notes)
-    assert not any("overlaps itself" in note for note in project_cloud(sphere_cloud(), target, SURFACE).notes)
+    assert not any(
+        "overlaps itself" in note for note in project_cloud(sphere_cloud(), target, SURFACE).notes
+    )
 
 
 def test_the_point_splat_has_hundreds_of_times_the_error_of_the_surface():
-    target, cloud = target_sensor(), sphere_cloud(20.0)
+    target = target_sensor()
+    cloud = sphere_cloud(20.0)
     exact = sphere_depth_mm(target.camera)
-    paper, surface = (np.nanmean(np.abs(project_cloud(cloud, target, p).depth_mm - exact)) for p in (PAPER, SURFACE))
+    paper, surface = (
+        np.nanmean(np.abs(project_cloud(cloud, target, p).depth_mm - exact))
+        for p in (PAPER, SURFACE)
+    )
     assert paper > 100 * surface  # 1000 at the resolution of benchmarks/reprojection.py
 
 
 points = st.lists(
-    st.tuples(*[st.floats(-12, 12, width=32)] * 2, st.sampled_from([-5.0, 0.0, 30.0, 44.0, 45.0, 50.0])),
+    st.tuples(
+        *[st.floats(-12, 12, width=32)] * 2, st.sampled_from([-5.0, 0.0, 30.0, 44.0, 45.0, 50.0])
+    ),
     min_size=1,
     max_size=60,
 )
@@ -150,8 +175,10 @@ def test_the_nearest_point_wins_each_pixel_in_any_order(raw, random):
 
 @pytest.mark.parametrize("stride", [1, 3])
 def test_strips_give_the_same_image_as_one_piece(monkeypatch, stride):
-    cloud, target = sphere_cloud(30.0, stride=stride), target_sensor()
-    holed = np.random.default_rng(0).random(len(cloud.points_mm)) < 0.9  # rims and lonely points in every strip
+    cloud = sphere_cloud(30.0, stride=stride)
+    target = target_sensor()
+    # rims and lonely points in every strip
+    holed = np.random.default_rng(0).random(len(cloud.points_mm)) < 0.9
     cloud = replace(cloud, points_mm=cloud.points_mm[holed], source_index=cloud.source_index[holed])
     views = []
     for cells in (1, 1 << 20):
@@ -166,7 +193,12 @@ def test_pixels_are_half_open_squares():
     target = target_sensor(rows=1, cols=4, fx_px=1.0, rest_mm=45.0)
     camera = replace(target.camera, cx_px=0.0, cy_px=0.0)
     target = replace(target, camera=camera)
-    for x_px, col in ((-0.5, 0), (np.nextafter(np.float32(0.5), np.float32(0.0)), 0), (0.5, 1), (2.5, 3)):
+    for x_px, col in (
+        (-0.5, 0),
+        (np.nextafter(np.float32(0.5), np.float32(0.0)), 0),
+        (0.5, 1),
+        (2.5, 3),
+    ):
         view = project_cloud(cloud_of([(x_px, 0.0, 1.0)]), target, PAPER)
         assert np.flatnonzero(view.source_index[0] >= 0).tolist() == [col]
     for x_px in (-0.5001, 3.5, 1e30):
@@ -178,7 +210,9 @@ def test_contact_is_where_the_surface_penetrates_the_membrane():
     view = project_cloud(sphere_cloud(), target, SURFACE)
     seen = np.isfinite(view.depth_mm)
     np.testing.assert_array_equal(view.contact, seen & (view.depth_mm <= 40.5))
-    np.testing.assert_allclose(view.indentation_mm[view.contact], 40.5 - view.depth_mm[view.contact], atol=1e-5)
+    np.testing.assert_allclose(
+        view.indentation_mm[view.contact], 40.5 - view.depth_mm[view.contact], atol=1e-5
+    )
     assert (view.indentation_mm[~view.contact] == 0).all()
     assert 0 < view.contact.sum() < seen.sum()
 
@@ -203,7 +237,8 @@ def test_a_touch_outside_the_image_has_a_reason():
 def sheet_before_another(tilt_deg):
     """A sheet of 20 x 15 mm at 40 mm, turned about y, and a level one 22 mm behind its middle."""
     row, col = np.mgrid[:31, :41]
-    along, tilt = (col - 20) * 0.5, np.deg2rad(tilt_deg)
+    along = (col - 20) * 0.5
+    tilt = np.deg2rad(tilt_deg)
     front = np.stack([along * np.cos(tilt), (row - 15) * 0.5, 40.0 + along * np.sin(tilt)], -1)
     back = np.stack([(col - 20) * 0.8, (row - 15) * 0.8, np.full(row.shape, 62.0)], -1)
     return cloud_of(np.concatenate([front, back], axis=1), grid=(31, 82))
@@ -217,8 +252,11 @@ def sheet_before_another(tilt_deg):
 @example(41.0, 30.0)
 def test_an_omitted_grazing_surface_still_hides_what_is_behind(tilt_deg, grazing_deg):
     """What lies behind showed through: up to 21 mm off."""
-    target, tilt = target_sensor(), np.deg2rad(tilt_deg)
-    view = project_cloud(sheet_before_another(tilt_deg), target, replace(SURFACE, grazing_deg=grazing_deg))
+    target = target_sensor()
+    tilt = np.deg2rad(tilt_deg)
+    view = project_cloud(
+        sheet_before_another(tilt_deg), target, replace(SURFACE, grazing_deg=grazing_deg)
+    )
     x, y = target.camera.rays()
     along = 40.0 * x / (np.cos(tilt) - x * np.sin(tilt))
     front_mm = 40.0 + along * np.sin(tilt)
@@ -263,7 +301,8 @@ def test_the_nearer_sheet_hides_the_farther_one():
 
 
 def test_every_target_pixel_names_a_source_point_within_a_source_pixel():
-    cloud, target = sphere_cloud(20.0), target_sensor()
+    cloud = sphere_cloud(20.0)
+    target = target_sensor()
     view = project_cloud(cloud, target, SURFACE)
     row, col = np.nonzero(view.source_index >= 0)
     x_px, y_px, _ = target.camera.project(cloud.points_mm[view.source_index[row, col]])
@@ -274,7 +313,8 @@ def test_a_coarse_preview_stays_on_the_sphere():
     view = project_cloud(sphere_cloud(stride=4), target_sensor(), SURFACE)
     seen = np.isfinite(view.depth_mm)
     assert seen.sum() > 600
-    assert np.abs(view.depth_mm - sphere_depth_mm(target_sensor().camera))[seen].max() < 16 * SAG_MM  # sag ~ pitch^2
+    # sag ~ pitch^2
+    assert np.abs(view.depth_mm - sphere_depth_mm(target_sensor().camera))[seen].max() < 16 * SAG_MM
 
 
 def test_isolated_points_and_tiny_touches_are_drawn():
@@ -305,7 +345,9 @@ def test_points_index_their_pixel_and_hidden_ones_none():
     rows, cols = np.mgrid[:20, :40]
     near = cols < 20
     x = np.where(near, cols - 9.5, cols - 29.5) * 0.3
-    sheet = cloud_of(np.stack([x, (rows - 9.5) * 0.3, np.where(near, 38.0, 44.0)], -1), grid=(20, 40))
+    sheet = cloud_of(
+        np.stack([x, (rows - 9.5) * 0.3, np.where(near, 38.0, 44.0)], -1), grid=(20, 40)
+    )
     target = target_sensor()
     for params in (PAPER, SURFACE):
         view = project_cloud(sheet, target, params)
@@ -323,13 +365,15 @@ def test_points_index_their_pixel_and_hidden_ones_none():
 
 
 def test_the_index_maps_agree_both_ways():
-    cloud, target = sphere_cloud(20.0), target_sensor()
+    cloud = sphere_cloud(20.0)
+    target = target_sensor()
     view = project_cloud(cloud, target, PAPER)
     shown = np.flatnonzero(view.source_index.ravel() >= 0)
     assert view.pixel_of_point is not None
     np.testing.assert_array_equal(view.pixel_of_point[view.source_index.ravel()[shown]], shown)
     surface = project_cloud(cloud, target, SURFACE).pixel_of_point
-    assert (surface >= 0).mean() > 0.95  # all but the points of the rim, which no triangle's pixel centre reaches
+    # all but the points of the rim, which no triangle's pixel centre reaches
+    assert (surface >= 0).mean() > 0.95
 
 
 @pytest.mark.parametrize("rest_mm", [40.2, 40.5])
@@ -339,11 +383,13 @@ def test_coverage_is_that_of_a_disc(rest_mm):
     view = project_cloud(sphere_cloud(), target, SurfaceProjectionParams(compute_coverage=True))
     radius_px = np.sqrt(RADIUS_MM**2 - (CENTRE_MM[2] - rest_mm) ** 2) / rest_mm * 200.0
     fine = (np.arange(32) + 0.5) / 32 - 0.5
-    x, y = np.arange(90)[:, None] + fine - 44.5, np.arange(70)[:, None] + fine - 34.5
+    x = np.arange(90)[:, None] + fine - 44.5
+    y = np.arange(70)[:, None] + fine - 34.5
     inside = (x.ravel() ** 2)[None, :] + (y.ravel() ** 2)[:, None] <= radius_px**2
     exact = inside.reshape(70, 32, 90, 32).mean(axis=(1, 3))
     assert view.coverage is not None
-    # 4 x 4 samples: half a sixteenth's row on an edge that runs along the pixels, and they cancel over the disc.
+    # 4 x 4 samples: half a sixteenth's row on an edge that runs along the pixels, and they cancel
+    # over the disc.
     assert np.abs(view.coverage - exact).max() < 0.17
     assert abs(view.coverage.sum() / (np.pi * radius_px**2) - 1.0) < 5e-3
     assert project_cloud(sphere_cloud(), target, SURFACE).coverage is None
@@ -362,7 +408,9 @@ def test_the_field_of_view_may_be_rotated_or_larger_than_the_image():
             [(corners[:, 0] - 44.5) / 200 * 40, (corners[:, 1] - 34.5) / 200 * 40, np.full(4, 40.0)]
         )
         known = project_cloud(
-            replace(cloud_of([(0, 0, 44.0)]), field_of_view_mm=window.astype(np.float32)), target, SURFACE
+            replace(cloud_of([(0, 0, 44.0)]), field_of_view_mm=window.astype(np.float32)),
+            target,
+            SURFACE,
         ).in_view
         x, y = np.meshgrid(np.arange(cols), np.arange(rows))
         side = [
@@ -376,7 +424,8 @@ def test_the_field_of_view_may_be_rotated_or_larger_than_the_image():
 
 @pytest.mark.parametrize("order", [slice(None), slice(None, None, -1)])
 def test_a_level_field_of_view_ends_above_and_below_as_at_its_sides(order):
-    x_px, y_px = np.array([2.2, 7.6, 7.6, 2.2])[order], np.array([1.5, 1.5, 5.2, 5.2])[order]
+    x_px = np.array([2.2, 7.6, 7.6, 2.2])[order]
+    y_px = np.array([1.5, 1.5, 5.2, 5.2])[order]
     with np.errstate(all="ignore"):  # as its caller does: a level edge has no column
         inside = surface_projection._rasterise_polygon(x_px, y_px, 8, 10)
     expected = np.zeros((8, 10), np.bool_)

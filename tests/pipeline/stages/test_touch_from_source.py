@@ -26,7 +26,8 @@ from pipeline.stages.touch.touch_from_change import make_touch_from_change
 from pipeline.stages.touch_depth.stage import NO_MEMBRANE
 from pipeline.translation.catalogue import BUILT_IN
 
-GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")
+GEL = load_sensor("gelslim")
+BUBBLE = load_sensor("soft_bubble")
 KINDS = {"source": "gel", "target": "bubble"}
 
 
@@ -51,9 +52,15 @@ def contact_frame():
 
 def inputs(frame, **more):
     return {
-        "frame": frame, "source": GEL, "target": BUBBLE, "calibration": None, "mesh": None, "previous": None,
-        "alignment": alignment.resolve_alignment(GEL, BUBBLE), **more,
-    }  # fmt: skip
+        "frame": frame,
+        "source": GEL,
+        "target": BUBBLE,
+        "calibration": None,
+        "mesh": None,
+        "previous": None,
+        "alignment": alignment.resolve_alignment(GEL, BUBBLE),
+        **more,
+    }
 
 
 def run(frame, weights, stage="touch"):
@@ -62,8 +69,13 @@ def run(frame, weights, stage="touch"):
 
 
 def test_an_image_only_touch_has_its_depth_from_the_image(contact_frame):
-    found = run(contact_frame, weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8), "touch_depth")
-    assert list(found) == ["depth", "cloud", "target_depth", "touch", "touch_depth"]  # depth says that it is a touch
+    found = run(
+        contact_frame,
+        weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8),
+        "touch_depth",
+    )
+    # depth says that it is a touch
+    assert list(found) == ["depth", "cloud", "target_depth", "touch", "touch_depth"]
     touch = found["touch"].output
     assert touch.image.shape == BUBBLE.camera.shape
     assert touch.membrane is None
@@ -85,16 +97,23 @@ def test_missing_weights_fall_back_to_the_physical_chain(contact_frame):
 
 def test_source_warnings_are_passed_to_touches_without_depth(contact_frame):
     swapped = replace(
-        contact_frame, image=contact_frame.image[:, :, ::-1], reference=contact_frame.reference[:, :, ::-1]
+        contact_frame,
+        image=contact_frame.image[:, :, ::-1],
+        reference=contact_frame.reference[:, :, ::-1],
     )
     weights = weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8)
     for frame, said in ((contact_frame, False), (swapped, True)):
         for given in (weights, NoWeights(why="none are shipped")):
             assert (
-                any("red and blue look swapped" in warning for warning in run(frame, given)["touch"].warnings) is said
+                any(
+                    "red and blue look swapped" in warning
+                    for warning in run(frame, given)["touch"].warnings
+                )
+                is said
             )
     assert any(
-        "calibrated" in warning for warning in run(contact_frame, NoWeights(why="none are shipped"))["touch"].warnings
+        "calibrated" in warning
+        for warning in run(contact_frame, NoWeights(why="none are shipped"))["touch"].warnings
     )
 
 
@@ -120,9 +139,10 @@ def test_weights_of_another_direction_are_refused(tmp_path):
 
 def test_half_turn_rotates_the_output(contact_frame):
     plain, turned = (
-        run(contact_frame, weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8, half_turn=turn))[
-            "touch"
-        ].output
+        run(
+            contact_frame,
+            weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8, half_turn=turn),
+        )["touch"].output
         for turn in (False, True)
     )
     made = [BUBBLE.rest_depth_mm - touch.image for touch in (plain, turned)]
@@ -130,17 +150,23 @@ def test_half_turn_rotates_the_output(contact_frame):
 
 
 def test_the_source_square_is_resampled_to_the_target_view():
-    """A spot of the gel's square lands where the bubble's camera sees that place of the gel's surface."""
+    """A spot of the gel's square lands where the bubble's camera sees that place of the gel's
+    surface.
+    """
     both = alignment.resolve_alignment(GEL, BUBBLE)
     eye, onto = (one.camera.resize(SIDE, SIDE) for one in (GEL, BUBBLE))
     rest = float(np.median(GEL.rest_depth_mm))
     for row, col in ((40, 30), (64, 64), (90, 100)):
         spot = np.zeros((3, SIDE, SIDE), np.float32)
         spot[:, row - 4 : row + 5, col - 4 : col + 5] = 0.5
-        place = np.array([(col - eye.cx_px) / eye.fx_px * rest, (row - eye.cy_px) / eye.fy_px * rest, rest])
+        place = np.array(
+            [(col - eye.cx_px) / eye.fx_px * rest, (row - eye.cy_px) / eye.fy_px * rest, rest]
+        )
         x, y, seen = onto.project(rigid.apply(both.target_from_source, place[None]))
         assert seen.all()
-        moved = reproject_square(spot, GEL, BUBBLE, both) - reproject_square(np.zeros_like(spot), GEL, BUBBLE, both)
+        moved = reproject_square(spot, GEL, BUBBLE, both) - reproject_square(
+            np.zeros_like(spot), GEL, BUBBLE, both
+        )
         weight = moved[0] / moved[0].sum()
         rows, cols = np.mgrid[:SIDE, :SIDE]
         assert abs(float((weight * rows).sum()) - y[0]) < 0.6
@@ -149,12 +175,23 @@ def test_the_source_square_is_resampled_to_the_target_view():
 
 def test_only_reprojecting_weights_get_a_resampled_square(contact_frame, monkeypatch):
     seen = []
-    monkeypatch.setattr(vqvae, "_run_network", lambda _net, shown: seen.append(shown) or np.zeros((1, SIDE, SIDE)))
+    monkeypatch.setattr(
+        vqvae, "_run_network", lambda _net, shown: seen.append(shown) or np.zeros((1, SIDE, SIDE))
+    )
     for drawn in (False, True):
-        run(contact_frame, weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8, reprojects_input=drawn))
-    plain = resize_to_square(GEL.sensor_kind.compute_relative_change(contact_frame.image, contact_frame.reference))
+        run(
+            contact_frame,
+            weights_of(
+                "vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8, reprojects_input=drawn
+            ),
+        )
+    plain = resize_to_square(
+        GEL.sensor_kind.compute_relative_change(contact_frame.image, contact_frame.reference)
+    )
     assert np.array_equal(seen[0], normalise(plain, "gel"))
-    assert np.array_equal(seen[1], reproject_square(plain, GEL, BUBBLE, alignment.resolve_alignment(GEL, BUBBLE)))
+    assert np.array_equal(
+        seen[1], reproject_square(plain, GEL, BUBBLE, alignment.resolve_alignment(GEL, BUBBLE))
+    )
 
 
 def test_a_change_is_added_to_the_reference_image():
@@ -175,7 +212,8 @@ def test_a_network_pose_stands_on_the_measured_surface(contact_frame):
     weights = weights_of("touch_pose", "touch_pose", inputs=1, n_objects=2, base_channels=4)
     graph = Graph(BUILT_IN.methods("t2d2", {"touch": "physics", "pose": "network"}, KINDS))
     found = graph.evaluate(["pose"], inputs(contact_frame, mesh=mesh, pose_weights=weights), {})
-    pose, touch_depth = found["pose"].output, found["touch_depth"].output
+    pose = found["pose"].output
+    touch_depth = found["touch_depth"].output
     placed = BUBBLE.alignment_from_sensor @ pose.sensor_from_object
     assert np.allclose(placed[:2, 3], (2.0, -1.0), atol=1e-5)
     lowest = rigid.apply(pose.sensor_from_object, mesh.vertices_mm)[:, 2].min()
@@ -183,12 +221,20 @@ def test_a_network_pose_stands_on_the_measured_surface(contact_frame):
     assert pose.notes == (pose_network.NOTE,)
 
 
-@pytest.mark.parametrize(("name", "rotation_deg"), [("star", 100.0 / 5), ("ellipse", 40.0 / 2), ("letters", 20.0)])
+@pytest.mark.parametrize(
+    ("name", "rotation_deg"), [("star", 100.0 / 5), ("ellipse", 40.0 / 2), ("letters", 20.0)]
+)
 def test_a_network_pose_uses_the_symmetry_of_the_object(name, rotation_deg):
     """Cosine and sine of so many times the turn, and the network is said which object it is."""
     network = build_network(
         "touch_pose",
-        {"inputs": 1, "n_objects": len(list_labelled_shapes()), "base_channels": 4, "n_folds": 6, "hidden_size": 8},
+        {
+            "inputs": 1,
+            "n_objects": len(list_labelled_shapes()),
+            "base_channels": 4,
+            "n_folds": 6,
+            "hidden_size": 8,
+        },
     ).eval()
     angles = np.radians([20.0, 40.0, 60.0, 80.0, 100.0, 120.0])
     said = []
@@ -197,12 +243,18 @@ def test_a_network_pose_uses_the_symmetry_of_the_object(name, rotation_deg):
     )
     with torch.no_grad():
         network.pose.weight.zero_()
-        network.pose.bias.copy_(torch.tensor([0.0, 0.0, *np.column_stack([np.cos(angles), np.sin(angles)]).ravel()]))
-    x, y, turn = pose_network._predict_planar_pose(network, np.zeros((1, 128, 128), np.float32), make_shape(name).mesh)
+        network.pose.bias.copy_(
+            torch.tensor([0.0, 0.0, *np.column_stack([np.cos(angles), np.sin(angles)]).ravel()])
+        )
+    x, y, turn = pose_network._predict_planar_pose(
+        network, np.zeros((1, 128, 128), np.float32), make_shape(name).mesh
+    )
     assert (x, y) == (0.0, 0.0)
     assert np.degrees(turn) == pytest.approx(rotation_deg, abs=1e-4)
     assert np.flatnonzero(said[0]).tolist() == [list_labelled_shapes().index(name)]
-    pose_network._predict_planar_pose(network, np.zeros((1, 128, 128), np.float32), make_shape("hex_key").mesh)
+    pose_network._predict_planar_pose(
+        network, np.zeros((1, 128, 128), np.float32), make_shape("hex_key").mesh
+    )
     assert not said[1].any(), "an unknown object has no label"
 
 

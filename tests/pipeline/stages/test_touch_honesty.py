@@ -1,4 +1,6 @@
-"""Every shipped touch method beats the mean of other touches in contact, or warns that the touch may be wrong."""
+"""Every shipped touch method beats the mean of other touches in contact, or warns that the touch
+may be wrong.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ from pipeline.stages.touch import physical_render
 from pipeline.stages.touch.latent_diffusion import LatentParams
 from pipeline.translation.translate import Request, open_translation
 
-GRASPS = ("grasps_cross", "grasps_curve", "grasps_lines_120")  # a bubble is pressed 13 mm deep; in the sample 4 mm
+# a bubble is pressed 13 mm deep; in the sample 4 mm
+GRASPS = ("grasps_cross", "grasps_curve", "grasps_lines_120")
 SAMPLE = ("first_touch", 8)
 TOUCHES = [
     (*SAMPLE, "gelslim", "soft_bubble"),
@@ -47,32 +50,47 @@ def compute_mean_touch(recording, target):
 
 def generate(variant, frame):
     """A touch with the depth of it, and why another method answered."""
-    params = {stage: FEW_STEPS if isinstance(p, LatentParams) else p for stage, p in variant.stage_params.items()}
+    params = {
+        stage: FEW_STEPS if isinstance(p, LatentParams) else p
+        for stage, p in variant.stage_params.items()
+    }
     results = replace(variant.translation, params=params).evaluate(frame, ["touch", "touch_depth"])
     return results["touch"].output, results["touch_depth"].output
 
 
 @pytest.mark.parametrize(("recording", "frame", "source", "target"), TOUCHES)
 def test_better_than_the_mean_touch_or_warned(recording, frame, source, target):
-    request = Request(recording=f"sample_data/recordings/{recording}.h5", source=source, target=target)
+    request = Request(
+        recording=f"sample_data/recordings/{recording}.h5", source=source, target=target
+    )
     with closing(open_translation(request)) as translation:
         truth = translation.read_ground_truth(frame).target_truth
-        mean_mm = compute_mae_mm(compute_mean_touch(recording, target), truth.indentation_mm, truth.contact)
-        untouched_mm = compute_mae_mm(np.zeros_like(truth.indentation_mm), truth.indentation_mm, truth.contact)
+        mean_mm = compute_mae_mm(
+            compute_mean_touch(recording, target), truth.indentation_mm, truth.contact
+        )
+        untouched_mm = compute_mae_mm(
+            np.zeros_like(truth.indentation_mm), truth.indentation_mm, truth.contact
+        )
         variants, _ = list_method_variants(translation, {}, "touch")
         assert len(variants) >= 2
         for variant in variants:
             touch, depth = generate(variant, frame)
             error_mm = compute_mae_mm(depth.indentation_mm, truth.indentation_mm, truth.contact)
             is_warned = any(isinstance(note, UnseenObjectWarning) for note in touch.notes)
-            assert is_warned or error_mm < min(mean_mm, untouched_mm), (variant.label, error_mm, touch.notes)
+            assert is_warned or error_mm < min(mean_mm, untouched_mm), (
+                variant.label,
+                error_mm,
+                touch.notes,
+            )
 
 
 def generate_by(method, frame=1):
     request = Request(
-        recording="sample_data/recordings/grasps_curve.h5", source="gelslim", target="soft_bubble",
+        recording="sample_data/recordings/grasps_curve.h5",
+        source="gelslim",
+        target="soft_bubble",
         methods=(("touch", method),),
-    )  # fmt: skip
+    )
     with closing(open_translation(request)) as translation:
         touch = translation[frame].touch
     assert isinstance(touch, GeneratedTouch)
@@ -88,23 +106,35 @@ def test_only_physics_leaves_out_what_lies_outside_the_view():
     assert not warns("t2t")
 
 
-@pytest.mark.parametrize(("radius_mm", "deep_mm", "warns"), [(1.6, 4.2, True), (1.7, 6.2, True), (2.6, 4.7, False)])
+@pytest.mark.parametrize(
+    ("radius_mm", "deep_mm", "warns"), [(1.6, 4.2, True), (1.7, 6.2, True), (2.6, 4.7, False)]
+)
 def test_a_ball_deeper_than_the_source_saw_of_it_is_warned_of(radius_mm, deep_mm, warns):
-    """Contacts of a ball of 5 mm on a gel: of the bubble's contact the gel knows 36, 26 and 85 %."""
+    """Contacts of a ball of 5 mm on a gel: of the bubble's contact the gel knows 36, 26 and 85
+    %.
+    """
     bubble = load_sensor("soft_bubble")
     row, col = np.mgrid[: bubble.camera.rows, : bubble.camera.cols]
-    contact = np.hypot(row - bubble.camera.cy_px, col - bubble.camera.cx_px) * bubble.pixel_mm <= radius_mm
+    contact = (
+        np.hypot(row - bubble.camera.cy_px, col - bubble.camera.cx_px) * bubble.pixel_mm
+        <= radius_mm
+    )
     indentation = np.where(contact, deep_mm, 0.0).astype(np.float32)
     view = TargetDepth(
-        depth_mm=bubble.rest_depth_mm - indentation, contact=contact, indentation_mm=indentation, camera=bubble.camera,
-        source_index=np.zeros(contact.shape, np.int32), in_view=np.ones(contact.shape, np.bool_),
-    )  # fmt: skip
+        depth_mm=bubble.rest_depth_mm - indentation,
+        contact=contact,
+        indentation_mm=indentation,
+        camera=bubble.camera,
+        source_index=np.zeros(contact.shape, np.int32),
+        in_view=np.ones(contact.shape, np.bool_),
+    )
     assert bool(physical_render.warn_of_unseen_object(view, bubble)) == warns
 
 
 def test_no_contact_on_the_source_is_exact_for_a_gel_only():
     gel, bubble = (
-        physical_render.make_reference_touch(load_sensor(name)).notes[0] for name in ("gelslim", "soft_bubble")
+        physical_render.make_reference_touch(load_sensor(name)).notes[0]
+        for name in ("gelslim", "soft_bubble")
     )
     assert gel.endswith("is exact")
     assert "exact" not in bubble

@@ -18,7 +18,10 @@ MINI = load_sensor("gelsight_mini")
 
 
 def largest_mean(image, reference):
-    """Largest mean absolute change of whole blocks, in whole numbers throughout; halves go to the even number."""
+    """Largest mean absolute change of whole blocks, in whole numbers throughout.
+
+    Halves go to the even number.
+    """
     rows, cols = (n // BLOCK_PX for n in image.shape[:2])
     change = np.abs(image.astype(np.int64) - reference)[: rows * BLOCK_PX, : cols * BLOCK_PX]
     total = change.reshape(rows, BLOCK_PX, cols, BLOCK_PX, 3).sum(axis=(1, 3))
@@ -27,7 +30,12 @@ def largest_mean(image, reference):
     return int((whole + ((rest > half) | ((rest == half) & (whole % 2 == 1)))).max())
 
 
-@given(seed=st.integers(0, 2**32 - 1), rows=st.integers(8, 60), cols=st.integers(8, 60), levels=st.integers(4, 256))
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    rows=st.integers(8, 60),
+    cols=st.integers(8, 60),
+    levels=st.integers(4, 256),
+)
 def test_the_largest_change_is_that_of_exact_block_means(seed, rows, cols, levels):
     rng = np.random.default_rng(seed)
     image, reference = rng.integers(0, levels, (2, rows, cols, 3), dtype=np.uint8)
@@ -46,7 +54,9 @@ def test_untouched_frames_of_one_camera_share_one_result():
     results = [
         skip_without_contact(
             TactileFrame(
-                sensor=MINI.name, image=still ^ rng.integers(0, 2, still.shape, dtype=np.uint8), reference=still
+                sensor=MINI.name,
+                image=still ^ rng.integers(0, 2, still.shape, dtype=np.uint8),
+                reference=still,
             ),
             MINI,
             None,

@@ -20,11 +20,14 @@ MAX_ERROR_MM = 0.040  # mean in contact; 0.059 while walls were limited to 55 de
 
 
 def test_a_face_behind_steep_walls_is_as_deep_as_it_was_pressed():
-    source, mesh = load_sensor("digit"), shapes.make_shape("cross").mesh
+    source = load_sensor("digit")
+    mesh = shapes.make_shape("cross").mesh
     pose = rigid.rotation((0.0, 0.0, 0.4))
     pose[2, 3] = -0.8 - rigid.apply(pose, mesh.vertices_mm)[:, 2].min()
     press = simulate_press(mesh, pose, source, seed=0)
-    frame = TactileFrame(sensor=source.name, image=press.image, reference=optics.render_reference(source))
+    frame = TactileFrame(
+        sensor=source.name, image=press.image, reference=optics.render_reference(source)
+    )
     depth = estimate_depth(frame, source, None, DepthParams())
     error_mm = np.abs(depth.indentation_mm - press.truth.indentation_mm)[press.truth.contact].mean()
     assert error_mm < MAX_ERROR_MM
@@ -32,7 +35,9 @@ def test_a_face_behind_steep_walls_is_as_deep_as_it_was_pressed():
 
 def make_two_dents():
     y, x = np.mgrid[:40, :80].astype(np.float32)
-    return sum(np.clip(1.5 - np.hypot(x - at, y - 20) / 8, 0.0, 1.0) for at in (20, 60)).astype(np.float32)
+    return sum(np.clip(1.5 - np.hypot(x - at, y - 20) / 8, 0.0, 1.0) for at in (20, 60)).astype(
+        np.float32
+    )
 
 
 def test_dents_behind_uncertain_walls_are_raised_one_by_one():
@@ -50,7 +55,12 @@ def test_dents_behind_uncertain_walls_are_raised_one_by_one():
 
 def test_a_level_surface_is_left_unchanged():
     flat = np.zeros((20, 30), np.float32)
-    assert surface_refinement.raise_walls(flat, (flat, flat), np.ones((3, 20, 30), np.float32), PIXEL_MM) is flat
+    assert (
+        surface_refinement.raise_walls(
+            flat, (flat, flat), np.ones((3, 20, 30), np.float32), PIXEL_MM
+        )
+        is flat
+    )
 
 
 def test_several_surfaces_are_solved_as_each_alone():
@@ -63,7 +73,11 @@ def test_several_surfaces_are_solved_as_each_alone():
         return poisson.integrate_slopes(gx, gy, PIXEL_MM, "flat")
 
     flat = np.zeros((3, 24, 31), np.float32)
-    together = poisson.solve_weighted_slopes(flat, (slopes[0], slopes[1]), weights, PIXEL_MM, integrate, 5)
+    together = poisson.solve_weighted_slopes(
+        flat, (slopes[0], slopes[1]), weights, PIXEL_MM, integrate, 5
+    )
     for k in range(3):
-        alone = poisson.solve_weighted_slopes(flat[k], (slopes[0, k], slopes[1, k]), weights, PIXEL_MM, integrate, 5)
+        alone = poisson.solve_weighted_slopes(
+            flat[k], (slopes[0, k], slopes[1, k]), weights, PIXEL_MM, integrate, 5
+        )
         np.testing.assert_allclose(together[k], alone, atol=1e-5)

@@ -1,4 +1,6 @@
-"""A method is one module and one line, a stage one folder and one entry: toys made here go everywhere."""
+"""A method is one module and one line, a stage one folder and one entry: toys made here go
+everywhere.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ TOUCHED = 5
 
 @pytest.fixture(scope="module")
 def toy():
-    opened = open_translation(Request(recording=SAMPLE, source="digit", target="gelslim", route="toy"), TOYS)
+    opened = open_translation(
+        Request(recording=SAMPLE, source="digit", target="gelslim", route="toy"), TOYS
+    )
     yield opened
     opened.recording.close()
 
@@ -54,7 +58,10 @@ def test_what_a_toy_slot_says_reaches_figures_arrays_sheet_and_trace(toy, result
     folder = write_frame(tmp_path, frame, report, toy, "key")
     assert (folder / "sheet.png").stat().st_size > 10_000
     assert collect_stage_arrays(frame, results)["brightness.share"].shape == frame.image.shape[:2]
-    assert '"contact_mae_mm"' not in write_report(tmp_path, toy, [report]).read_text().partition("frames")[0]
+    assert (
+        '"contact_mae_mm"'
+        not in write_report(tmp_path, toy, [report]).read_text().partition("frames")[0]
+    )
     marks = pixel_trace.trace_forward(results, 3, 4, frame.image.shape[1], TOYS)
     assert [mark.stage for mark in marks] == ["source", "brightness", "touch"]
     assert marks[1].text.endswith("bright")
@@ -64,7 +71,9 @@ def test_what_a_toy_slot_says_reaches_figures_arrays_sheet_and_trace(toy, result
 def test_parameters_and_methods_of_a_toy_are_set_by_name(toy, results):
     assert not toy.with_(gain=0)[TOUCHED].touch.image.any()
     assert results["touch"].output.image.any()
-    with pytest.raises(SettingProblem, match="no method 'melt' for the stage 'touch'; there are physics"):
+    with pytest.raises(
+        SettingProblem, match="no method 'melt' for the stage 'touch'; there are physics"
+    ):
         BUILT_IN.methods("t2d2", with_method({}, "touch=melt"))
     with pytest.raises(SettingProblem, match="stage=method"):
         with_method({}, "touch")
@@ -85,9 +94,11 @@ def test_the_truth_may_stand_for_a_slot(toy):
     measured = chain.evaluate(TOUCHED, chain.stages[:2])
     truth = chain.read_source_truth(TOUCHED)
     exact = replace(
-        measured["depth"].output, indentation_mm=truth.indentation_mm, contact=truth.contact,
+        measured["depth"].output,
+        indentation_mm=truth.indentation_mm,
+        contact=truth.contact,
         depth_mm=(chain.source.rest_depth_mm - truth.indentation_mm).astype(np.float32),
-    )  # fmt: skip
+    )
     given = chain.evaluate(TOUCHED, chain.stages[:2], given={"depth": exact})
     assert given["depth"].state == "given"
     assert given["depth"].output is exact
@@ -97,7 +108,9 @@ def test_the_truth_may_stand_for_a_slot(toy):
 
 def test_a_bubble_is_read_by_the_network_unless_somebody_says_otherwise():
     assert BUILT_IN.methods("t2d2", {"depth": "physics"})[0].name == "physics"
-    with closing(open_translation(Request(recording=SAMPLE, source="soft_bubble", target="gelslim"))) as opened:
+    with closing(
+        open_translation(Request(recording=SAMPLE, source="soft_bubble", target="gelslim"))
+    ) as opened:
         assert opened.methods[0].name == "network"
         assert opened.methods[0].weights_name in opened.read_inputs(TOUCHED)
 
@@ -134,9 +147,10 @@ _NO_UNIT = {"seed"}  # a name more than a number
 def _all_settings():
     return {
         f"{method.key}.{name}": (value, setting)
-        for stage in BUILT_IN.stages for method in stage.methods
+        for stage in BUILT_IN.stages
+        for method in stage.methods
         for name, (value, setting) in list_settings(method.params()).items()
-    }  # fmt: skip
+    }
 
 
 @pytest.mark.parametrize("key", sorted(_all_settings()))
@@ -151,7 +165,9 @@ def test_every_parameter_says_meaning_unit_range_and_where_it_comes_from(key):
     elif not isinstance(value, bool):
         assert -math.inf < setting.low <= value <= setting.high < math.inf
         assert setting.unit or name in _NO_UNIT
-        assert setting.unit == _UNITS.get(name.rpartition("_")[2], setting.unit), "the name says the unit"
+        assert setting.unit == _UNITS.get(name.rpartition("_")[2], setting.unit), (
+            "the name says the unit"
+        )
 
 
 def test_every_stage_has_a_view():

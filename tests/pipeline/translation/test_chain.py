@@ -1,4 +1,6 @@
-"""The whole chain on the sample recording: what runs, what is skipped, what is remembered, and how near the truth is."""
+"""The whole chain on the sample recording: what runs, what is skipped, what is remembered, and
+how near the truth is.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +16,14 @@ from pipeline.translation.pixel_trace import trace_forward, trace_to_source
 from pipeline.translation.translate import Request, open_translation
 
 SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
-TOUCHED, UNTOUCHED = 9, 0
-CONTACT_MAE_MM = 0.1  # 0.08 measured; the stage's own goal on unseen tools belongs to the learned tiers
+TOUCHED = 9
+UNTOUCHED = 0
+# 0.08 measured; the stage's own goal on unseen tools belongs to the learned tiers
+CONTACT_MAE_MM = 0.1
 CONTACT_IOU = 0.8  # 0.85 measured
-POSE_MM, POSE_DEG = 0.3, 3.0  # 0.09 mm and 1.1 degrees measured on this frame
+# 0.09 mm and 1.1 degrees measured on this frame
+POSE_MM = 0.3
+POSE_DEG = 3.0
 
 
 @pytest.fixture(scope="module")
@@ -57,15 +63,23 @@ def test_a_frame_seen_before_runs_nothing(translation, warm):
 
 def test_the_error_of_the_measured_depth_goes_with_the_touch_into_the_pose(translation, warm):
     results = warm.evaluate(TOUCHED)
-    measured, touch_depth, found = (results[stage].output for stage in ("depth", "touch_depth", "pose"))
+    measured, touch_depth, found = (
+        results[stage].output for stage in ("depth", "touch_depth", "pose")
+    )
     assert touch_depth.error == measured.error
     assert measured.error is not None
-    exact = track_pose(replace(touch_depth, error=None), translation.mesh, PoseParams(), found.sensor_from_object)
-    assert np.trace(found.covariance) > 1.2 * np.trace(exact.covariance)  # by the described lamps, which err little
+    exact = track_pose(
+        replace(touch_depth, error=None), translation.mesh, PoseParams(), found.sensor_from_object
+    )
+    # by the described lamps, which err little
+    assert np.trace(found.covariance) > 1.2 * np.trace(exact.covariance)
 
 
 def test_a_setting_without_effect_stops_at_the_stage_it_belongs_to(translation, warm):
-    """The sensitivity only decides what counts as untouched; on a firm touch nothing below is worked out again."""
+    """The sensitivity only decides what counts as untouched.
+
+    On a firm touch nothing below is worked out again.
+    """
     sensitive = warm.with_(stage="depth", sensitivity=2.0)
     assert sensitive.params["depth"] != warm.params["depth"]
     after = states(sensitive.evaluate(TOUCHED))
@@ -116,10 +130,12 @@ def test_the_chain_stays_near_the_truth(translation, warm):
 def test_a_pixel_of_the_real_chain_goes_there_and_back(translation, warm):
     results = warm.evaluate(TOUCHED)
     inner = results["target_depth"].output.contact.copy()
-    inner[[0, -1]] = inner[:, [0, -1]] = False  # at the border the nearest corner may lie outside the image
+    # at the border the nearest corner may lie outside the image
+    inner[[0, -1]] = inner[:, [0, -1]] = False
     rows, cols = np.nonzero(inner)
     for k in range(0, len(rows), len(rows) // 50):
-        row, col = int(rows[k]), int(cols[k])
+        row = int(rows[k])
+        col = int(cols[k])
         pixel = trace_to_source(results, "target_depth", row * inner.shape[1] + col)
         assert pixel >= 0, (row, col)
         wide = results["depth"].output.camera.cols

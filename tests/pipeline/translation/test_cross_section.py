@@ -1,4 +1,6 @@
-"""A line through fields of height: what a plane, a ball and a gap are along it, through either camera."""
+"""A line through fields of height: what a plane, a ball and a gap are along it, through either
+camera.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,10 @@ sheets = st.sampled_from(
 
 def _heights(sheet: SectionPlane, height) -> np.ndarray:
     return np.array(
-        [[height(*sheet.backproject_to_mm(col, row)) for col in range(CAMERA.cols)] for row in range(CAMERA.rows)]
+        [
+            [height(*sheet.backproject_to_mm(col, row)) for col in range(CAMERA.cols)]
+            for row in range(CAMERA.rows)
+        ]
     )
 
 
@@ -50,9 +55,11 @@ def test_a_plane_is_a_straight_line(line, slope):
     a, b, c = slope
     rows, cols = np.mgrid[0 : CAMERA.rows, 0 : CAMERA.cols]
     sheet = SectionPlane(camera=CAMERA, plane_z_mm=Z_MM)
-    x, y = (cols - CAMERA.cx_px) / CAMERA.fx_px * Z_MM, (rows - CAMERA.cy_px) / CAMERA.fy_px * Z_MM
+    x = (cols - CAMERA.cx_px) / CAMERA.fx_px * Z_MM
+    y = (rows - CAMERA.cy_px) / CAMERA.fy_px * Z_MM
     (profile,) = cut_section(
-        line, [HeightMap(name="f", title="f", place="source", heights_mm=a * x + b * y + c, plane=sheet)]
+        line,
+        [HeightMap(name="f", title="f", place="source", heights_mm=a * x + b * y + c, plane=sheet)],
     ).profiles
     points = line.points_mm()
     np.testing.assert_allclose(profile.heights_mm, points @ (a, b) + c, atol=1e-9)
@@ -74,19 +81,24 @@ def test_a_line_the_other_way_has_the_same_heights_the_other_way(line, sheet):
 @pytest.mark.parametrize("from_source", [None, ASLANT])
 @pytest.mark.parametrize("aside_mm", [0.0, 1.5, 2.6])
 def test_a_ball_is_cut_along_its_chord(from_source, aside_mm):
-    sheet, radius, reach = SectionPlane(camera=CAMERA, plane_z_mm=Z_MM, camera_from_source=from_source), 6.0, 3.5
+    sheet = SectionPlane(camera=CAMERA, plane_z_mm=Z_MM, camera_from_source=from_source)
+    radius = 6.0
+    reach = 3.5
     lifted = math.sqrt(radius**2 - reach**2)
 
     def height(x, y):
         return math.sqrt(max(radius**2 - x**2 - y**2, 0.0)) - lifted
 
     heights = _heights(sheet, height)
-    pressed = HeightMap(name="b", title="b", place="source", heights_mm=heights, plane=sheet, contact=heights > 0)
+    pressed = HeightMap(
+        name="b", title="b", place="source", heights_mm=heights, plane=sheet, contact=heights > 0
+    )
     found = cut_section(SectionLine(begin_mm=(-5.0, aside_mm), end_mm=(5.0, aside_mm)), [pressed])
     (profile,) = found.profiles
     half = math.sqrt(reach**2 - aside_mm**2)
     left, right = profile.contact_edges_mm
-    assert (left, right) == pytest.approx((5.0 - half, 5.0 + half), abs=0.25)  # within half a pixel of 0.36 mm
+    # within half a pixel of 0.36 mm
+    assert (left, right) == pytest.approx((5.0 - half, 5.0 + half), abs=0.25)
     inside = np.abs(found.along_mm - 5.0) < half
     true = np.sqrt(radius**2 - aside_mm**2 - (found.along_mm - 5.0) ** 2) - lifted
     np.testing.assert_allclose(profile.heights_mm[inside], true[inside], atol=0.01)
@@ -95,7 +107,20 @@ def test_a_ball_is_cut_along_its_chord(from_source, aside_mm):
 def test_nothing_is_known_outside_the_picture_and_beside_a_gap():
     values = np.arange(12.0).reshape(3, 4)
     values[1, 2] = np.nan
-    at = np.array([(0, 0), (0.5, 0), (3, 2), (-0.1, 0), (3.1, 0), (1.5, 1), (1, 1), (2, 0.5), (3, 1), (np.nan, 1)])
+    at = np.array(
+        [
+            (0, 0),
+            (0.5, 0),
+            (3, 2),
+            (-0.1, 0),
+            (3.1, 0),
+            (1.5, 1),
+            (1, 1),
+            (2, 0.5),
+            (3, 1),
+            (np.nan, 1),
+        ]
+    )
     found = sample_bilinear(values, at.astype(np.float64))
     np.testing.assert_array_equal(found, [0, 0.5, 11, np.nan, np.nan, np.nan, 5, np.nan, 7, np.nan])
 
@@ -110,5 +135,7 @@ def test_a_table_has_a_row_for_each_place_and_nothing_where_nothing_is_known():
         heights_mm=values,
         plane=SectionPlane(camera=CAMERA, plane_z_mm=Z_MM),
     )
-    table = format_csv(cut_section(SectionLine(begin_mm=(-1.0, 0.0), end_mm=(3.0, 0.0)), [field], count=3)).splitlines()
+    table = format_csv(
+        cut_section(SectionLine(begin_mm=(-1.0, 0.0), end_mm=(3.0, 0.0)), [field], count=3)
+    ).splitlines()
     assert table == ["along_mm,depth_mm", "0.0000,0.25000", "2.0000,", "4.0000,"]

@@ -16,8 +16,12 @@ SAMPLE = Path(__file__).parents[3] / "sample_data/recordings/first_touch.h5"
 
 @contextmanager
 def count_modules() -> Iterator[tuple[set[str], list[str]]]:
-    """Modules of the package in which a function is called, and the module of every step, calls and returns."""
-    modules, steps, callers = set[str](), [""], [""]
+    """Modules of the package in which a function is called, and the module of every step, calls
+    and returns.
+    """
+    modules = set[str]()
+    steps = [""]
+    callers = [""]
 
     def follow(frame, event, _argument):
         if event == "call":

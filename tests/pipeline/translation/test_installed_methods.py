@@ -68,4 +68,8 @@ def test_methods_of_unknown_stages_and_taken_names_are_left_out(caplog):
     taken = Method(stage="touch", name="physics", title="Toy", run=print, params=NoParams, reads=())
     catalogue = BUILT_IN.add_methods((lost, taken))
     assert catalogue.stages == BUILT_IN.stages
-    assert ["'smell'" in caplog.text, "'physics'" in caplog.text, len(caplog.records)] == [True, True, 2]
+    assert ["'smell'" in caplog.text, "'physics'" in caplog.text, len(caplog.records)] == [
+        True,
+        True,
+        2,
+    ]

@@ -18,7 +18,13 @@ IDENTITY = np.arange(20, dtype=np.int32).reshape(4, 5)
 
 def result(name, output):
     return StageResult(
-        name=name, method=BUILT_IN.stage(name).methods[0], output=output, state="computed", ms=0.0, notes=(), digest=""
+        name=name,
+        method=BUILT_IN.stage(name).methods[0],
+        output=output,
+        state="computed",
+        ms=0.0,
+        notes=(),
+        digest="",
     )
 
 
@@ -31,7 +37,11 @@ def results():
     indentation[contact] = 0.5
     depth_mm = (20 - indentation).astype(np.float32)
     depth = DepthMap(
-        indentation_mm=indentation, depth_mm=depth_mm, contact=contact, camera=CAMERA, source_index=IDENTITY
+        indentation_mm=indentation,
+        depth_mm=depth_mm,
+        contact=contact,
+        camera=CAMERA,
+        source_index=IDENTITY,
     )
     pixels = np.flatnonzero(contact).astype(np.int32)
     points = CAMERA.back_project(depth_mm).reshape(-1, 3)[pixels].astype(np.float32)
@@ -58,7 +68,9 @@ def test_forward_then_backward_returns_the_pixel(results):
     for row in (1, 2):
         for col in (1, 2, 3):
             last = trace_forward(results, row, col, 5)[-1]
-            assert trace_to_source(results, "target_depth", last.row * 5 + last.col) == row * 5 + col
+            assert (
+                trace_to_source(results, "target_depth", last.row * 5 + last.col) == row * 5 + col
+            )
 
 
 def test_a_trace_says_why_it_ends(results):
@@ -70,7 +82,10 @@ def test_a_trace_says_why_it_ends(results):
 def test_a_point_outside_the_target_image_says_by_how_much(results):
     moved = results["cloud"].output.points_mm + np.float32((8.0, 0.0, 0.0))
     cloud = Cloud(
-        points_mm=moved, source_index=results["cloud"].output.source_index, grid_shape=(4, 5), field_of_view_mm=WINDOW
+        points_mm=moved,
+        source_index=results["cloud"].output.source_index,
+        grid_shape=(4, 5),
+        field_of_view_mm=WINDOW,
     )
     last = trace_forward({**results, "cloud": result("cloud", cloud)}, 1, 3, 5)[-1]
     assert last.text == "outside the image by 3 px"
@@ -80,7 +95,10 @@ def test_a_point_behind_a_nearer_surface_is_called_hidden(results):
     points = results["cloud"].output.points_mm.copy()
     points[0] *= 1.1  # along its own ray, 2 mm farther away
     cloud = Cloud(
-        points_mm=points, source_index=results["cloud"].output.source_index, grid_shape=(4, 5), field_of_view_mm=WINDOW
+        points_mm=points,
+        source_index=results["cloud"].output.source_index,
+        grid_shape=(4, 5),
+        field_of_view_mm=WINDOW,
     )
     last = trace_forward({**results, "cloud": result("cloud", cloud)}, 1, 1, 5)[-1]
     assert last.text == "(1, 1), hidden by a surface 1.95 mm nearer"
@@ -96,9 +114,12 @@ def test_the_marks_read_from_source_to_target(results):
 
 
 @pytest.mark.parametrize(
-    ("x_px", "y_px", "out_px"), [(2, -6, 6), (2, 9, 6), (-4, 1, 4), (8, 1, 4), (-4, -6, 6), (8, 9, 6)]
+    ("x_px", "y_px", "out_px"),
+    [(2, -6, 6), (2, 9, 6), (-4, 1, 4), (8, 1, 4), (-4, -6, 6), (8, 9, 6)],
 )
-def test_a_point_outside_of_the_picture_says_by_how_much_of_whichever_side(results, x_px, y_px, out_px):
+def test_a_point_outside_of_the_picture_says_by_how_much_of_whichever_side(
+    results, x_px, y_px, out_px
+):
     cloud = results["cloud"].output
     points = cloud.points_mm.copy()
     points[0] = ((x_px - CAMERA.cx_px) * 2.0, (y_px - CAMERA.cy_px) * 2.0, 20.0)

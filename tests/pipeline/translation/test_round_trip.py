@@ -10,7 +10,12 @@ import numpy as np
 import pytest
 
 from pipeline.core.geometry import rigid
-from pipeline.stages.metrics.stage_metrics import METRICS, ROUND_TRIP, TRAINING_DISTANCE, describe_metric
+from pipeline.stages.metrics.stage_metrics import (
+    METRICS,
+    ROUND_TRIP,
+    TRAINING_DISTANCE,
+    describe_metric,
+)
 from pipeline.translation.round_trip import (
     compute_training_distance,
     describe_touch,
@@ -22,13 +27,15 @@ from pipeline.translation.round_trip import (
 from pipeline.translation.translate import Request, open_translation
 
 SAMPLE_RECORDING = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
-TOUCHED, UNTOUCHED = 5, 0
+TOUCHED = 5
+UNTOUCHED = 0
 STAGES = ("depth", "target_depth", "touch", "touch_depth")
 
 
 @pytest.fixture(scope="module")
 def translation():
-    methods = (("depth", "physics"), ("touch", "physics"))  # no networks: this is about the geometry
+    # no networks: this is about the geometry
+    methods = (("depth", "physics"), ("touch", "physics"))
     opened = open_translation(
         Request(recording=SAMPLE_RECORDING, source="gelslim", target="soft_bubble", methods=methods)
     )
@@ -54,9 +61,14 @@ def test_the_way_back_undoes_the_alignment(translation):
     depth = translation[TOUCHED].depth
     back = reverse_translation(translation, depth)
     np.testing.assert_allclose(
-        back.alignment.target_from_source, rigid.invert(translation.alignment.target_from_source), atol=1e-9
+        back.alignment.target_from_source,
+        rigid.invert(translation.alignment.target_from_source),
+        atol=1e-9,
     )
-    assert (back.source.name, back.target.name) == (translation.target.name, translation.source.name)
+    assert (back.source.name, back.target.name) == (
+        translation.target.name,
+        translation.source.name,
+    )
     assert back.target.camera == depth.camera
 
 
@@ -65,7 +77,9 @@ def test_a_touch_unlike_training_is_farther_than_one_of_the_sample(translation):
     seen = measure_training_distance(results, translation)[TRAINING_DISTANCE]
     view = results["target_depth"].output
     everywhere = np.ones_like(view.contact)
-    strange = replace(view, contact=everywhere, indentation_mm=np.full(view.contact.shape, 40.0, np.float32))
+    strange = replace(
+        view, contact=everywhere, indentation_mm=np.full(view.contact.shape, 40.0, np.float32)
+    )
     assert 0 < seen < 2.0 < compute_training_distance(strange, translation.target)
     assert load_training_features("no_such_sensor") is None
 
@@ -88,7 +102,9 @@ def test_a_touch_is_described_in_millimetres_whatever_the_pixels():
         n = round(40 / pixel_mm)
         y, x = pixel_mm * (np.mgrid[:n, :n] - 0.5 * (n - 1))
         inside = np.hypot(x - 3.0, y) < 5.0
-        described.append(describe_touch(inside, np.where(inside, 1.0, 0.0).astype(np.float32), pixel_mm))
+        described.append(
+            describe_touch(inside, np.where(inside, 1.0, 0.0).astype(np.float32), pixel_mm)
+        )
     np.testing.assert_allclose(*described, atol=0.02)
     assert described[0][0] == pytest.approx(math.log(25 * math.pi), abs=0.01)
     assert described[0][5] == pytest.approx(3.0, abs=0.05)

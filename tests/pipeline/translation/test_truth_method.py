@@ -27,8 +27,12 @@ FRAME = 5
 
 @pytest.fixture(scope="module")
 def sample():
-    request = Request(recording=SAMPLE_RECORDING, source="gelslim", target="soft_bubble",
-                      methods=(("depth", "physics"), ("touch", "physics")))  # fmt: skip
+    request = Request(
+        recording=SAMPLE_RECORDING,
+        source="gelslim",
+        target="soft_bubble",
+        methods=(("depth", "physics"), ("touch", "physics")),
+    )
     with closing(open_translation(request)) as opened:
         yield opened
 
@@ -82,21 +86,30 @@ def test_every_output_made_with_a_truth_says_so(sample, tmp_path):
     frame = pinned.stream.frame(FRAME)
     sheet = draw_sheet(frame, report, pinned)
     assert "with true depth" in sheet.get_suptitle()
-    assert render_pane("touch", frame, results, pinned, DisplayParams()).title.endswith("with true depth")
+    assert render_pane("touch", frame, results, pinned, DisplayParams()).title.endswith(
+        "with true depth"
+    )
     assert "depth.is_truth" in collect_stage_arrays(frame, results)
     assert "depth.is_truth" not in collect_stage_arrays(frame, evaluate(sample, "touch_depth"))
     table = tmp_path / "table.csv"
-    outcome = export_file(ExportRequest(request=pinned.request, path=table, frames=str(FRAME), pane="depth"))
+    outcome = export_file(
+        ExportRequest(request=pinned.request, path=table, frames=str(FRAME), pane="depth")
+    )
     assert outcome.fallbacks == ("with true depth",)
     assert table.read_text().splitlines()[0].endswith(",with true depth")
 
 
 def test_panes_and_sheets_name_what_answered(sample):
     """A method that falls back to physics does not give it its name."""
-    chosen = replace(sample, request=replace(sample.request, methods=(("depth", "physics"), ("touch", "vqvae"))))
+    chosen = replace(
+        sample, request=replace(sample.request, methods=(("depth", "physics"), ("touch", "vqvae")))
+    )
     results = evaluate(chosen, "touch")
     assert results["touch"].fallback
     frame = chosen.stream.frame(FRAME)
-    assert render_pane("touch", frame, results, chosen, DisplayParams()).title == "Generated touch · physics"
+    assert (
+        render_pane("touch", frame, results, chosen, DisplayParams()).title
+        == "Generated touch · physics"
+    )
     sheet = draw_sheet(frame, FrameReport(index=FRAME, results=results, metrics={}), chosen)
     assert not [axes for axes in sheet.axes if "VQ-VAE" in axes.get_title()]

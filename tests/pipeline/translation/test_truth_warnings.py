@@ -30,10 +30,22 @@ def _view(known_cols: int) -> StageResult:
     known[:, :known_cols] = True
     zero = np.zeros(SHAPE, np.float32)
     camera = Camera(rows=SHAPE[0], cols=SHAPE[1], fx_px=10.0, fy_px=10.0, cx_px=8.0, cy_px=6.0)
-    view = TargetDepth(depth_mm=zero, contact=known, indentation_mm=zero, camera=camera,
-                      source_index=np.full(SHAPE, -1, np.int32), in_view=known)  # fmt: skip
+    view = TargetDepth(
+        depth_mm=zero,
+        contact=known,
+        indentation_mm=zero,
+        camera=camera,
+        source_index=np.full(SHAPE, -1, np.int32),
+        in_view=known,
+    )
     return StageResult(
-        name="target_depth", method=None, output=view, state="computed", ms=0.0, notes=("plain",), digest=""
+        name="target_depth",
+        method=None,
+        output=view,
+        state="computed",
+        ms=0.0,
+        notes=("plain",),
+        digest="",
     )
 
 
@@ -67,12 +79,17 @@ def test_touches_that_tell_of_the_light_are_strong_and_in_different_places():
     def frame(index: int) -> TactileFrame:
         image = base.reference.copy()
         place = ((40, 40), (40, 40), (200, 300), (120, 200), (0, 0))[index]
-        image[place[0] : place[0] + 60, place[1] : place[1] + 60] ^= np.uint8((32, 64, 48, 1, 0)[index])
+        image[place[0] : place[0] + 60, place[1] : place[1] + 60] ^= np.uint8(
+            (32, 64, 48, 1, 0)[index]
+        )
         return replace(base, image=image, index=index)
 
     stream = replace(open_recording(SAMPLE_RECORDING).stream("gelslim"), n_frames=5, frame=frame)
     chosen = [frame.image for frame in select_context_frames(stream)]
-    assert [image.tobytes() for image in chosen[:2]] == [frame(1).image.tobytes(), frame(2).image.tobytes()]
+    assert [image.tobytes() for image in chosen[:2]] == [
+        frame(1).image.tobytes(),
+        frame(2).image.tobytes(),
+    ]
     assert frame(4).image.tobytes() not in [image.tobytes() for image in chosen]
     bubble = open_recording(SAMPLE_RECORDING, sensor="soft_bubble").stream("soft_bubble")
     assert select_context_frames(bubble) == ()
@@ -84,9 +101,9 @@ def test_every_frame_of_a_recording_brings_the_touches_that_tell_of_its_light():
         first, last = (one.read_inputs(index)["frame"] for index in (0, one.n_frames - 1))
         assert len(first.context_frames) > 1
         assert first.context_frames is last.context_frames
-        assert compute_cached_digest(other.read_inputs(one.n_frames - 1)["frame"]) == compute_cached_digest(
-            last
-        )  # nothing hangs on what was read first
+        assert compute_cached_digest(
+            other.read_inputs(one.n_frames - 1)["frame"]
+        ) == compute_cached_digest(last)  # nothing hangs on what was read first
 
 
 def test_frames_without_an_untouched_reading_begin_at_the_first():
@@ -98,5 +115,8 @@ def test_frames_without_an_untouched_reading_begin_at_the_first():
     assert find_contact_frame(replace(stream, frame=bare)) == 0
     dark = freeze(np.zeros_like(stream.frame(0).image))
     assert (
-        find_contact_frame(replace(stream, frame=lambda _: replace(stream.frame(0), image=dark, reference=dark))) == 0
+        find_contact_frame(
+            replace(stream, frame=lambda _: replace(stream.frame(0), image=dark, reference=dark))
+        )
+        == 0
     )

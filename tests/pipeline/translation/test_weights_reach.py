@@ -1,4 +1,6 @@
-"""Weights on their way to a method: from a file, from what comes along, or why another method answers."""
+"""Weights on their way to a method: from a file, from what comes along, or why another method
+answers.
+"""
 
 from __future__ import annotations
 
@@ -49,12 +51,18 @@ def scaled(frame, source, calibration, network, params, progress):
 
 
 NETWORK = Method(
-    stage="depth", name="scaled", title="Scaled", run=fall_back_without_weights(scaled, fallback=PHYSICS), params=PHYSICS.params,
-    reads=(*PHYSICS.reads, "depth_weights"), weights=lambda source, target, file: weights_registry.load_for_task("toy", "toy", file),
-)  # fmt: skip
+    stage="depth",
+    name="scaled",
+    title="Scaled",
+    run=fall_back_without_weights(scaled, fallback=PHYSICS),
+    params=PHYSICS.params,
+    reads=(*PHYSICS.reads, "depth_weights"),
+    weights=lambda source, target, file: weights_registry.load_for_task("toy", "toy", file),
+)
 DEPTH = replace(BUILT_IN.stage("depth"), methods=(PHYSICS, NETWORK))
 CATALOGUE = Catalogue(
-    stages=tuple(DEPTH if stage.name == "depth" else stage for stage in BUILT_IN.stages), routes=BUILT_IN.routes
+    stages=tuple(DEPTH if stage.name == "depth" else stage for stage in BUILT_IN.stages),
+    routes=BUILT_IN.routes,
 )
 
 
@@ -66,18 +74,23 @@ def _shelf(monkeypatch, tmp_path):
 
 def weights(factor, task="toy"):
     tensors = {"factor": np.array([factor], np.float32)}
-    return Weights(name="w", kind="scale", config={"factor": 1.0}, tensors=tensors, card={"task": task})
+    return Weights(
+        name="w", kind="scale", config={"factor": 1.0}, tensors=tensors, card={"task": task}
+    )
 
 
 def depth(method="scaled", graph=None, **more):
     methods = (("depth", method), ("touch", "physics"))
     request = Request(recording=SAMPLE, source="digit", target="gelslim", methods=methods, **more)
     with open_translation(request, CATALOGUE) as opened:
-        return replace(opened, graph=graph or opened.graph).evaluate(TOUCH, ["depth"])["depth"], opened.notes
+        return replace(opened, graph=graph or opened.graph).evaluate(TOUCH, ["depth"])[
+            "depth"
+        ], opened.notes
 
 
 def test_a_file_is_read_and_what_it_holds_is_part_of_the_key(tmp_path):
-    plain, file = depth("physics")[0].output, tmp_path / "w.safetensors"
+    plain = depth("physics")[0].output
+    file = tmp_path / "w.safetensors"
     save_weights(file, weights(2.0))
     twice = depth(weights=(("", file),))[0]
     np.testing.assert_allclose(twice.output.indentation_mm, 2.0 * plain.indentation_mm, rtol=1e-6)
@@ -97,11 +110,19 @@ def test_what_comes_along_is_read_where_no_file_is_given():
     assert depth()[0].notes == ("by network",)
 
 
-@pytest.mark.parametrize("fault", ["missing", "cut", "foreign", "other task", "other shape", "nothing on the shelf"])
+@pytest.mark.parametrize(
+    "fault", ["missing", "cut", "foreign", "other task", "other shape", "nothing on the shelf"]
+)
 def test_without_usable_weights_physics_answers_and_the_first_note_says_why(tmp_path, fault):
-    file, why = tmp_path / "w.safetensors", {"missing": "No such file", "cut": "truncated", "foreign": "name their network",
-                                             "other task": "trained for gel", "other shape": "do not fit",
-                                             "nothing on the shelf": "no weights 'toy' are shipped"}[fault]  # fmt: skip
+    file = tmp_path / "w.safetensors"
+    why = {
+        "missing": "No such file",
+        "cut": "truncated",
+        "foreign": "name their network",
+        "other task": "trained for gel",
+        "other shape": "do not fit",
+        "nothing on the shelf": "no weights 'toy' are shipped",
+    }[fault]
     save_weights(file, weights(2.0, task="gel" if fault == "other task" else "toy"))
     if fault == "missing":
         file.unlink()
@@ -114,7 +135,8 @@ def test_without_usable_weights_physics_answers_and_the_first_note_says_why(tmp_
     elif fault == "other shape":
         save_weights(file, replace(weights(2.0), tensors={"factor": np.zeros(2, np.float32)}))
     given = () if fault == "nothing on the shelf" else (("", file),)
-    answered, plain = depth(weights=given)[0], depth("physics")[0]
+    answered = depth(weights=given)[0]
+    plain = depth("physics")[0]
     assert why in answered.notes[0]
     assert answered.fallback == answered.notes[0]
     assert answered.badge.startswith("physics:")
@@ -142,11 +164,16 @@ def test_a_file_may_be_given_for_a_stage_and_may_have_any_name(tmp_path, monkeyp
 
 
 def test_a_command_refuses_weights_that_it_cannot_use(tmp_path):
-    request = Request(recording=SAMPLE, source="gelslim", target="soft_bubble", methods=(("touch", "t2t"),))
+    request = Request(
+        recording=SAMPLE, source="gelslim", target="soft_bubble", methods=(("touch", "t2t"),)
+    )
     damaged = tmp_path / "lab.safetensors"
     damaged.write_bytes(b"no tensors")
     named = replace(request, weights=(("touch", damaged),))
     with closing(open_translation(named)) as translation:
-        assert any(isinstance(w, NoWeights) and "lab.safetensors" in w.why for w in translation.weights.values())
+        assert any(
+            isinstance(w, NoWeights) and "lab.safetensors" in w.why
+            for w in translation.weights.values()
+        )
     with pytest.raises(SettingProblem, match=r"touch.*lab\.safetensors"):
         open_translation(replace(named, refuses_unusable_weights=True))

@@ -1,4 +1,6 @@
-"""The map of signed values around a dark centre: the same values, in colours that no other map is touched by."""
+"""The map of signed values around a dark centre: the same values, in colours that no other map
+is touched by.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,8 @@ from pipeline.views.colours import NO_VALUE_COLOUR, darken_diverging, get_colour
 
 
 def test_every_colour_of_the_diverging_map_becomes_that_of_the_dark_one():
-    light, dark = get_colour_table("diverging"), get_colour_table("diverging_dark")
+    light = get_colour_table("diverging")
+    dark = get_colour_table("diverging_dark")
     assert np.array_equal(darken_diverging(light), dark)
     assert np.array_equal(darken_diverging(light.reshape(16, 16, 3)), dark.reshape(16, 16, 3))
 

@@ -15,13 +15,16 @@ SCALE = ColourScale(colour_map="diverging", low=-10.0, high=10.0, unit="mm", qua
 
 def make_preview(depth_mm: float, scale: ColourScale = SCALE) -> Preview:
     values = np.linspace(0.0, depth_mm, 400, dtype=np.float32).reshape(20, 20)
-    return Preview(pixels=apply_colour_map(values, scale), values=values, scale=scale, frame_name="a")
+    return Preview(
+        pixels=apply_colour_map(values, scale), values=values, scale=scale, frame_name="a"
+    )
 
 
 @settings(deadline=None, max_examples=30)
 @given(st.lists(st.floats(0.0, 30.0), min_size=1, max_size=6))
 def test_limits_hold_all_values_and_only_widen(depths_mm: list[float]):
-    contrast, before = FittedContrast(), 0.0
+    contrast = FittedContrast()
+    before = 0.0
     for depth_mm in depths_mm:
         (fitted,) = contrast.fit(make_preview(depth_mm))
         assert fitted.scale is not None

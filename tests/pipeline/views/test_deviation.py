@@ -1,4 +1,7 @@
-"""A bubble's depth is shown as distance from rest; the distance from its camera stays in the values."""
+"""A bubble's depth is shown as distance from rest.
+
+The distance from its camera stays in the values.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +62,9 @@ def test_rest_is_what_the_very_unit_read_untouched(bubble, pressed):
 
 
 def test_distance_is_shown_where_it_is_chosen(bubble, pressed):
-    shown = make_frame_preview(pressed, bubble.camera, bubble, DisplayParams(bubble_quantity="distance"))
+    shown = make_frame_preview(
+        pressed, bubble.camera, bubble, DisplayParams(bubble_quantity="distance")
+    )
     np.testing.assert_array_equal(shown.values, pressed)
     assert shown.distance_mm is None
     assert shown.scale.low > 0
@@ -69,7 +74,9 @@ def test_a_generated_bubble_and_its_truth_have_one_scale_and_a_difference(bubble
     seen = PreviewContext(outputs={}, source=bubble, target=bubble, mesh=None, display=DISPLAY)
     unit = bubble.rest_depth_mm.astype(np.float32) + 2.0
     frame = TactileFrame(sensor="soft_bubble", image=pressed + np.float32(2.0), reference=unit)
-    true = TOUCH.make_preview(ground_truth.build_touch(GroundTruth(target_observation=frame), bubble), seen)
+    true = TOUCH.make_preview(
+        ground_truth.build_touch(GroundTruth(target_observation=frame), bubble), seen
+    )
     made = TOUCH.make_preview(replace(make_reference_touch(bubble), image=pressed), seen)
     assert true.scale == made.scale
     gap = compute_difference(made, true)  # both moved as far from their own rest
@@ -80,10 +87,19 @@ def test_a_trace_says_which_way_the_membrane_went(bubble):
     rest = make_reference_touch(bubble)
     moved = np.zeros(bubble.camera.shape, np.float32)
     moved[0, 1] = -0.5
-    touch = replace(rest, membrane=replace(rest.membrane, indentation_mm=moved),
-                    source_index=np.arange(moved.size, dtype=np.int32).reshape(moved.shape))  # fmt: skip
-    assert "0.50 mm out" in TOUCH.trace_point(touch, ProbePoint(stage="target_depth", index=1, text="")).text
-    assert "0.00 mm in" in TOUCH.trace_point(touch, ProbePoint(stage="target_depth", index=2, text="")).text
+    touch = replace(
+        rest,
+        membrane=replace(rest.membrane, indentation_mm=moved),
+        source_index=np.arange(moved.size, dtype=np.int32).reshape(moved.shape),
+    )
+    assert (
+        "0.50 mm out"
+        in TOUCH.trace_point(touch, ProbePoint(stage="target_depth", index=1, text="")).text
+    )
+    assert (
+        "0.00 mm in"
+        in TOUCH.trace_point(touch, ProbePoint(stage="target_depth", index=2, text="")).text
+    )
 
 
 def test_a_difference_that_fits_its_scale_takes_a_round_limit_and_says_so(bubble, pressed):

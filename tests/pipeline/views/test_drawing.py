@@ -15,10 +15,16 @@ def make_preview(rows=60, cols=80, pixel_mm=0.1, grey=200, **more):
 
 
 @given(
-    st.integers(20, 600), st.integers(20, 600), st.floats(0.005, 1.0), st.tuples(*[st.floats(0.0, 0.45)] * 4),
-)  # fmt: skip
+    st.integers(20, 600),
+    st.integers(20, 600),
+    st.floats(0.005, 1.0),
+    st.tuples(*[st.floats(0.0, 0.45)] * 4),
+)
 def test_the_bar_is_as_long_as_its_text_says_and_lies_in_what_is_visible(rows, cols, pixel_mm, cut):
-    left, top, right, bottom = cut[0] * cols, cut[1] * rows, (1.0 - cut[2]) * cols, (1.0 - cut[3]) * rows
+    left = cut[0] * cols
+    top = cut[1] * rows
+    right = (1.0 - cut[2]) * cols
+    bottom = (1.0 - cut[3]) * rows
     bar = make_scale_bar(make_preview(rows, cols, pixel_mm), (left, top, right, bottom))
     if bar is None:
         assert 0.3 * (right - left) * pixel_mm < 0.1
@@ -39,9 +45,14 @@ def test_a_picture_without_a_scale_has_no_bar(pixel_mm):
 
 
 def test_the_bar_is_light_on_dark_pixels_as_they_are_shown():
-    dark, light = (make_scale_bar(make_preview(grey=grey), (0, 0, 80, 60)).line.rgb for grey in (20, 230))
+    dark, light = (
+        make_scale_bar(make_preview(grey=grey), (0, 0, 80, 60)).line.rgb for grey in (20, 230)
+    )
     assert min(dark) > 200 > 100 > max(light)
-    assert make_scale_bar(make_preview(grey=230), (0, 0, 80, 60), lambda pixels: 255 - pixels).line.rgb == dark
+    assert (
+        make_scale_bar(make_preview(grey=230), (0, 0, 80, 60), lambda pixels: 255 - pixels).line.rgb
+        == dark
+    )
 
 
 def test_outlines_are_listed_from_the_lowest_to_the_one_on_top():

@@ -14,7 +14,8 @@ from pipeline.views.preview import make_indentation_preview
 
 
 def make_preview(sensor, height_mm):
-    heights, contact = np.full(sensor.camera.shape, height_mm, np.float32), np.ones(sensor.camera.shape, np.bool_)
+    heights = np.full(sensor.camera.shape, height_mm, np.float32)
+    contact = np.ones(sensor.camera.shape, np.bool_)
     depth = (sensor.rest_depth_mm - heights).astype(np.float32)
     return make_indentation_preview(heights, depth, contact, sensor.camera, sensor, DisplayParams())
 
@@ -22,20 +23,23 @@ def make_preview(sensor, height_mm):
 @pytest.mark.parametrize("name", ["gelslim", "soft_bubble"])
 def test_the_difference_to_the_recorded_touch_keeps_its_scale_while_the_alignment_moves(name):
     sensor = load_sensor(name)
-    at_rest, touched = np.zeros(sensor.camera.shape, np.float32), np.ones(sensor.camera.shape, np.bool_)
+    at_rest = np.zeros(sensor.camera.shape, np.float32)
+    touched = np.ones(sensor.camera.shape, np.bool_)
     observed = make_depth_map(sensor.rest_depth_mm, at_rest, touched, sensor.camera)
     scales = {
         build_observation_view(
             make_preview(sensor, gap_mm), observed, sensor, DisplayParams()
         ).difference_to_truth.scale
         for gap_mm in (0.0, 0.02, 0.1, 0.3, 2.0)
-    }  # fmt: skip
+    }
     assert len(scales) == 1
 
 
 def test_a_and_b_share_one_scale_where_their_sensors_have_other_ranges():
-    gel, bubble = load_sensor("gelslim"), load_sensor("soft_bubble")
-    a, b = make_preview(gel, 0.5), make_preview(bubble, 0.5)
+    gel = load_sensor("gelslim")
+    bubble = load_sensor("soft_bubble")
+    a = make_preview(gel, 0.5)
+    b = make_preview(bubble, 0.5)
     assert a.scale.high != b.scale.high
     shared_a, shared_b = share_scale(a, b)
     assert {(shared.scale.low, shared.scale.high) for shared in (shared_a, shared_b)} == {

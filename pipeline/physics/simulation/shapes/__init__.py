@@ -27,14 +27,19 @@ _MAKERS = {
 
 
 def list_shapes(group: str = "") -> tuple[str, ...]:
-    """Names of the shapes of a group of `GROUPS`, or of all; raises SettingProblem for an unknown group."""
+    """Names of the shapes of a group of `GROUPS`, or of all.
+
+    Raises SettingProblem for an unknown group.
+    """
     if group and group not in _MAKERS:
         raise SettingProblem(f"unknown group of shapes {group!r}; there are {', '.join(GROUPS)}")
     return tuple(make.__name__ for g in GROUPS if group in ("", g) for make in _MAKERS[g])
 
 
 def list_labelled_shapes() -> tuple[str, ...]:
-    """The objects that networks classify, in the order of their labels: training objects, then unseen tools."""
+    """The objects that networks classify, in the order of their labels: training objects, then
+    unseen tools.
+    """
     return (*list_shapes("training"), *list_shapes("unseen"))
 
 

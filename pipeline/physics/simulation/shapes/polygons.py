@@ -1,8 +1,10 @@
-"""Plane outlines: area, inset and triangulation, arcs of a given accuracy, and sections of ridges and their bodies.
+"""Plane outlines: area, inset and triangulation, arcs of a given accuracy, and sections of ridges
+and their bodies.
 
-Sections are counter-clockwise in (offset, z), with the tactile side at z = 0. The lab's pattern tools are beads of 1 mm
-radius that stand 1.07 mm proud of bodies with rounded shoulders of 7.5 mm radius: arms of 30 mm length and 15 mm width,
-37 mm from one finger to the other. Bubbles reach the shoulders, gels do not.
+Sections are counter-clockwise in (offset, z), with the tactile side at z = 0. The lab's pattern
+tools are beads of 1 mm radius that stand 1.07 mm proud of bodies with rounded shoulders of 7.5 mm
+radius: arms of 30 mm length and 15 mm width, 37 mm from one finger to the other. Bubbles reach the
+shoulders, gels do not.
 """
 
 import math
@@ -13,7 +15,8 @@ import numpy as np
 from pipeline.core.arrays import Doubles, Mask
 from pipeline.core.errors import MeshProblem
 
-CHORD_MM = 0.001  # largest distance of chords from their arc; a surface curved in two directions stays within 2 um
+# largest distance of chords from their arc; a surface curved in two directions stays within 2 um
+CHORD_MM = 0.001
 Outline = Sequence[tuple[float, float]]
 _FLAT = 1e-12
 
@@ -33,7 +36,8 @@ def make_arc(
 ) -> Doubles:
     """Points (n, 2) on a circle from one angle to the other, both ends included.
 
-    `beyond_mm`: how much farther out a surface along the arc reaches; the chords are fine enough for it.
+    `beyond_mm`: how much farther out a surface along the arc reaches; the chords are fine enough
+    for it.
     """
     turn = math.radians(stop_deg - start_deg)
     n = max(1, math.ceil(abs(turn) / compute_arc_step_rad(radius_mm + beyond_mm)))
@@ -42,7 +46,10 @@ def make_arc(
 
 
 def make_bow(radius_mm: float, turn_deg: float, legs_mm: float, beyond_mm: float) -> Doubles:
-    """An arc (n, 2) that bulges to +x, its middle in the origin, with straight legs; `beyond_mm` as in `make_arc`."""
+    """An arc (n, 2) that bulges to +x, its middle in the origin, with straight legs.
+
+    `beyond_mm` as in `make_arc`.
+    """
     half = 0.5 * turn_deg
     points = make_arc(radius_mm, -half, half, (-radius_mm, 0.0), beyond_mm=beyond_mm)
     leg = legs_mm * np.array([math.sin(math.radians(half)), math.cos(math.radians(half))])
@@ -50,14 +57,19 @@ def make_bow(radius_mm: float, turn_deg: float, legs_mm: float, beyond_mm: float
 
 
 def thin_curve(dense_mm: Doubles, beyond_mm: float) -> Doubles:
-    """The fewest points (m, 2) of a dense smooth curve that keep chords within `CHORD_MM`, both ends included.
+    """The fewest points (m, 2) of a dense smooth curve that keep chords within `CHORD_MM`, both
+    ends included.
 
-    A chord over an angle t of radius r is off by r t^2 / 8, a surface `beyond_mm` farther out by more.
+    A chord over an angle t of radius r is off by r t^2 / 8, a surface `beyond_mm` farther out by
+    more.
     """
     step = np.diff(dense_mm, axis=0)
-    length, heading = np.linalg.norm(step, axis=1), np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+    length = np.linalg.norm(step, axis=1)
+    heading = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
     bend = np.abs(np.gradient(heading)) / length
-    errors = np.concatenate([[0.0], np.cumsum(np.sqrt((bend + beyond_mm * bend**2) / 8.0) * length)])
+    errors = np.concatenate(
+        [[0.0], np.cumsum(np.sqrt((bend + beyond_mm * bend**2) / 8.0) * length)]
+    )
     n = math.ceil(errors[-1] / math.sqrt(CHORD_MM))
     chosen = np.searchsorted(errors, errors[-1] * np.arange(n) / n)
     return dense_mm[np.append(chosen, -1)]
@@ -95,11 +107,16 @@ def inset_polygon(ring: Doubles, width_mm: float) -> Doubles:
 
 
 def triangulate_polygon(ring: Doubles) -> list[tuple[int, int, int]]:
-    """Triangles of a simple counter-clockwise polygon, by ear clipping; MeshProblem when it touches itself."""
-    left, triangles = list(range(len(ring))), []
+    """Triangles of a simple counter-clockwise polygon, by ear clipping.
+
+    MeshProblem when it touches itself.
+    """
+    left = list(range(len(ring)))
+    triangles = []
     while len(left) > 3:
         for k, tip in enumerate(left):
-            before, after = left[k - 1], left[(k + 1) % len(left)]
+            before = left[k - 1]
+            after = left[(k + 1) % len(left)]
             corner = ring[[before, tip, after]]
             others = ring[[i for i in left if i not in (before, tip, after)]]
             if compute_area(corner) > _FLAT and not _inside(corner, others).any():
@@ -115,8 +132,14 @@ def _crosses_itself(ring: Doubles) -> bool:
     n = len(ring)
     for i in range(n):
         for k in range(i + 2, n - (i == 0)):  # edges that share a corner do not count
-            a, b, c, d = ring[i], ring[(i + 1) % n], ring[k], ring[(k + 1) % n]
-            sides = [compute_area(np.array([p, q, r])) > 0 for p, q, r in ((a, b, c), (a, b, d), (c, d, a), (c, d, b))]
+            a = ring[i]
+            b = ring[(i + 1) % n]
+            c = ring[k]
+            d = ring[(k + 1) % n]
+            sides = [
+                compute_area(np.array([p, q, r])) > 0
+                for p, q, r in ((a, b, c), (a, b, d), (c, d, a), (c, d, b))
+            ]
             if sides[0] != sides[1] and sides[2] != sides[3]:
                 return True
     return False
@@ -126,19 +149,23 @@ def _inside(corner: Doubles, points: Doubles) -> Mask:
     """Which points lie in a counter-clockwise triangle, its border included."""
     inside = np.ones(len(points), dtype=np.bool_)
     for k in range(3):
-        edge, to = corner[(k + 1) % 3] - corner[k], points - corner[k]
+        edge = corner[(k + 1) % 3] - corner[k]
+        to = points - corner[k]
         inside &= edge[0] * to[:, 1] - edge[1] * to[:, 0] >= -_FLAT
     return inside
 
 
 SHOULDER_MM = 7.5  # radius of the lab's shoulders, and half the width of its tools' arms
-STAMP_MM = 18.5  # half the width of bodies under compact patterns: the lab's tools are 37 mm wide between fingers
+# half the width of bodies under compact patterns: the lab's tools are 37 mm wide between fingers
+STAMP_MM = 18.5
 FINE_MM = 2.0  # gels are not pressed deeper: above it, chords may be coarse
 _COARSE_RAD = math.radians(10.0)
 
 
 def make_crest(width_mm: float, edge_mm: float) -> Doubles:
-    """Flat with rounded edges of radius `edge_mm`, at most half the width, from the left foot to the right; (n, 2)."""
+    """Flat with rounded edges of radius `edge_mm`, at most half the width, from the left foot to
+    the right; (n, 2).
+    """
     flat = 0.5 * width_mm - edge_mm
     left = make_arc(edge_mm, -180.0, -90.0, (-flat, edge_mm))
     right = make_arc(edge_mm, -90.0, 0.0, (flat, edge_mm))
@@ -151,16 +178,24 @@ def make_strip(width_mm: float, edge_mm: float, height_mm: float) -> Doubles:
     return np.concatenate([make_crest(width_mm, edge_mm), [(half, height_mm), (-half, height_mm)]])
 
 
-def make_apex(flank_deg: float, radius_mm: float, half_width_mm: float, height_mm: float) -> Doubles:
+def make_apex(
+    flank_deg: float, radius_mm: float, half_width_mm: float, height_mm: float
+) -> Doubles:
     """A roof with flanks that rise by `flank_deg`, its edge rounded by `radius_mm`; (n, 2)."""
     top = make_arc(radius_mm, -90.0 - flank_deg, -90.0 + flank_deg, (0.0, radius_mm))
     eave = top[-1, 1] + (half_width_mm - top[-1, 0]) * math.tan(math.radians(flank_deg))
-    walls = [(half_width_mm, eave), (half_width_mm, height_mm), (-half_width_mm, height_mm), (-half_width_mm, eave)]
+    walls = [
+        (half_width_mm, eave),
+        (half_width_mm, height_mm),
+        (-half_width_mm, height_mm),
+        (-half_width_mm, eave),
+    ]
     return np.concatenate([top, walls])
 
 
 def make_shoulder(half_mm: float, proud_mm: float, back_mm: float) -> Doubles:
-    """The right side (n, 2) of a body under a ridge of this half width, from its foot at z = `proud_mm` to the back.
+    """The right side (n, 2) of a body under a ridge of this half width, from its foot at z =
+    `proud_mm` to the back.
 
     The foot lies on a circle of `SHOULDER_MM` radius about the ridge's middle plane.
     """
@@ -169,23 +204,30 @@ def make_shoulder(half_mm: float, proud_mm: float, back_mm: float) -> Doubles:
 
 
 def make_stamp(half_mm: float, back_mm: float) -> Doubles:
-    """The right side (n, 2) of a body `2 STAMP_MM` wide under a compact pattern of this half width, from its foot.
+    """The right side (n, 2) of a body `2 STAMP_MM` wide under a compact pattern of this half width,
+    from its foot.
 
     The foot is `FINE_MM` above the tactile side, out of reach of a gel even if tilted.
     """
     ledge = STAMP_MM - SHOULDER_MM
-    return np.concatenate([[(half_mm, FINE_MM)], _make_round(ledge, FINE_MM + SHOULDER_MM, 0.0, back_mm)])
+    return np.concatenate(
+        [[(half_mm, FINE_MM)], _make_round(ledge, FINE_MM + SHOULDER_MM, 0.0, back_mm)]
+    )
 
 
 def place_on_shoulders(ridge_mm: Doubles, back_mm: float) -> Doubles:
-    """The section (n, 2) of a ridge, given from its left foot to its right one, on a body with shoulders."""
+    """The section (n, 2) of a ridge, given from its left foot to its right one, on a body with
+    shoulders.
+    """
     half, proud = ridge_mm[-1]
     right = make_shoulder(float(half), float(proud), back_mm)[1:]
     return np.concatenate([ridge_mm, right, (right * (-1.0, 1.0))[::-1]])
 
 
 def _make_round(centre_mm: float, centre_z_mm: float, from_rad: float, back_mm: float) -> Doubles:
-    """A quarter round of `SHOULDER_MM` from this angle off -z to the side, and the wall from there to the back."""
+    """A quarter round of `SHOULDER_MM` from this angle off -z to the side, and the wall from
+    there to the back.
+    """
     lowest = centre_z_mm - FINE_MM
     until = math.acos(lowest / SHOULDER_MM) if lowest < SHOULDER_MM else 0.0
     fine = [from_rad]
@@ -194,5 +236,7 @@ def _make_round(centre_mm: float, centre_z_mm: float, from_rad: float, back_mm: 
         fine = list(np.linspace(from_rad, until, n + 1))
     n = math.ceil((0.5 * math.pi - fine[-1]) / _COARSE_RAD)
     angle = np.array([*fine, *np.linspace(fine[-1], 0.5 * math.pi, n + 1)[1:]])
-    round_ = np.column_stack([centre_mm + SHOULDER_MM * np.sin(angle), centre_z_mm - SHOULDER_MM * np.cos(angle)])
+    round_ = np.column_stack(
+        [centre_mm + SHOULDER_MM * np.sin(angle), centre_z_mm - SHOULDER_MM * np.cos(angle)]
+    )
     return np.concatenate([round_, [(centre_mm + SHOULDER_MM, back_mm)]])

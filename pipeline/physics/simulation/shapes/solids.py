@@ -1,4 +1,5 @@
-"""Closed bodies: prisms over an outline, and rings of points stacked with lids, revolved, or swept along a path.
+"""Closed bodies: prisms over an outline, and rings of points stacked with lids, revolved, or swept
+along a path.
 
 Triangles run counter-clockwise seen from outside.
 """
@@ -39,36 +40,50 @@ _POLE_MM = 1e-9  # a ring narrower than this is a point
 
 def make_mesh(vertices_mm: Doubles, faces: Sequence[Face], name: str) -> Mesh:
     """The mesh of these vertices (n, 3) and faces."""
-    return Mesh(vertices_mm=freeze(vertices_mm), triangles=freeze(np.array(faces, dtype=np.int32)), name=name)
+    return Mesh(
+        vertices_mm=freeze(vertices_mm),
+        triangles=freeze(np.array(faces, dtype=np.int32)),
+        name=name,
+    )
 
 
 def make_wall_faces(n_rings: int, n: int, *, endless: bool = False) -> list[Face]:
-    """Faces between rings of `n` vertices, ring after ring; each runs counter-clockwise seen from the last ring.
+    """Faces between rings of `n` vertices, ring after ring.
+
+    Each runs counter-clockwise seen from the last ring.
 
     `endless` joins the last ring to the first.
     """
     faces: list[Face] = []
     for ring in range(n_rings if endless else n_rings - 1):
-        low, high = ring * n, (ring + 1) % n_rings * n
+        low = ring * n
+        high = (ring + 1) % n_rings * n
         for k in range(n):
             after = (k + 1) % n
             faces += [(low + k, low + after, high + after), (low + k, high + after, high + k)]
     return faces
 
 
-def loft(rings_mm: Doubles, name: str, *, first_mm: Doubles | None = None, last_mm: Doubles | None = None) -> Mesh:
-    """A body over rings (k, n, 3) with star-shaped ends; `first_mm` and `last_mm` are tips, by default their centres.
+def loft(
+    rings_mm: Doubles, name: str, *, first_mm: Doubles | None = None, last_mm: Doubles | None = None
+) -> Mesh:
+    """A body over rings (k, n, 3) with star-shaped ends.
+
+    `first_mm` and `last_mm` are tips, by default their centres.
 
     The rings run counter-clockwise seen from the last one.
     """
     k, n, _ = rings_mm.shape
     first = rings_mm[0].mean(axis=0) if first_mm is None else first_mm
     last = rings_mm[-1].mean(axis=0) if last_mm is None else last_mm
-    faces, top = make_wall_faces(k, n), (k - 1) * n
+    faces = make_wall_faces(k, n)
+    top = (k - 1) * n
     for i in range(n):
         after = (i + 1) % n
         faces += [(k * n, after, i), (k * n + 1, top + i, top + after)]
-    return make_mesh(np.concatenate([rings_mm.reshape(-1, 3), first[None], last[None]]), faces, name)
+    return make_mesh(
+        np.concatenate([rings_mm.reshape(-1, 3), first[None], last[None]]), faces, name
+    )
 
 
 def revolve_profile(profile_mm: Doubles, n_sides: int, name: str) -> Mesh:
@@ -85,15 +100,20 @@ def revolve_profile(profile_mm: Doubles, n_sides: int, name: str) -> Mesh:
 
 
 def count_circle_sides(radius_mm: float) -> int:
-    """Number of sides of a circle within `CHORD_MM`, a multiple of four so that it is as wide as high."""
+    """Number of sides of a circle within `CHORD_MM`, a multiple of four so that it is as wide as
+    high.
+    """
     return 4 * math.ceil(math.pi / (2.0 * compute_arc_step_rad(radius_mm)))
 
 
-def sweep_section(path_mm: Doubles, section_mm: Doubles, name: str, *, endless: bool = False) -> Mesh:
-    """A section (m, 2) of offset to the left and z, swept along a plane path (n, 2), corners mitred.
+def sweep_section(
+    path_mm: Doubles, section_mm: Doubles, name: str, *, endless: bool = False
+) -> Mesh:
+    """A section (m, 2) of offset to the left and z, swept along a plane path (n, 2), corners
+    mitred.
 
-    The section runs counter-clockwise. An endless path returns to its start and has no ends; others are cut square.
-    Raises MeshProblem when the section is wider than the path's bends allow.
+    The section runs counter-clockwise. An endless path returns to its start and has no ends; others
+    are cut square. Raises MeshProblem when the section is wider than the path's bends allow.
     """
     along = np.roll(path_mm, -1, axis=0) - path_mm
     if not endless:
@@ -108,9 +128,12 @@ def sweep_section(path_mm: Doubles, section_mm: Doubles, name: str, *, endless: 
     forward = (np.roll(plane, -1, axis=0) - plane) @ along[:, :, None]
     if (forward[: None if endless else -1] <= 0).any():
         raise MeshProblem(f"the section of {name!r} is wider than the bends of its path allow")
-    rings = np.concatenate([plane, np.broadcast_to(section_mm[None, :, 1:], (*plane.shape[:2], 1))], axis=2)
+    rings = np.concatenate(
+        [plane, np.broadcast_to(section_mm[None, :, 1:], (*plane.shape[:2], 1))], axis=2
+    )
     k, n = rings.shape[:2]
-    faces, last = make_wall_faces(k, n, endless=endless), (k - 1) * n
+    faces = make_wall_faces(k, n, endless=endless)
+    last = (k - 1) * n
     if not endless:
         lid = triangulate_polygon(section_mm)
         faces += [(c, b, a) for a, b, c in lid]
@@ -131,12 +154,14 @@ def load_mesh_shape(path: Path, unit: str = "auto", face: str = "-z") -> Shape:
     """A shape from an STL, PLY or OBJ file, its tactile side toward `face`; without symmetry.
 
     That side is rotated to -z, and the mesh centred over the origin with its lowest point at z = 0.
-    Raises SettingProblem for an unknown face, FileProblem or MeshProblem for what `load_mesh` refuses.
+    Raises SettingProblem for an unknown face, FileProblem or MeshProblem for what `load_mesh`
+    refuses.
     """
     if face not in FACES:
         raise SettingProblem(f"the tactile face must be one of {', '.join(FACES)}, got {face!r}")
     mesh = transform_mesh(load_mesh(Path(path), unit), _rotate_down(face))
-    low, high = mesh.vertices_mm.min(axis=0), mesh.vertices_mm.max(axis=0)
+    low = mesh.vertices_mm.min(axis=0)
+    high = mesh.vertices_mm.max(axis=0)
     place = np.eye(4)
     place[:3, 3] = (*(-0.5 * (low + high)[:2]), -low[2])
     mesh = transform_mesh(mesh, place)
@@ -151,11 +176,14 @@ def _rotate_down(face: str) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]
     side = np.zeros(3)
     side[(axis + 1) % 3] = 1.0
     turn = np.eye(4)
-    turn[:3, :3] = np.stack([np.cross(side, -down), side, -down])  # rows are x, y, z; right-handed: x = y cross z
+    # rows are x, y, z; right-handed: x = y cross z
+    turn[:3, :3] = np.stack([np.cross(side, -down), side, -down])
     return turn
 
 
-def make_chamfered_prism(outline_mm: Outline | Doubles, height_mm: float, chamfer_mm: float, name: str) -> Mesh:
+def make_chamfered_prism(
+    outline_mm: Outline | Doubles, height_mm: float, chamfer_mm: float, name: str
+) -> Mesh:
     """A prism over a simple polygon, its tactile face chamfered by 45 degrees.
 
     Raises MeshProblem when the outline crosses itself or the chamfer is wider than the polygon.
@@ -171,18 +199,25 @@ def make_chamfered_prism(outline_mm: Outline | Doubles, height_mm: float, chamfe
     )
 
 
-def make_rounded_prism(outline_mm: Outline | Doubles, height_mm: float, radius_mm: float, name: str) -> Mesh:
+def make_rounded_prism(
+    outline_mm: Outline | Doubles, height_mm: float, radius_mm: float, name: str
+) -> Mesh:
     """A prism over a simple polygon, its tactile face rounded by a quarter circle.
 
     Raises MeshProblem when the outline crosses itself or the rounding is wider than the polygon.
     """
     outer = orient_counter_clockwise(outline_mm, name)
-    return stack_rings([*make_rounded_rings(outer, radius_mm), lift_outline(outer, height_mm)], name)
+    return stack_rings(
+        [*make_rounded_rings(outer, radius_mm), lift_outline(outer, height_mm)], name
+    )
 
 
 def stack_rings(rings_mm: Sequence[Doubles], name: str) -> Mesh:
-    """A body over level outlines (n, 3) from the tactile face up, counter-clockwise, with equal numbers of points."""
-    n, top = len(rings_mm[0]), (len(rings_mm) - 1) * len(rings_mm[0])
+    """A body over level outlines (n, 3) from the tactile face up, counter-clockwise, with equal
+    numbers of points.
+    """
+    n = len(rings_mm[0])
+    top = (len(rings_mm) - 1) * len(rings_mm[0])
     faces: list[Face] = [
         (c, b, a) for a, b, c in triangulate_polygon(rings_mm[0][:, :2])
     ]  # the tactile face looks to -z
@@ -198,4 +233,6 @@ def lift_outline(outline_mm: Doubles, z_mm: float) -> Doubles:
 def make_rounded_rings(outline_mm: Doubles, radius_mm: float) -> list[Doubles]:
     """Level outlines (n, 3) of a tactile face rounded by a quarter circle; the last is vertical."""
     quarter = make_arc(radius_mm, -90.0, 0.0, (0.0, radius_mm))
-    return [lift_outline(inset_polygon(outline_mm, radius_mm - float(x)), float(z)) for x, z in quarter]
+    return [
+        lift_outline(inset_polygon(outline_mm, radius_mm - float(x)), float(z)) for x, z in quarter
+    ]

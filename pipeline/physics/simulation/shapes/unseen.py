@@ -1,4 +1,6 @@
-"""Six shapes that training never sees: each differs from the twelve in geometry, not only in size."""
+"""Six shapes that training never sees: each differs from the twelve in geometry, not only in
+size.
+"""
 
 import math
 
@@ -24,14 +26,19 @@ def ellipse() -> Shape:
     """An elliptic ring of 13 x 8 mm."""
     angle = np.linspace(0.0, 2.0 * math.pi, _DENSE)
     path = thin_curve(np.column_stack([5.7 * np.cos(angle), 3.2 * np.sin(angle)]), 0.8)[:-1]
-    return Shape(mesh=sweep_section(path, make_strip(1.6, 0.4, 6.0), "ellipse", endless=True), symmetry=cyclic(2))
+    return Shape(
+        mesh=sweep_section(path, make_strip(1.6, 0.4, 6.0), "ellipse", endless=True),
+        symmetry=cyclic(2),
+    )
 
 
 def letters() -> Shape:
     """The strokes of an E and a T that share their upper bar, 14 x 9 mm."""
     outline = [
-        (-7.0, -4.5), (-1.5, -4.5), (-1.5, -2.8), (-5.2, -2.8), (-5.2, -0.85), (-2.2, -0.85), (-2.2, 0.85),
-        (-5.2, 0.85), (-5.2, 2.8), (2.1, 2.8), (2.1, -4.5), (3.9, -4.5), (3.9, 2.8), (7.0, 2.8), (7.0, 4.5),
+        (-7.0, -4.5), (-1.5, -4.5), (-1.5, -2.8),
+        (-5.2, -2.8), (-5.2, -0.85), (-2.2, -0.85), (-2.2, 0.85),
+        (-5.2, 0.85), (-5.2, 2.8), (2.1, 2.8), (2.1, -4.5),
+        (3.9, -4.5), (3.9, 2.8), (7.0, 2.8), (7.0, 4.5),
         (-7.0, 4.5),
     ]  # fmt: skip
     return Shape(mesh=make_chamfered_prism(outline, 6.0, 0.35, "letters"), symmetry=asymmetric())
@@ -48,7 +55,9 @@ def cone() -> Shape:
     tip = make_arc(0.5, -90.0, -60.0, (0.0, 0.5))
     rise = (6.0 - tip[-1, 0]) * math.tan(math.radians(30.0))
     profile = np.concatenate([tip, [(6.0, tip[-1, 1] + rise), (6.0, 12.0)]])
-    return Shape(mesh=revolve_profile(profile, count_circle_sides(6.0), "cone"), symmetry=revolution())
+    return Shape(
+        mesh=revolve_profile(profile, count_circle_sides(6.0), "cone"), symmetry=revolution()
+    )
 
 
 def wave() -> Shape:

@@ -1,6 +1,7 @@
 """Depth of a gel as a chain of nodes: rest -> change -> light -> slopes -> surface -> contact.
 
-The graph evaluates them one by one, so that a changed parameter repeats only the nodes that read it.
+The graph evaluates them one by one, so that a changed parameter repeats only the nodes that read
+it.
 """
 
 from collections.abc import Callable
@@ -20,28 +21,53 @@ READS = ("frame", "source", "calibration")
 
 
 def _make_node(
-    name: str, reads: tuple[str, ...], run: Any, params: Any, select: Callable[[DepthParams], Any] | None = None
+    name: str,
+    reads: tuple[str, ...],
+    run: Any,
+    params: Any,
+    select: Callable[[DepthParams], Any] | None = None,
 ) -> Method:
     return Method(
-        stage=f"depth.{name}", name=name, title=name.capitalize(), run=run, params=params, reads=reads,
+        stage=f"depth.{name}",
+        name=name,
+        title=name.capitalize(),
+        run=run,
+        params=params,
+        reads=reads,
         select_params=select,
-    )  # fmt: skip
+    )
 
 
-_REST, _CHANGE, _LIGHT, _SLOPES, _SURFACE = (f"depth.{n}" for n in ("rest", "change", "light", "slopes", "surface"))
+_REST, _CHANGE, _LIGHT, _SLOPES, _SURFACE = (
+    f"depth.{n}" for n in ("rest", "change", "light", "slopes", "surface")
+)
 NODES = (
     _make_node("rest", READS, describe_rest, DepthParams),
     _make_node(
-        "change", ("frame", _REST), detect_press, ChangeParams, lambda p: ChangeParams(contact_limit=p.contact_limit)
+        "change",
+        ("frame", _REST),
+        detect_press,
+        ChangeParams,
+        lambda p: ChangeParams(contact_limit=p.contact_limit),
     ),
     _make_node("light", ("frame", _REST, _CHANGE), estimate_light, NoParams, lambda _: NoParams()),
     _make_node(
-        "slopes", ("frame", _REST, _CHANGE, _LIGHT), measure_slopes, SlopeParams,
-        lambda p: SlopeParams(sensitivity=p.sensitivity, smoothing_px=p.smoothing_px, boundary=p.boundary),
+        "slopes",
+        ("frame", _REST, _CHANGE, _LIGHT),
+        measure_slopes,
+        SlopeParams,
+        lambda p: SlopeParams(
+            sensitivity=p.sensitivity, smoothing_px=p.smoothing_px, boundary=p.boundary
+        ),
     ),
-    _make_node("surface", (_CHANGE, _SLOPES, _LIGHT), estimate_surface, NoParams, lambda _: NoParams()),
     _make_node(
-        "contact", ("frame", _REST, _CHANGE, _LIGHT, _SLOPES, _SURFACE), detect_contact, ContactParams,
+        "surface", (_CHANGE, _SLOPES, _LIGHT), estimate_surface, NoParams, lambda _: NoParams()
+    ),
+    _make_node(
+        "contact",
+        ("frame", _REST, _CHANGE, _LIGHT, _SLOPES, _SURFACE),
+        detect_contact,
+        ContactParams,
         lambda p: ContactParams(contact_limit=p.contact_limit, pressure_share=p.pressure_share),
     ),
-)  # fmt: skip
+)

@@ -1,16 +1,19 @@
-"""Node *change*: press or drift? Two explanations of the same coarse colour change, compared by their likelihood.
+"""Node *change*: press or drift? Two explanations of the same coarse colour change, compared by
+their likelihood.
 
-    drift   dI_c = g_c R_c + b_c + r_c . (u, v) - s . grad R_c      gain, offset and ramp of each colour c, shift s
-    light   drift, and a smooth field of light, nearly of one colour (a spot, daylight)
-    dent    drift, and a_c . grad h, where h is what pressures >= 0 do to the gel (`coarse_light`)
+    drift   dI_c = g_c R_c + b_c + r_c . (u, v) - s . grad R_c      gain, offset and ramp of each
+    colour c, shift s light   drift, and a smooth field of light, nearly of one colour (a spot,
+    daylight) dent    drift, and a_c . grad h, where h is what pressures >= 0 do to the gel
+    (`coarse_light`)
 
-All unknowns have Gaussian priors, so the evidence of each explanation is a closed form in the eigenvectors of its
-curvature, which are the same for every frame. The noise is the mean squared residual: by what the light of an instance
-differs from the described one counts as noise of either explanation (MacKay, Information Theory, 2003, chapter 28).
+All unknowns have Gaussian priors, so the evidence of each explanation is a closed form in the
+eigenvectors of its curvature, which are the same for every frame. The noise is the mean squared
+residual: by what the light of an instance differs from the described one counts as noise of either
+explanation (MacKay, Information Theory, 2003, chapter 28).
 
-A dent that fills the view looks like drift in each channel, but as drift it is unlikely: ramps of opposite directions
-in channels whose LEDs face each other. Beside a dent, drift costs as much as a coarse light's errors make plausible
-(`stiffness`), so that it does not take the dent's share.
+A dent that fills the view looks like drift in each channel, but as drift it is unlikely: ramps of
+opposite directions in channels whose LEDs face each other. Beside a dent, drift costs as much as a
+coarse light's errors make plausible (`stiffness`), so that it does not take the dent's share.
 """
 
 import math
@@ -47,30 +50,38 @@ class ChangeSettings:
     light_common_share: float = 0.9
     light_waves: int = 7  # along each axis
     floor_grey: float = 0.15  # least noise of a block
-    pressure_stds: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1, 0.3)  # mm, of a knot; the likeliest counts
-    light_scales: tuple[float, ...] = (0.3, 1.0, 3.0, 10.0)  # times `light_std`; the likeliest counts
-    # 96 soft balls and 40 tools of each gel, 200 drifted references, real balls, objects and clips. Untouched: up to 40
-    # (a dithered film; simulated -500 to 10, by JPEG up to 60); weakest touches 85 (a rug), 150 (a film).
+    # mm, of a knot; the likeliest counts
+    pressure_stds: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1, 0.3)
+    # times `light_std`; the likeliest counts
+    light_scales: tuple[float, ...] = (0.3, 1.0, 3.0, 10.0)
+    # 96 soft balls and 40 tools of each gel, 200 drifted references, real balls, objects and clips.
+    # Untouched: up to 40 (a dithered film; simulated -500 to 10, by JPEG up to 60); weakest touches
+    # 85 (a rug), 150 (a film).
     press_evidence: float = 75.0
     none_evidence: float = 30.0
-    # Evidence of light over that of the dent: spots from 10 on, glints 5 and more, dents by the described light of
-    # another instance up to 4.
+    # Evidence of light over that of the dent: spots from 10 on, glints 5 and more, dents by the
+    # described light of another instance up to 4.
     light_ratio_press: float = 4.0
     light_ratio_none: float = 5.0
-    light_ratio_certain: float = 15.0  # no dent, however unlikely the drift is: spots of a fifth of the view from 30 on
-    # Nats by which drift is likelier beside a dent: drifted references up to 5, the largest balls 25 to 50.
+    # no dent, however unlikely the drift is: spots of a fifth of the view from 30 on
+    light_ratio_certain: float = 15.0
+    # Nats by which drift is likelier beside a dent: drifted references up to 5, the largest balls
+    # 25 to 50.
     unlikely_drift: float = 12.0
-    # A wide, smooth dent: share of the view above half its depth, and its steepest slope times the radius of that part
-    # over the depth. A paraboloid has 1.4; balls of 30 to 120 mm up to 1.9, faces and tools of every gel 2.0 to 7.4.
+    # A wide, smooth dent: share of the view above half its depth, and its steepest slope times the
+    # radius of that part over the depth. A paraboloid has 1.4; balls of 30 to 120 mm up to 1.9,
+    # faces and tools of every gel 2.0 to 7.4.
     smooth_share: float = 0.15
     smooth_steepness: float = 1.95
     smooth_residual: float = 0.15  # share of the squared change that is left: soft balls up to .1
-    # Beside a smooth dent, drift as costly as this is nearly none. It is held back where the residual grows by less
-    # than the first factor, not at all from the second: most without drift grow by up to 1.4, with drift by 1.3 to 60.
+    # Beside a smooth dent, drift as costly as this is nearly none. It is held back where the
+    # residual grows by less than the first factor, not at all from the second: most without drift
+    # grow by up to 1.4, with drift by 1.3 to 60.
     still_stiffness: float = 200.0
     still_residuals: tuple[float, float] = (1.25, 1.6)
-    # Contact of a coarse dent: load over its load-weighted mean, and depth over the deepest. Areas of soft balls are .8
-    # to 1.1 of the true ones; without the second, faint load far from the dent makes some 1.4.
+    # Contact of a coarse dent: load over its load-weighted mean, and depth over the deepest. Areas
+    # of soft balls are .8 to 1.1 of the true ones; without the second, faint load far from the dent
+    # makes some 1.4.
     load_share: float = 0.35
     dent_share: float = 0.15
 
@@ -109,16 +120,21 @@ class Change:
     dent_mm: Floats  # (rows, cols) of the blocks: indentation, coarse; 0 without a press
     dent_grey: Floats  # (rows, cols, 3) the change that it explains
     load: Floats  # (rows, cols) relative pressure
-    is_smooth: bool = False  # the coarse dent is wide and explains nearly all: no finer surface is better known
+    # the coarse dent is wide and explains nearly all: no finer surface is better known
+    is_smooth: bool = False
 
 
 def make_unexplained_change(verdict: Verdict, shape: tuple[int, ...] = (1, 1)) -> Change:
     """A verdict without a dent on blocks of this shape (rows, cols)."""
     nothing = freeze(np.zeros(shape, np.float32))
     return Change(
-        verdict=verdict, dent_evidence=0.0, light_evidence=0.0, dent_mm=nothing,
-        dent_grey=freeze(np.zeros((*shape, 3), np.float32)), load=nothing,
-    )  # fmt: skip
+        verdict=verdict,
+        dent_evidence=0.0,
+        light_evidence=0.0,
+        dent_mm=nothing,
+        dent_grey=freeze(np.zeros((*shape, 3), np.float32)),
+        load=nothing,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,22 +150,31 @@ class FrameChange:
 
     press: Change
     rest: drift.RestImage
-    markers: Mask | None = None  # (rows, cols) what printed markers hide of the image; None = not known
+    # (rows, cols) what printed markers hide of the image; None = not known
+    markers: Mask | None = None
 
 
-_SMOOTH_DENT = "the touch is wide and smooth: measured on blocks of the image, by the pressure that explains it"
+_SMOOTH_DENT = (
+    "the touch is wide and smooth: measured on blocks of the image, by the pressure "
+    "that explains it"
+)
 
 
 def detect_press(
     frame: TactileFrame, rest: RestState, params: ChangeParams, progress: Progress
 ) -> FrameChange | Skipped[DepthMap] | EarlyAnswer[DepthMap]:
-    """The press of a frame, and its rest image; the depth map where nothing touches, nobody can tell, or all is known.
+    """The press of a frame, and its rest image.
 
-    All is known of a wide, smooth dent: no finer surface is better than the coarse one that explains it.
+    The depth map where nothing touches, nobody can tell, or all is known.
+
+    All is known of a wide, smooth dent: no finer surface is better than the coarse one that
+    explains it.
     """
     progress.step(0.0, "telling press from drift")
     found = observe_change(cast("Image", frame.image), cast("Image", frame.reference), rest)
-    press, notes, source = found.press, found.rest.notes, rest.source
+    press = found.press
+    notes = found.rest.notes
+    source = rest.source
     if press.verdict == "none":
         notes = (*notes, drift.describe_no_contact(found.rest))
         return Skipped(output=make_untouched_depth(frame, source, notes), reason=notes[0])
@@ -170,7 +195,9 @@ def observe_change(image: Image, reference: Image, rest: RestState) -> FrameChan
         still = drift.estimate_rest_image(image, reference)
         limit_grey = rest.source.limits.no_contact_change
         window = change_detection.detect_change(image, still.image_8bit, limit_grey, rest.pixel_mm)
-        return FrameChange(press=make_unexplained_change("none" if window is None else "press"), rest=still)
+        return FrameChange(
+            press=make_unexplained_change("none" if window is None else "press"), rest=still
+        )
     exposed = drift.remove_exposure(image, drift.estimate_exposure(image, reference))
     printed = rest.source.markers
     markers = None if printed is None else freeze(detect_markers(exposed, printed, rest.pixel_mm))
@@ -188,7 +215,9 @@ def _upsample_dent(press: Change, shape: tuple[int, int], least_mm: float) -> tu
     rows, cols = (n * block for n in press.load.shape)
     more = (0, shape[0] - rows, 0, shape[1] - cols)
     indentation, load = (
-        cv2.copyMakeBorder(cv2.resize(a, (cols, rows), interpolation=cv2.INTER_CUBIC), *more, cv2.BORDER_REPLICATE)
+        cv2.copyMakeBorder(
+            cv2.resize(a, (cols, rows), interpolation=cv2.INTER_CUBIC), *more, cv2.BORDER_REPLICATE
+        )
         for a in (press.dent_mm, press.load)
     )
     weighted_mean = float((press.load**2).sum() / press.load.sum())
@@ -197,14 +226,22 @@ def _upsample_dent(press: Change, shape: tuple[int, int], least_mm: float) -> tu
 
 
 def explain_change(
-    image: Image, reference: Image, source: SensorSpec, light: Floats, pixel_mm: float, markers: Mask | None = None
+    image: Image,
+    reference: Image,
+    source: SensorSpec,
+    light: Floats,
+    pixel_mm: float,
+    markers: Mask | None = None,
 ) -> Change:
-    """Whether the change between two images (rows, cols, 3) is a press, in this coarse light (rows, cols, 3, 2).
+    """Whether the change between two images (rows, cols, 3) is a press, in this coarse light (rows,
+    cols, 3, 2).
 
     `markers` (rows, cols), what printed markers hide of the first, is computed where it is None.
     """
     model = make_model(reference, source, light, pixel_mm)
-    change = coarse_light.compute_block_change(image, reference, source.markers, pixel_mm, markers).ravel()
+    change = coarse_light.compute_block_change(
+        image, reference, source.markers, pixel_mm, markers
+    ).ravel()
     return compare_explanations(change, model)
 
 
@@ -218,7 +255,9 @@ def compare_explanations(change: Floats, model: ChangeModel) -> Change:
     evidence = _compute_evidence(change, model.dent, drift, misfit, CHANGE.pressure_stds)
     light = _compute_evidence(change, model.light, drift, misfit, CHANGE.light_scales)
     shape = model.basis.heights.shape[:2]
-    alone = replace(make_unexplained_change("none", shape), dent_evidence=evidence, light_evidence=light)
+    alone = replace(
+        make_unexplained_change("none", shape), dent_evidence=evidence, light_evidence=light
+    )
     cost = float(drift @ prior.precision @ drift) / 2
     if evidence + cost < CHANGE.none_evidence:
         return alone
@@ -226,7 +265,11 @@ def compare_explanations(change: Floats, model: ChangeModel) -> Change:
     unlikely = max(0.0, cost - float(fit.drift @ prior.precision @ fit.drift) / 2)
     evidence += unlikely
     verdict = decide(evidence, light)
-    if verdict == "none" and unlikely > CHANGE.unlikely_drift and light < CHANGE.light_ratio_certain * evidence:
+    if (
+        verdict == "none"
+        and unlikely > CHANGE.unlikely_drift
+        and light < CHANGE.light_ratio_certain * evidence
+    ):
         verdict = "uncertain"
     if verdict != "press":
         return replace(alone, verdict=verdict, dent_evidence=evidence)
@@ -234,11 +277,14 @@ def compare_explanations(change: Floats, model: ChangeModel) -> Change:
     if is_smooth:
         fit = _hold_drift(fit, _fit_dent(change, pull, model, CHANGE.still_stiffness))
     return Change(
-        verdict=verdict, dent_evidence=evidence, light_evidence=light,
+        verdict=verdict,
+        dent_evidence=evidence,
+        light_evidence=light,
         dent_mm=freeze(model.basis.heights @ fit.pressures),
         dent_grey=freeze((model.dent.columns @ fit.pressures).reshape(*shape, 3)),
-        load=freeze(model.basis.loads @ fit.pressures), is_smooth=is_smooth,
-    )  # fmt: skip
+        load=freeze(model.basis.loads @ fit.pressures),
+        is_smooth=is_smooth,
+    )
 
 
 class _DentFit(NamedTuple):
@@ -282,23 +328,33 @@ def _hold_drift(fit: _DentFit, still: _DentFit) -> _DentFit:
 
 def decide(dent_evidence: float, light_evidence: float) -> Verdict:
     """The verdict by the evidence of both explanations over drift alone."""
-    if dent_evidence < CHANGE.none_evidence or light_evidence > CHANGE.light_ratio_none * dent_evidence:
+    if (
+        dent_evidence < CHANGE.none_evidence
+        or light_evidence > CHANGE.light_ratio_none * dent_evidence
+    ):
         return "none"
-    if dent_evidence < CHANGE.press_evidence or light_evidence > CHANGE.light_ratio_press * dent_evidence:
+    if (
+        dent_evidence < CHANGE.press_evidence
+        or light_evidence > CHANGE.light_ratio_press * dent_evidence
+    ):
         return "uncertain"
     return "press"
 
 
 def _compute_evidence(
     change: Floats, waves: Waves, drift: Doubles, misfit: float, scales: tuple[float, ...]
-) -> float:  # fmt: skip
-    """How much more likely a change (n,) is by waves of the likeliest scale than by drift alone, with noise it leaves.
+) -> float:
+    """How much more likely a change (n,) is by waves of the likeliest scale than by drift alone,
+    with noise it leaves.
 
     `misfit` is the squared change that the `drift` (14,) alone leaves.
     """
     n = change.size
-    own = waves.vectors.T @ (waves.columns.T @ change - (waves.by_drift.T @ drift).astype(np.float32))
-    power, floor = own.astype(np.float64) ** 2, CHANGE.floor_grey**2
+    own = waves.vectors.T @ (
+        waves.columns.T @ change - (waves.by_drift.T @ drift).astype(np.float32)
+    )
+    power = own.astype(np.float64) ** 2
+    floor = CHANGE.floor_grey**2
     scale2 = np.square(scales)[:, None]
     noise = np.full(len(scales), misfit / n + floor)
     for _ in range(6):
@@ -313,28 +369,42 @@ _models: Memo[tuple[str, ...], ChangeModel] = Memo(4)
 
 def make_model(reference: Image, source: SensorSpec, light: Floats, pixel_mm: float) -> ChangeModel:
     """The model of all changes of a reference image (rows, cols, 3), cached."""
-    key = (compute_cached_digest(reference), compute_cached_digest(source), compute_cached_digest(light), str(pixel_mm))
+    key = (
+        compute_cached_digest(reference),
+        compute_cached_digest(source),
+        compute_cached_digest(light),
+        str(pixel_mm),
+    )
     return _models.get_or_make(key, lambda: _make_model(reference, source, light, pixel_mm))
 
 
-def _make_model(reference: Image, source: SensorSpec, light: Floats, pixel_mm: float) -> ChangeModel:
+def _make_model(
+    reference: Image, source: SensorSpec, light: Floats, pixel_mm: float
+) -> ChangeModel:
     basis = coarse_light.make_dent_basis(source, pixel_mm)
     drift = coarse_light.make_drift_prior(reference, source, pixel_mm)
     columns = coarse_light.make_dent_columns(light, basis)
     curvature = columns.T @ columns
     return ChangeModel(
-        drift=drift, light=_make_light_waves(light.shape[0], light.shape[1], drift),
-        dent=_diagonalise(columns, curvature, drift), dent_curvature=freeze(curvature), basis=basis,
-    )  # fmt: skip
+        drift=drift,
+        light=_make_light_waves(light.shape[0], light.shape[1], drift),
+        dent=_diagonalise(columns, curvature, drift),
+        dent_curvature=freeze(curvature),
+        basis=basis,
+    )
 
 
 def _diagonalise(columns: Floats, curvature: Floats, drift: DriftPrior) -> Waves:
     by_drift = drift.columns.T @ columns
-    values, vectors = np.linalg.eigh(curvature - by_drift.T @ (drift.projection @ by_drift).astype(np.float32))
+    values, vectors = np.linalg.eigh(
+        curvature - by_drift.T @ (drift.projection @ by_drift).astype(np.float32)
+    )
     return Waves(
-        columns=columns, by_drift=freeze(by_drift), vectors=freeze(vectors),
+        columns=columns,
+        by_drift=freeze(by_drift),
+        vectors=freeze(vectors),
         values=freeze(np.maximum(values, 0.0).astype(np.float64)),
-    )  # fmt: skip
+    )
 
 
 def _make_light_waves(rows: int, cols: int, drift: DriftPrior) -> Waves:
@@ -343,7 +413,8 @@ def _make_light_waves(rows: int, cols: int, drift: DriftPrior) -> Waves:
     mixture = np.linalg.cholesky(coarse_light.correlate_colours(CHANGE.light_common_share))
     n = CHANGE.light_waves
     fields = [
-        np.outer(np.cos(i * y), np.cos(j * x))[..., None, None] * (CHANGE.light_std / np.hypot(i, j) * mixture)
+        np.outer(np.cos(i * y), np.cos(j * x))[..., None, None]
+        * (CHANGE.light_std / np.hypot(i, j) * mixture)
         for i in range(n)
         for j in range(n - i)
         if i or j

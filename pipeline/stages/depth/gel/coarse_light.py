@@ -1,11 +1,13 @@
-"""The coarse, linear light of a sensor instance: colour change of blocks of pixels by a dent of the gel.
+"""The coarse, linear light of a sensor instance: colour change of blocks of pixels by a dent of the
+gel.
 
     dI_c(x) = a_c(x) . grad h(x),   h = sum_k p_k g(x - x_k),   p_k >= 0
 
-a_c is the described light, turned and scaled by 36 numbers (for each channel four, linear over the image). g is the
-response of the bonded elastic layer to a small blob of pressure, so that the height is absolute: the gel is at rest far
-from all pressure. The 36 numbers are fitted once to a few touches of a recording, in turn with their pressures, without
-any truth: a dent's colours integrate to a surface only in the right light.
+a_c is the described light, turned and scaled by 36 numbers (for each channel four, linear over the
+image). g is the response of the bonded elastic layer to a small blob of pressure, so that the
+height is absolute: the gel is at rest far from all pressure. The 36 numbers are fitted once to a
+few touches of a recording, in turn with their pressures, without any truth: a dent's colours
+integrate to a surface only in the right light.
 """
 
 from dataclasses import dataclass
@@ -26,29 +28,39 @@ from pipeline.sensors.spec import SensorSpec
 class CoarseSettings:
     """Constants of the coarse light, of its blocks and of the dents that it explains."""
 
-    blocks_along: int = 32  # blocks along the longer side: 10 px of a Mini; more do not decide better
-    knots_along: int = 20  # blobs of pressure along the longer side, about 1 mm apart; one more beyond each border
-    blob_share: float = 0.6  # standard deviation of a blob over the distance of two: the sum of all is flat to 1 %
+    # blocks along the longer side: 10 px of a Mini; more do not decide better
+    blocks_along: int = 32
+    # blobs of pressure along the longer side, about 1 mm apart; one more beyond each border
+    knots_along: int = 20
+    # standard deviation of a blob over the distance of two: the sum of all is flat to 1 %
+    blob_share: float = 0.6
     slope_step: float = 0.05  # mm/mm, of the derivative of the described light
     unmarked_min: float = 0.2  # share of a block that markers must leave visible
     iterations: int = 150  # of the non-negative fit: the misfit changes by less than 1 % beyond
-    pressure_cost: float = 0.0007  # share of the largest pull: with less, pressure spreads where it moves nothing
+    # share of the largest pull: with less, pressure spreads where it moves nothing
+    pressure_cost: float = 0.0007
     light_iterations: int = 5  # alternations of light and dents
-    light_ridge: float = 0.4  # share of the mean curvature that pulls the 36 numbers to the description
-    light_doubt: float = 160.0  # grey^2, the same pull where touches show little: a thousand times a block's noise
-    turn_max: float = 1.0  # of a channel; real instances have up to 0.6, images of another instance 1.4
-    stiffness: float = 8.0  # blocks' worth of the mean squared change that an unlikely drift costs, beside a dent
+    # share of the mean curvature that pulls the 36 numbers to the description
+    light_ridge: float = 0.4
+    # grey^2, the same pull where touches show little: a thousand times a block's noise
+    light_doubt: float = 160.0
+    # of a channel; real instances have up to 0.6, images of another instance 1.4
+    turn_max: float = 1.0
+    # blocks' worth of the mean squared change that an unlikely drift costs, beside a dent
+    stiffness: float = 8.0
 
     gain_std: float = 0.04  # prior of the drift: 3 % (`benchmarks.drift`) and a little more
     offset_std: float = 5.0  # grey
     ramp_std: float = 5.0  # grey from the centre to the border along the longer side
     shift_std: float = 2.0  # px
-    common_share: float = 0.8  # correlation of the colours' drift: 0.75 for light of a random colour
+    # correlation of the colours' drift: 0.75 for light of a random colour
+    common_share: float = 0.8
     noise_grey: float = 0.4  # of a block: camera, compression, what markers leave
 
 
 COARSE = CoarseSettings()
-_DEFAULT_GEL = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)  # where a sensor describes none
+# where a sensor describes none
+_DEFAULT_GEL = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,7 +75,9 @@ class DriftPrior:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DentBasis:
-    """What one unit of pressure at each of m knots does to the gel, at the centres of the blocks."""
+    """What one unit of pressure at each of m knots does to the gel, at the centres of the
+    blocks.
+    """
 
     slopes: Floats  # (rows, cols, 2, m) mm/mm, right and down
     heights: Floats  # (rows, cols, m) mm
@@ -77,7 +91,10 @@ def compute_block_px(shape: tuple[int, ...]) -> int:
 
 
 def compute_block_means(picture: Image | Floats, block: int) -> Floats:
-    """Mean of every whole block (rows // block, cols // block, ...); the last few pixels are dropped."""
+    """Mean of every whole block (rows // block, cols // block, ...).
+
+    The last few pixels are dropped.
+    """
     import cv2
 
     rows, cols = (n // block for n in picture.shape[:2])
@@ -85,14 +102,22 @@ def compute_block_means(picture: Image | Floats, block: int) -> Floats:
     # Integer sums over the rows of a block first take half the time.
     kind = np.uint16 if picture.dtype == np.uint8 and block <= 256 else np.float32
     tall = np.add.reduce(whole.reshape(rows, block, -1), axis=1, dtype=kind).astype(np.float32)
-    wide = cv2.resize(tall.reshape(rows, cols * block, -1), (cols, rows), interpolation=cv2.INTER_AREA)
+    wide = cv2.resize(
+        tall.reshape(rows, cols * block, -1), (cols, rows), interpolation=cv2.INTER_AREA
+    )
     return np.asarray(wide, np.float32).reshape(rows, cols, *picture.shape[2:]) / np.float32(block)
 
 
 def compute_block_change(
-    image: Image, reference: Image, markers: Markers | None, pixel_mm: float, detected: Mask | None = None
+    image: Image,
+    reference: Image,
+    markers: Markers | None,
+    pixel_mm: float,
+    detected: Mask | None = None,
 ) -> Floats:
-    """Mean change (rows, cols, 3) of each block in grey levels; without markers, 0 where they hide nearly all.
+    """Mean change (rows, cols, 3) of each block in grey levels.
+
+    Without markers, 0 where they hide nearly all.
 
     `detected` (rows, cols), what markers hide of the image, is computed where it is None.
     """
@@ -104,9 +129,9 @@ def compute_block_change(
     seen = (~hidden).astype(np.float32)
     share = compute_block_means(seen, block)[..., None]
     change = compute_block_means((image.astype(np.float32) - reference) * seen[..., None], block)
-    return np.where(share > COARSE.unmarked_min, change / np.maximum(share, COARSE.unmarked_min), 0.0).astype(
-        np.float32
-    )
+    return np.where(
+        share > COARSE.unmarked_min, change / np.maximum(share, COARSE.unmarked_min), 0.0
+    ).astype(np.float32)
 
 
 _reference_markers: Memo[tuple[str, Markers, float], Mask] = Memo(4)
@@ -120,8 +145,12 @@ def _detect_reference_markers(reference: Image, markers: Markers, pixel_mm: floa
 
 
 def describe_light(source: SensorSpec) -> Floats:
-    """Colour change (rows, cols, 3, 2) of each block, in grey levels by a slope of 1 to the right and down."""
-    return _described.get_or_make(compute_cached_digest(source), lambda: _differentiate_light(source))
+    """Colour change (rows, cols, 3, 2) of each block, in grey levels by a slope of 1 to the
+    right and down.
+    """
+    return _described.get_or_make(
+        compute_cached_digest(source), lambda: _differentiate_light(source)
+    )
 
 
 _described: Memo[str, Floats] = Memo(8)
@@ -129,10 +158,12 @@ _described: Memo[str, Floats] = Memo(8)
 
 def _differentiate_light(source: SensorSpec) -> Floats:
     level = np.zeros(source.camera.shape, np.float32)
-    step, block = level + np.float32(COARSE.slope_step), compute_block_px(source.camera.shape)
+    step = level + np.float32(COARSE.slope_step)
+    block = compute_block_px(source.camera.shape)
     rates = [
         compute_block_means(
-            optics.compute_colour_change(source, *up) - optics.compute_colour_change(source, *down), block
+            optics.compute_colour_change(source, *up) - optics.compute_colour_change(source, *down),
+            block,
         )
         for up, down in (((step, level), (-step, level)), ((level, step), (level, -step)))
     ]
@@ -148,9 +179,12 @@ def make_dent_basis(source: SensorSpec, pixel_mm: float) -> DentBasis:
 def _make_dent_basis(camera: Camera, gel: Gel, pixel_mm: float) -> DentBasis:
     block = compute_block_px(camera.shape)
     rows, cols = (n // block for n in camera.shape)
-    block_mm, knot_mm = block * pixel_mm, max(camera.shape) * pixel_mm / COARSE.knots_along
+    block_mm = block * pixel_mm
+    knot_mm = max(camera.shape) * pixel_mm / COARSE.knots_along
     y_mm, x_mm = (_center(n) * block_mm for n in (rows, cols))
-    knots_y, knots_x = (_center(int(np.ceil(n * block_mm / knot_mm)) + 2) * knot_mm for n in (rows, cols))
+    knots_y, knots_x = (
+        _center(int(np.ceil(n * block_mm / knot_mm)) + 2) * knot_mm for n in (rows, cols)
+    )
     radius_mm, height, slope = _compute_blob_response(gel, COARSE.blob_share * knot_mm, block_mm)
     dx = x_mm[None, :, None] - np.tile(knots_x, len(knots_y))
     dy = y_mm[:, None, None] - np.repeat(knots_y, len(knots_x))
@@ -168,22 +202,30 @@ def _center(n: int) -> Doubles:
     return np.asarray(np.arange(n) - (n - 1) / 2, np.float64)
 
 
-def _compute_blob_response(gel: Gel, width_mm: float, block_mm: float) -> tuple[Doubles, Doubles, Doubles]:
-    """(radius in mm, height, slope by the radius) of the gel around a blob of pressure, averaged over blocks."""
-    n, step_mm = 512, width_mm / 5
+def _compute_blob_response(
+    gel: Gel, width_mm: float, block_mm: float
+) -> tuple[Doubles, Doubles, Doubles]:
+    """(radius in mm, height, slope by the radius) of the gel around a blob of pressure, averaged
+    over blocks.
+    """
+    n = 512
+    step_mm = width_mm / 5
     waves = 2 * np.pi * np.fft.fftfreq(n, step_mm)
     q2 = waves[:, None] ** 2 + waves[None, : n // 2 + 1] ** 2
     blob = np.exp(-q2 * (width_mm**2 + block_mm**2 / 12) / 2)
-    height = np.fft.irfft2(gel_layer.compute_symbol(gel, step_mm, (n, n)) * blob, s=(n, n))[0, : n // 2]
+    height = np.fft.irfft2(gel_layer.compute_symbol(gel, step_mm, (n, n)) * blob, s=(n, n))[
+        0, : n // 2
+    ]
     height /= height[0]
     return np.arange(n // 2, dtype=np.float64) * step_mm, height, np.gradient(height, step_mm)
 
 
 def solve_pressures(curvature: Floats, pull: Floats, iterations: int) -> Floats:
-    """The p >= 0 (m,) of least p.G.p / 2 - c.p, by accelerated projected gradients with restarts (FISTA).
+    """The p >= 0 (m,) of least p.G.p / 2 - c.p, by accelerated projected gradients with restarts
+    (FISTA).
 
-    `curvature` G (m, m) is positive definite, with a largest eigenvalue of at most 1. (Beck and Teboulle 2009;
-    O'Donoghue and Candes 2015.)
+    `curvature` G (m, m) is positive definite, with a largest eigenvalue of at most 1. (Beck and
+    Teboulle 2009; O'Donoghue and Candes 2015.)
     """
     pressures = ahead = np.zeros_like(pull)
     momentum = 1.0
@@ -191,7 +233,8 @@ def solve_pressures(curvature: Floats, pull: Floats, iterations: int) -> Floats:
         stepped = np.maximum(ahead - curvature @ ahead + pull, 0)
         moved = stepped - pressures
         if float((ahead - stepped) @ moved) > 0:
-            momentum, ahead = 1.0, stepped
+            momentum = 1.0
+            ahead = stepped
         else:
             following = (1 + np.sqrt(1 + 4 * momentum * momentum)) / 2
             ahead = stepped + np.float32((momentum - 1) / following) * moved
@@ -202,7 +245,10 @@ def solve_pressures(curvature: Floats, pull: Floats, iterations: int) -> Floats:
 
 def make_dent_columns(light: Floats, basis: DentBasis) -> Floats:
     """The change (n, m) of all blocks and colours by each pressure."""
-    colours = light[..., 0, None] * basis.slopes[:, :, None, 0] + light[..., 1, None] * basis.slopes[:, :, None, 1]
+    colours = (
+        light[..., 0, None] * basis.slopes[:, :, None, 0]
+        + light[..., 1, None] * basis.slopes[:, :, None, 1]
+    )
     return freeze(np.ascontiguousarray(colours.reshape(-1, basis.slopes.shape[-1]), np.float32))
 
 
@@ -216,44 +262,66 @@ def make_drift_prior(reference: Image, source: SensorSpec, pixel_mm: float) -> D
         still = remove_printed_markers(reference, markers, pixel_mm)[1]
     block = compute_block_px(reference.shape)
     by_x, by_y = (0.5 * cv2.Sobel(still, cv2.CV_32F, *axis, ksize=1) for axis in ((1, 0), (0, 1)))
-    mean, by_x, by_y = (compute_block_means(np.asarray(a, np.float32), block) for a in (still, by_x, by_y))
+    mean, by_x, by_y = (
+        compute_block_means(np.asarray(a, np.float32), block) for a in (still, by_x, by_y)
+    )
     rows, cols = mean.shape[:2]
     half = max(rows, cols) / 2
     y, x = np.meshgrid(
-        (np.arange(rows) - (rows - 1) / 2) / half, (np.arange(cols) - (cols - 1) / 2) / half, indexing="ij"
+        (np.arange(rows) - (rows - 1) / 2) / half,
+        (np.arange(cols) - (cols - 1) / 2) / half,
+        indexing="ij",
     )
     columns = np.zeros((rows, cols, 3, 14), np.float32)
     for colour in range(3):
-        columns[:, :, colour, 4 * colour : 4 * colour + 4] = np.stack([mean[..., colour], np.ones_like(x), x, y], -1)
-    columns[..., 12], columns[..., 13] = -by_x, -by_y
+        columns[:, :, colour, 4 * colour : 4 * colour + 4] = np.stack(
+            [mean[..., colour], np.ones_like(x), x, y], -1
+        )
+    columns[..., 12] = -by_x
+    columns[..., 13] = -by_y
     stds = np.array([COARSE.gain_std, COARSE.offset_std, COARSE.ramp_std, COARSE.ramp_std])
     covariance = np.diag(np.full(14, COARSE.shift_std**2))
     covariance[:12, :12] = np.kron(correlate_colours(COARSE.common_share), np.diag(stds**2))
-    precision, columns = np.linalg.inv(covariance), columns.reshape(-1, 14)
+    precision = np.linalg.inv(covariance)
+    columns = columns.reshape(-1, 14)
     curvature = columns.astype(np.float64).T @ columns
     return DriftPrior(
-        columns=freeze(columns), precision=freeze(precision), curvature=freeze(curvature),
+        columns=freeze(columns),
+        precision=freeze(precision),
+        curvature=freeze(curvature),
         projection=freeze(_invert(COARSE.noise_grey**2 * precision + curvature)),
-    )  # fmt: skip
+    )
 
 
 def fit_dent(
-    of_dent: Floats, pull: Floats, drift_cost: float, drift: DriftPrior, by_drift: Floats, curvature: Floats
+    of_dent: Floats,
+    pull: Floats,
+    drift_cost: float,
+    drift: DriftPrior,
+    by_drift: Floats,
+    curvature: Floats,
 ) -> tuple[Floats, Doubles]:
-    """Pressures (m,) and the drift (14,) beside them that explain a change; `drift_cost` (grey^2) holds the drift back.
+    """Pressures (m,) and the drift (14,) beside them that explain a change.
 
-    `of_dent`, `pull`: columns^T change of dent and drift; `by_drift` (14, m), `curvature` (m, m): columns^T columns.
+    `drift_cost` (grey^2) holds the drift back.
+
+    `of_dent`, `pull`: columns^T change of dent and drift; `by_drift` (14, m), `curvature` (m, m):
+    columns^T columns.
     """
     projection = _invert(max(COARSE.noise_grey**2, drift_cost) * drift.precision + drift.curvature)
     left = curvature - by_drift.T @ (projection @ by_drift).astype(np.float32)
-    unit = np.asarray(np.maximum(np.diag(left), 1e-3 * float(np.diag(left).max())) ** -0.5, np.float32)
+    unit = np.asarray(
+        np.maximum(np.diag(left), 1e-3 * float(np.diag(left).max())) ** -0.5, np.float32
+    )
     left = np.asarray(left * unit * unit[:, None], np.float32)
     length = np.float32(1.1 * _estimate_norm(left))
     left[np.diag_indices_from(left)] += np.float32(1e-4)
     right = (of_dent - by_drift.T @ (projection @ pull)).astype(np.float32) * unit
     right -= np.float32(COARSE.pressure_cost) * right.max()
     pressures = unit * solve_pressures(left / length, right / length, COARSE.iterations)
-    return np.asarray(pressures, np.float32), np.asarray(projection @ (pull - by_drift @ pressures), np.float64)
+    return np.asarray(pressures, np.float32), np.asarray(
+        projection @ (pull - by_drift @ pressures), np.float64
+    )
 
 
 def _invert(matrix: Doubles) -> Doubles:
@@ -269,8 +337,13 @@ def _estimate_norm(curvature: Floats) -> float:
     return float(vector @ (curvature @ vector))
 
 
-def estimate_light(touches: tuple[Image, ...], reference: Image, source: SensorSpec, pixel_mm: float) -> Floats:
-    """Coarse light (rows, cols, 3, 2) of an instance, by touches of unknown shape; described light without any."""
+def estimate_light(
+    touches: tuple[Image, ...], reference: Image, source: SensorSpec, pixel_mm: float
+) -> Floats:
+    """Coarse light (rows, cols, 3, 2) of an instance, by touches of unknown shape.
+
+    Described light without any.
+    """
     if not touches:
         return describe_light(source)
     key = (
@@ -279,30 +352,40 @@ def estimate_light(touches: tuple[Image, ...], reference: Image, source: SensorS
         compute_cached_digest(source),
         str(pixel_mm),
     )
-    return _instance_lights.get_or_make(key, lambda: _fit_light(touches, reference, source, pixel_mm))
+    return _instance_lights.get_or_make(
+        key, lambda: _fit_light(touches, reference, source, pixel_mm)
+    )
 
 
 _instance_lights: Memo[tuple[str, ...], Floats] = Memo(8)
 
 
-def _fit_light(touches: tuple[Image, ...], reference: Image, source: SensorSpec, pixel_mm: float) -> Floats:
-    described, basis = describe_light(source), make_dent_basis(source, pixel_mm)
+def _fit_light(
+    touches: tuple[Image, ...], reference: Image, source: SensorSpec, pixel_mm: float
+) -> Floats:
+    described = describe_light(source)
+    basis = make_dent_basis(source, pixel_mm)
     drift = make_drift_prior(reference, source, pixel_mm)
-    changes = [compute_block_change(image, reference, source.markers, pixel_mm).ravel() for image in touches]
+    changes = [
+        compute_block_change(image, reference, source.markers, pixel_mm).ravel()
+        for image in touches
+    ]
     light = described
     for _ in range(COARSE.light_iterations):
         columns = make_dent_columns(light, basis)
-        by_drift, curvature = drift.columns.T @ columns, columns.T @ columns
-        normal, right = np.zeros((3, 12, 12)), np.zeros((3, 12))
+        by_drift = drift.columns.T @ columns
+        curvature = columns.T @ columns
+        normal = np.zeros((3, 12, 12))
+        right = np.zeros((3, 12))
         for change in changes:
             cost = COARSE.stiffness * float(change @ change) / change.size
             fitted = columns.T @ change, drift.columns.T @ change, cost
             pressures, beside = fit_dent(*fitted, drift, by_drift, curvature)
             slopes = basis.slopes @ pressures
             rates = make_turn_columns(described, slopes)
-            left = (change - drift.columns @ beside).reshape(-1, 3) - (described * slopes[:, :, None]).sum(-1).reshape(
-                -1, 3
-            )
+            left = (change - drift.columns @ beside).reshape(-1, 3) - (
+                described * slopes[:, :, None]
+            ).sum(-1).reshape(-1, 3)
             normal += np.einsum("nki,nkj->kij", rates, rates, optimize=True)
             right += np.einsum("nki,nk->ki", rates, left)
         strength = COARSE.light_ridge * np.trace(normal, axis1=1, axis2=2) / 12 + COARSE.light_doubt
@@ -315,18 +398,25 @@ def _fit_light(touches: tuple[Image, ...], reference: Image, source: SensorSpec,
 
 
 def turn_light(described: Floats, turns: Doubles) -> Floats:
-    """The light (rows, cols, 3, 2), turned and scaled by `turns` (3, 4, 3): channel, kind, place (1, right, down)."""
+    """The light (rows, cols, 3, 2), turned and scaled by `turns` (3, 4, 3): channel, kind, place
+    (1, right, down).
+    """
     by = np.einsum("rcp,ktp->rckt", _make_places(*described.shape[:2]), turns)
-    x, y = described[..., 0], described[..., 1]
-    return np.stack([x * (1 + by[..., 0]) - y * by[..., 2], y * (1 + by[..., 1]) + x * by[..., 3]], -1).astype(
-        np.float32
-    )
+    x = described[..., 0]
+    y = described[..., 1]
+    return np.stack(
+        [x * (1 + by[..., 0]) - y * by[..., 2], y * (1 + by[..., 1]) + x * by[..., 3]], -1
+    ).astype(np.float32)
 
 
 def make_turn_columns(described: Floats, slopes: Floats) -> Floats:
-    """Derivative (rows x cols, 3, 12) by `turns` of the change by a dent of these `slopes` (rows, cols, 2)."""
-    x, y = described[..., 0], described[..., 1]
-    gx, gy = slopes[..., None, 0], slopes[..., None, 1]
+    """Derivative (rows x cols, 3, 12) by `turns` of the change by a dent of these `slopes`
+    (rows, cols, 2).
+    """
+    x = described[..., 0]
+    y = described[..., 1]
+    gx = slopes[..., None, 0]
+    gy = slopes[..., None, 1]
     kinds = np.stack([x * gx, y * gy, -y * gx, x * gy], -1)
     columns = kinds[..., None] * _make_places(*described.shape[:2])[:, :, None, None]
     return columns.reshape(-1, 3, 12).astype(np.float32)

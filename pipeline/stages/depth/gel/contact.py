@@ -21,18 +21,25 @@ from pipeline.stages.depth.gel.slopes import FrameSlopes
 from pipeline.stages.depth.gel.surface import FrameSurface
 from pipeline.stages.depth.illumination.light import FrameLight
 
-_FADE_START, _FADE_END = 0.2, 0.6  # gel thicknesses from the contact, see `_relax_surface`
-_FAR = 0.7  # gel thicknesses from the contact: the gel is neither indented nor pulled down there (`rest_level`)
+# gel thicknesses from the contact, see `_relax_surface`
+_FADE_START = 0.2
+_FADE_END = 0.6
+# gel thicknesses from the contact: the gel is neither indented nor pulled down there (`rest_level`)
+_FAR = 0.7
 _PRESSURE_BLUR_PX = 1.5  # blur of the relative pressure that separates certain contact (chosen)
 _CONTACT_BLUR_PX = 1.0
 _PRESSURE_CELLS = 220  # of that pressure's grid, along the longer side
-_CERTAIN_SLOPE, _CERTAIN_SHARE = 0.04, 0.1  # mm/mm, and of the peak: relative pressure that noise does not reach
+# mm/mm, and of the peak: relative pressure that noise does not reach
+_CERTAIN_SLOPE = 0.04
+_CERTAIN_SHARE = 0.1
 _GRAIN_SHARE = 0.5  # of the peak: a speck with this much pressure is no noise
 _SPECK_MM2 = 0.15  # smaller contacts are camera noise
-_HOLE_MM2 = 0.5  # gaps that a rough ball or a book leaves between its threads (`benchmarks/real_things.py`)
+# gaps that a rough ball or a book leaves between its threads (`benchmarks/real_things.py`)
+_HOLE_MM2 = 0.5
 _BORDER_GEL = 0.5  # gel thicknesses, within which the gel beyond the border affects what is visible
 _WEAK_SHADING = StageWarning(
-    "the LEDs hardly shade slopes where the sensor is touched: sizes and depths may be wrong by half; calibrate"
+    "the LEDs hardly shade slopes where the sensor is touched: sizes and depths may be wrong by "
+    "half; calibrate"
 )
 
 
@@ -56,25 +63,38 @@ def detect_contact(
 ) -> DepthMap:
     """The depth map of a surface: its contact, and what mechanics let the gel do around it."""
     progress.step(0.0, "relaxing the gel around the contact")
-    source, changed, used, calibration = rest.source, slopes.changed, light.illumination, light.calibration
-    window, pixel_mm, shape = changed.window, calibration.pixel_mm, source.camera.shape
+    source = rest.source
+    changed = slopes.changed
+    used = light.illumination
+    calibration = light.calibration
+    window = changed.window
+    pixel_mm = calibration.pixel_mm
+    shape = source.camera.shape
     here = (window.rows, window.cols)
     notes = [*change.rest.notes, *slopes.notes, *light.notes, *surface.notes]
     z, inside = _level_surface(surface.surface_mm, window, source, pixel_mm)
     pressed = inside | contact.detect_contact(
-        z, pixel_mm, least_mm=params.contact_limit * source.limits.contact_min_mm,
-        pressure_share=params.pressure_share, smoothing_px=_CONTACT_BLUR_PX,
+        z,
+        pixel_mm,
+        least_mm=params.contact_limit * source.limits.contact_min_mm,
+        pressure_share=params.pressure_share,
+        smoothing_px=_CONTACT_BLUR_PX,
         median_pressure_share=calibration.median_pressure_share or contact.MEDIAN_PRESSURE_SHARE,
-    )  # fmt: skip
-    pressed = contact.remove_specks(pressed & (window.changed | inside), max(4, round(_SPECK_MM2 / pixel_mm**2)))
+    )
+    pressed = contact.remove_specks(
+        pressed & (window.changed | inside), max(4, round(_SPECK_MM2 / pixel_mm**2))
+    )
     pressed = light_changes.remove_light_changes(pressed, z, changed, used)
     border = np.pad(np.zeros((shape[0] - 2, shape[1] - 2), np.bool_), 1, constant_values=True)[here]
     pressed = false_contacts.remove_false_contacts(pressed, z, pixel_mm, border, window.changed)
     pressed = contact.fill_small_holes(pressed, round(_HOLE_MM2 / pixel_mm**2))
     narrow_px = _BORDER_GEL * (0.0 if source.gel is None else source.gel.thickness_mm) / pixel_mm
-    touched, indentation = np.zeros(shape, np.bool_), np.zeros(shape, np.float32)
+    touched = np.zeros(shape, np.bool_)
+    indentation = np.zeros(shape, np.float32)
     touched[here] = contact.remove_border_artifacts(pressed, z, *here, shape, narrow_px)
-    distance = None if source.gel is None else _compute_distance(touched[here], pixel_mm, source.gel)
+    distance = (
+        None if source.gel is None else _compute_distance(touched[here], pixel_mm, source.gel)
+    )
     if used is not None and used.is_trusted:
         z = _level_far_field(z, touched[here], distance, window, source, pixel_mm)
     indentation[here] = _relax_surface(z, touched[here], distance, window, source, pixel_mm)
@@ -82,35 +102,55 @@ def detect_contact(
     if by_near_leds and near_led_prior.has_weak_shading(touched, change.rest.image, source):
         notes.append(_WEAK_SHADING)
     return make_gel_depth(
-        indentation, touched, frame, rest, tuple(notes), calibration=calibration, illumination=used,
+        indentation,
+        touched,
+        frame,
+        rest,
+        tuple(notes),
+        calibration=calibration,
+        illumination=used,
         mirroring=mirror_check.describe_mirroring(cast("Image", frame.reference), source, changed),
-    )  # fmt: skip
+    )
 
 
-def _level_surface(surface: Floats, window: ImageWindow, source: SensorSpec, pixel_mm: float) -> tuple[Floats, Mask]:
+def _level_surface(
+    surface: Floats, window: ImageWindow, source: SensorSpec, pixel_mm: float
+) -> tuple[Floats, Mask]:
     """The surface (rows, cols) with its rest at zero, and a mask of the inside of flat faces."""
     if source.gel is None:
         return surface, np.zeros_like(window.changed)
     by = max(1, round(max(source.camera.shape) / _PRESSURE_CELLS))
     cells = rest_level.downsample(surface, by)
     changed_share = rest_level.downsample(window.changed.astype(np.float32), by)
-    pressure = contact.compute_relative_pressure(cells, _PRESSURE_BLUR_PX / by) / np.float32(pixel_mm * by)
+    pressure = contact.compute_relative_pressure(cells, _PRESSURE_BLUR_PX / by) / np.float32(
+        pixel_mm * by
+    )
     pressure[changed_share == 0] = 0.0
-    certain = np.asarray(pressure > max(_CERTAIN_SLOPE, _CERTAIN_SHARE * float(pressure.max())), np.bool_)
-    certain = contact.remove_weak_specks(certain, pressure, _SPECK_MM2 / (pixel_mm * by) ** 2, _GRAIN_SHARE)
+    certain = np.asarray(
+        pressure > max(_CERTAIN_SLOPE, _CERTAIN_SHARE * float(pressure.max())), np.bool_
+    )
+    certain = contact.remove_weak_specks(
+        certain, pressure, _SPECK_MM2 / (pixel_mm * by) ** 2, _GRAIN_SHARE
+    )
     pressed = rest_level.upsample(certain.astype(np.float32), surface.shape)
     levelled = rest_level.level_surface(surface, pressed > 0.5, pixel_mm, source.gel)
     return levelled.surface_mm, levelled.face_interior
 
 
 def _relax_surface(
-    surface: Floats, touched: Mask, distance: Floats | None, window: ImageWindow, source: SensorSpec, pixel_mm: float
+    surface: Floats,
+    touched: Mask,
+    distance: Floats | None,
+    window: ImageWindow,
+    source: SensorSpec,
+    pixel_mm: float,
 ) -> Floats:
     """The surface (rows, cols) without what the gel cannot do.
 
-    Outside a contact a nearly incompressible layer of thickness t, bonded to its back, falls to its rest within about
-    t / 2 and bulges beyond: between t / 5 and 3 t / 5 from the contact, the measured surface passes into the mechanical
-    one. Without a contact the surface stays as measured.
+    Outside a contact a nearly incompressible layer of thickness t, bonded to its back, falls to its
+    rest within about t / 2 and bulges beyond: between t / 5 and 3 t / 5 from the contact, the
+    measured surface passes into the mechanical one. Without a contact the surface stays as
+    measured.
     """
     if source.gel is None or not touched.any():
         return surface * window.blend_weight
@@ -122,11 +162,17 @@ def _relax_surface(
 
 
 def _level_far_field(
-    surface: Floats, touched: Mask, distance: Floats | None, window: ImageWindow, source: SensorSpec, pixel_mm: float
+    surface: Floats,
+    touched: Mask,
+    distance: Floats | None,
+    window: ImageWindow,
+    source: SensorSpec,
+    pixel_mm: float,
 ) -> Floats:
     """The surface (rows, cols), shifted to the height that mechanics give it far from the contact.
 
-    Only for light whose LEDs are known: other light is estimated from surfaces that are at rest outside the contact.
+    Only for light whose LEDs are known: other light is estimated from surfaces that are at rest
+    outside the contact.
     """
     if source.gel is None or distance is None or not touched.any():
         return surface

@@ -1,19 +1,23 @@
-"""Drift between a reference image and a later one: changes of the light and of the lens position without a touch.
+"""Drift between a reference image and a later one: changes of the light and of the lens position
+without a touch.
 
-LEDs warm up and fade, daylight leaks in, a camera sits loosely in its housing. Over blocks of pixels the later image is
+LEDs warm up and fade, daylight leaks in, a camera sits loosely in its housing. Over blocks of
+pixels the later image is
 
-    I_c = (1 + g_c) R_c + b_c + r_c . (u, v) - s . grad R_c        per colour c; the shift s is the same for all
+    I_c = (1 + g_c) R_c + b_c + r_c . (u, v) - s . grad R_c        per colour c; the shift s is the
+    same for all
 
-with R the reference. A gain that all colours and most blocks share and that is more than a tenth is the camera's
-exposure: one number, taken out of R before the fit. A touch fits none of this: its blocks are outliers, which a
-redescending weight removes from the fit (Geman and McClure 1985), from a wide scale to a narrow one, so no initial
-guess is needed. If too few blocks agree, the drift is unknown. What a wide, smooth dent explains (`change`) is taken
-from the image first, so that drift does not take it for its own; a small one is an outlier, and what the coarse light
-gets wrong of it would be taken for drift.
+with R the reference. A gain that all colours and most blocks share and that is more than a tenth is
+the camera's exposure: one number, taken out of R before the fit. A touch fits none of this: its
+blocks are outliers, which a redescending weight removes from the fit (Geman and McClure 1985), from
+a wide scale to a narrow one, so no initial guess is needed. If too few blocks agree, the drift is
+unknown. What a wide, smooth dent explains (`change`) is taken from the image first, so that drift
+does not take it for its own; a small one is an outlier, and what the coarse light gets wrong of it
+would be taken for drift.
 
-A touch changes light far from it as well: by light that its flanks scatter, and by gel that bulges. That looks like a
-small drift. So a small one is left alone, a large one removed, and one in between in part: noise moves the result
-gradually.
+A touch changes light far from it as well: by light that its flanks scatter, and by gel that bulges.
+That looks like a small drift. So a small one is left alone, a large one removed, and one in between
+in part: noise moves the result gradually.
 """
 
 from __future__ import annotations
@@ -37,11 +41,14 @@ class DriftSettings:
 
     blocks_along: int = 54  # along the longer side: more do not improve the fit of smooth changes
     block_min_px: int = 8
-    scales_grey: tuple[float, ...] = (24.0, 12.0, 6.0, 3.0)  # of the weights in successive fits, before the noise's
+    # of the weights in successive fits, before the noise's
+    scales_grey: tuple[float, ...] = (24.0, 12.0, 6.0, 3.0)
     agreement_grey: float = 1.5  # residual up to which a block agrees, where noise is low
-    agreement_sigmas: float = 3.0  # the same in standard deviations of a block's noise, where that is more
+    # the same in standard deviations of a block's noise, where that is more
+    agreement_sigmas: float = 3.0
     agreement_min: float = 0.3  # share of the blocks; fewer may be part of a touch
-    # Share by which more blocks agree than without drift: up to the first it is left alone, from the second removed.
+    # Share by which more blocks agree than without drift: up to the first it is left alone, from
+    # the second removed.
     agreement_gain: tuple[float, float] = (0.25, 0.35)
     prior_std: tuple[float, ...] = (
         0.05,
@@ -55,7 +62,8 @@ class DriftSettings:
     shift_max_px: float = 8.0
     exposure_min: float = 0.1  # deviation from 1 of a common gain
     exposure_max: float = 3.0  # the gain, or its inverse
-    exposure_grey: tuple[float, float] = (16.0, 250.0)  # between which a block's ratio to the reference is a gain
+    # between which a block's ratio to the reference is a gain
+    exposure_grey: tuple[float, float] = (16.0, 250.0)
     exposure_tolerance: float = 0.04  # relative deviation from the common gain
     exposure_share: float = 0.5  # of the blocks that agree
     iterations: int = 4
@@ -64,9 +72,11 @@ class DriftSettings:
     note_gain: float = 0.012  # changes that get a note
     note_grey: float = 2.5
     note_px: float = 0.4
-    # All drift together: two simulated instances that a drift explains 23 to 49; gain 3 %, ramp 12, 2 px: 11.
+    # All drift together: two simulated instances that a drift explains 23 to 49; gain 3 %, ramp 12,
+    # 2 px: 11.
     instance_drift_grey: float = 18.0
-    foreign_grey: float = 7.0  # change of three quarters of an image whose reference is of another instance
+    # change of three quarters of an image whose reference is of another instance
+    foreign_grey: float = 7.0
 
 
 DRIFT = DriftSettings()
@@ -87,22 +97,33 @@ class Drift:
         notes: list[str] = []
         change = float(self.gain.mean()) - 1.0
         grey = float(np.abs(self.offset_grey).max() + np.abs(self.ramp_grey).max())
-        if max(float(np.abs(self.gain - 1.0).max()) / DRIFT.note_gain, grey / DRIFT.note_grey) > 1.0:
-            notes.append(f"the light has drifted since the reference ({100 * change:+.1f} %, up to {grey:.0f} grey "
-                        "levels across the image); it is removed")  # fmt: skip
+        if (
+            max(float(np.abs(self.gain - 1.0).max()) / DRIFT.note_gain, grey / DRIFT.note_grey)
+            > 1.0
+        ):
+            notes.append(
+                f"the light has drifted since the reference ({100 * change:+.1f} %, up to "
+                f"{grey:.0f} grey "
+                "levels across the image); it is removed"
+            )
         if math.hypot(*self.shift_px) > DRIFT.note_px:
             notes.append(
-                f"the image has moved by {math.hypot(*self.shift_px):.1f} px against the reference; it is removed"
+                f"the image has moved by {math.hypot(*self.shift_px):.1f} px against the "
+                "reference; it is removed"
             )
         return tuple(notes)
 
     def exceeds_instance_drift(self, bright_grey: float) -> bool:
-        """Whether the light changed so much, for images of this mean, that they may be of two sensor instances.
+        """Whether the light changed so much, for images of this mean, that they may be of two
+        sensor instances.
 
         Stray light of a touch reaches as much with a DIGIT's balls.
         """
         grey = float(np.abs(self.gain - 1.0).max()) * bright_grey
-        return grey + float(np.abs(self.offset_grey).max() + np.abs(self.ramp_grey).max()) > DRIFT.instance_drift_grey
+        return (
+            grey + float(np.abs(self.offset_grey).max() + np.abs(self.ramp_grey).max())
+            > DRIFT.instance_drift_grey
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,7 +147,9 @@ class _Blocks:
 
 @dataclass(frozen=True, kw_only=True)  # without slots, which a cached property needs
 class _ReferenceSums:
-    """Sums of a reference image over all rectangles: block means for any shift without moving an image."""
+    """Sums of a reference image over all rectangles: block means for any shift without moving an
+    image.
+    """
 
     sums: Doubles  # (rows + 1, cols + 1, 3) of the image with its margin
     margin: int  # px
@@ -139,7 +162,9 @@ class _ReferenceSums:
         return self.compute_blocks(np.zeros(2), 1.0)
 
     def compute_blocks(self, shift_px: Doubles, gain: float) -> _Blocks:
-        """The blocks of the image moved by a shift (right, down) of at most the margin, times a gain."""
+        """The blocks of the image moved by a shift (right, down) of at most the margin, times a
+        gain.
+        """
         (n, m), x = self.shape, float(shift_px[0])
         y = float(shift_px[1])
         rows = {dy: self._take(self.sums, n, y + dy, axis=0) for dy in (-1.0, 0.0, 1.0)}
@@ -154,28 +179,43 @@ class _ReferenceSums:
 
     def _take(self, sums: Doubles, n: int, shift_px: float, axis: int) -> Doubles:
         """Sums over n blocks along an axis, for an image moved along it."""
-        at = self.margin - min(max(shift_px, -self.margin + 2.0), self.margin - 3.0) + self.block * np.arange(n + 1)
+        at = (
+            self.margin
+            - min(max(shift_px, -self.margin + 2.0), self.margin - 3.0)
+            + self.block * np.arange(n + 1)
+        )
         low = at.astype(np.intp)
         share = (at - low).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
         ends = sums.take(low, axis) * (1.0 - share) + sums.take(low + 1, axis) * share
         return np.diff(ends, axis=axis)
 
 
-def estimate_rest_image(image: Image, reference: Image, dent_grey: Floats | None = None) -> RestImage:
-    """The reference (rows, cols, 3) in the light and place of `image`, as far as what no dent explains shows them.
+def estimate_rest_image(
+    image: Image, reference: Image, dent_grey: Floats | None = None
+) -> RestImage:
+    """The reference (rows, cols, 3) in the light and place of `image`, as far as what no dent
+    explains shows them.
 
     `dent_grey` as `fit_drift` takes it.
     """
     drift, foreign = fit_drift(image, reference, dent_grey)
     warning = StageWarning(
-        "most of the image differs from the reference, so depth may be wrong: record a new reference of this sensor"
+        "most of the image differs from the reference, so depth may be wrong: record a new "
+        "reference of this sensor"
     )
     notes: tuple[str, ...] = (warning,) if foreign else ()
     if drift is None:
-        return RestImage(image=freeze(reference.astype(np.float32)), image_8bit=reference, drift=None, notes=notes)
+        return RestImage(
+            image=freeze(reference.astype(np.float32)),
+            image_8bit=reference,
+            drift=None,
+            notes=notes,
+        )
     picture = apply_drift(reference, drift)
     grey = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
-    return RestImage(image=freeze(picture), image_8bit=freeze(grey), drift=drift, notes=notes + drift.notes)
+    return RestImage(
+        image=freeze(picture), image_8bit=freeze(grey), drift=drift, notes=notes + drift.notes
+    )
 
 
 def describe_no_contact(still: RestImage) -> str:
@@ -185,8 +225,12 @@ def describe_no_contact(still: RestImage) -> str:
     return "nothing touches the sensor"
 
 
-def fit_drift(image: Image, reference: Image, dent_grey: Floats | None = None) -> tuple[Drift | None, bool]:
-    """(drift from `reference` to `image` to remove, None if unknown; whether they may be of two sensor instances).
+def fit_drift(
+    image: Image, reference: Image, dent_grey: Floats | None = None
+) -> tuple[Drift | None, bool]:
+    """(drift from `reference` to `image` to remove, None if unknown.
+
+    Whether they may be of two sensor instances).
 
     `dent_grey` (rows, cols, 3) of any blocks is the change by a dent, which is no drift.
     """
@@ -198,44 +242,74 @@ def fit_drift(image: Image, reference: Image, dent_grey: Floats | None = None) -
     now, still = _compute_blocks(image, reference)
     exposure = _compare_exposure(now, still)
     if dent_grey is not None and dent_grey.any():
-        now = now - np.float32(exposure) * cv2.resize(dent_grey, now.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+        now = now - np.float32(exposure) * cv2.resize(
+            dent_grey, now.shape[1::-1], interpolation=cv2.INTER_LINEAR
+        )
     change = np.abs(now - still.mean.reshape(now.shape)).max(axis=2)
     sums = _sum_reference(reference, block)
     still = still if exposure == 1.0 else sums.compute_blocks(np.zeros(2), exposure)
     residual = now - still.mean.reshape(now.shape)
     agrees = _compute_agreement_grey(residual)
     foreign = float(np.percentile(np.abs(residual).max(axis=2), 25)) > DRIFT.foreign_grey
-    if agrees <= DRIFT.agreement_grey and float((change < agrees).mean()) > 1.0 - DRIFT.agreement_gain[0]:
+    if (
+        agrees <= DRIFT.agreement_grey
+        and float((change < agrees).mean()) > 1.0 - DRIFT.agreement_gain[0]
+    ):
         return None, foreign
-    place, shift, solution = _make_positions(*now.shape[:2]), np.zeros(2), np.zeros(14)
+    place = _make_positions(*now.shape[:2])
+    shift = np.zeros(2)
+    solution = np.zeros(14)
     for _ in range(DRIFT.iterations):
         solution, left = _solve(now.reshape(-1, 3), still, place, shift, agrees)
         residual = left.reshape(now.shape)
         shift = shift + solution[12:]
-        if float(np.abs(solution[12:]).max()) < DRIFT.shift_tolerance_px or math.hypot(*shift) > DRIFT.shift_max_px:
+        if (
+            float(np.abs(solution[12:]).max()) < DRIFT.shift_tolerance_px
+            or math.hypot(*shift) > DRIFT.shift_max_px
+        ):
             break
         still = sums.compute_blocks(shift, exposure)
     agrees = _compute_agreement_grey(residual)  # texture that has moved looks like noise before
     alike, agree = (float((a < agrees).mean()) for a in (change, np.abs(residual).max(axis=2)))
     own = solution[:12].reshape(3, 4)
-    small = float(np.abs(own[:, 0]).max()) < DRIFT.gain_max and float(np.abs(own[:, 1:]).max()) < DRIFT.grey_max
+    small = (
+        float(np.abs(own[:, 0]).max()) < DRIFT.gain_max
+        and float(np.abs(own[:, 1:]).max()) < DRIFT.grey_max
+    )
     share = _step(agree - alike, DRIFT.agreement_gain)
-    if not small or math.hypot(*shift) > DRIFT.shift_max_px or agree < DRIFT.agreement_min or share == 0.0:
+    if (
+        not small
+        or math.hypot(*shift) > DRIFT.shift_max_px
+        or agree < DRIFT.agreement_min
+        or share == 0.0
+    ):
         return None, foreign
     gain = 1.0 + share * (exposure * (1.0 + own[:, 0]) - 1.0)
-    own, shift = share * own, share * shift
-    return Drift(gain=gain, offset_grey=own[:, 1], ramp_grey=own[:, 2:],
-                 shift_px=(float(shift[0]), float(shift[1]))), False  # fmt: skip
+    own = share * own
+    shift = share * shift
+    return Drift(
+        gain=gain,
+        offset_grey=own[:, 1],
+        ramp_grey=own[:, 2:],
+        shift_px=(float(shift[0]), float(shift[1])),
+    ), False
 
 
 def estimate_exposure(image: Image, reference: Image) -> float:
-    """The gain of the camera between two images (rows, cols, 3), where it is larger than a drift; else 1."""
+    """The gain of the camera between two images (rows, cols, 3), where it is larger than a drift.
+
+    Else 1.
+    """
     return _compare_exposure(*_compute_blocks(image, reference))
 
 
 def remove_exposure(image: Image, exposure: float) -> Image:
     """The image (rows, cols, 3) as with the exposure of its reference."""
-    return image if exposure == 1.0 else np.clip(np.rint(image * np.float32(1.0 / exposure)), 0, 255).astype(np.uint8)
+    return (
+        image
+        if exposure == 1.0
+        else np.clip(np.rint(image * np.float32(1.0 / exposure)), 0, 255).astype(np.uint8)
+    )
 
 
 def _compute_block_px(image: Image) -> int:
@@ -250,17 +324,24 @@ def _compute_blocks(image: Image, reference: Image) -> tuple[Floats, _Blocks]:
 
 def _compare_exposure(means: Floats, reference: _Blocks) -> float:
     """The gain that all colours of most blocks (rows, cols, 3) share."""
-    now, still = means.reshape(-1, 3), reference.mean
+    now = means.reshape(-1, 3)
+    still = reference.mean
     low, high = DRIFT.exposure_grey
     usable = (still > low) & (now < high)
     if not usable.any():
         return 1.0
     ratio = now[usable] / still[usable]
     gain = float(np.median(ratio))
-    if abs(gain - 1.0) < DRIFT.exposure_min or not 1.0 / DRIFT.exposure_max < gain < DRIFT.exposure_max:
+    if (
+        abs(gain - 1.0) < DRIFT.exposure_min
+        or not 1.0 / DRIFT.exposure_max < gain < DRIFT.exposure_max
+    ):
         return 1.0
     return (
-        gain if float((np.abs(ratio / gain - 1.0) < DRIFT.exposure_tolerance).mean()) >= DRIFT.exposure_share else 1.0
+        gain
+        if float((np.abs(ratio / gain - 1.0) < DRIFT.exposure_tolerance).mean())
+        >= DRIFT.exposure_share
+        else 1.0
     )
 
 
@@ -276,7 +357,8 @@ def _compute_agreement_grey(residual: Floats | Doubles) -> float:
 
 
 def _estimate_noise(change: Floats | Doubles) -> float:
-    """1.05 times the quarter quantile of the differences of neighbouring blocks: 4/3 of a block's standard deviation.
+    """1.05 times the quarter quantile of the differences of neighbouring blocks: 4/3 of a block's
+    standard deviation.
 
     Most of an image changes smoothly; with moved markers, a quarter of it does.
     """
@@ -287,17 +369,26 @@ def _estimate_noise(change: Floats | Doubles) -> float:
 def apply_drift(reference: Image, drift: Drift) -> Floats:
     """The reference (rows, cols, 3) with the drift applied; grey levels may lie outside 0 to 255.
 
-    Where a longer exposure than the reference's has clipped the image, the reference is clipped as well.
+    Where a longer exposure than the reference's has clipped the image, the reference is clipped as
+    well.
     """
     rows, cols = reference.shape[:2]
     small = math.hypot(*drift.shift_px) < DRIFT.shift_min_px
-    moved = reference.astype(np.float32) if small else _shift_image(reference, np.array(drift.shift_px))
+    moved = (
+        reference.astype(np.float32) if small else _shift_image(reference, np.array(drift.shift_px))
+    )
     along_x, along_y = (_make_axis(n, max(rows, cols)).astype(np.float32) for n in (cols, rows))
-    gain, offset, ramp = (a.astype(np.float32) for a in (drift.gain, drift.offset_grey, drift.ramp_grey))
+    gain, offset, ramp = (
+        a.astype(np.float32) for a in (drift.gain, drift.offset_grey, drift.ramp_grey)
+    )
     moved *= gain
     moved += (offset + along_x[:, None] * ramp[:, 0])[None]
     moved += (along_y[:, None] * ramp[:, 1])[:, None]
-    return np.minimum(moved, np.float32(255.0)) if float(drift.gain.min()) > 1.0 + DRIFT.exposure_min else moved
+    return (
+        np.minimum(moved, np.float32(255.0))
+        if float(drift.gain.min()) > 1.0 + DRIFT.exposure_min
+        else moved
+    )
 
 
 _references: Memo[tuple[str, int], _ReferenceSums] = Memo(4)
@@ -310,10 +401,13 @@ def _sum_reference(reference: Image, block: int) -> _ReferenceSums:
     def make() -> _ReferenceSums:
         margin = math.ceil(2 * DRIFT.shift_max_px) + 2
         sums = cv2.integral(
-            cv2.copyMakeBorder(reference, margin, margin, margin, margin, cv2.BORDER_REPLICATE), sdepth=cv2.CV_64F
+            cv2.copyMakeBorder(reference, margin, margin, margin, margin, cv2.BORDER_REPLICATE),
+            sdepth=cv2.CV_64F,
         )
         shape = (reference.shape[0] // block, reference.shape[1] // block)
-        return _ReferenceSums(sums=freeze(np.asarray(sums, np.float64)), margin=margin, block=block, shape=shape)
+        return _ReferenceSums(
+            sums=freeze(np.asarray(sums, np.float64)), margin=margin, block=block, shape=shape
+        )
 
     return _references.get_or_make((compute_cached_digest(reference), block), make)
 
@@ -324,7 +418,11 @@ def _shift_image(reference: Image, shift_px: Doubles) -> Floats:
     by = np.array([[1.0, 0.0, shift_px[0]], [0.0, 1.0, shift_px[1]]])
     size = (reference.shape[1], reference.shape[0])
     moved = cv2.warpAffine(
-        reference.astype(np.float32), by, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+        reference.astype(np.float32),
+        by,
+        size,
+        flags=cv2.INTER_CUBIC,
+        borderMode=cv2.BORDER_REPLICATE,
     )
     return np.asarray(moved, np.float32)
 
@@ -336,31 +434,48 @@ def _make_axis(n: int, longer: int) -> Doubles:
 
 def _make_positions(rows: int, cols: int) -> Floats:
     """Positions (rows x cols, 2), right and down."""
-    y, x = np.meshgrid(_make_axis(rows, max(rows, cols)), _make_axis(cols, max(rows, cols)), indexing="ij")
+    y, x = np.meshgrid(
+        _make_axis(rows, max(rows, cols)), _make_axis(cols, max(rows, cols)), indexing="ij"
+    )
     return np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float32)
 
 
-def _solve(now: Floats, still: _Blocks, place: Floats, shift: Doubles, agrees: float) -> tuple[Doubles, Doubles]:
-    """(gain - 1, offset, ramp of each colour, then a further shift: (14,); what is left of each block (n, 3))."""
+def _solve(
+    now: Floats, still: _Blocks, place: Floats, shift: Doubles, agrees: float
+) -> tuple[Doubles, Doubles]:
+    """(gain - 1, offset, ramp of each colour, then a further shift: (14,).
+
+    What is left of each block (n, 3)).
+    """
     target = (now - still.mean).astype(np.float64)  # (n, 3)
     ones = np.ones(len(now))
     columns = np.stack(
-        [np.stack([still.mean[:, c], ones, *place.T, -still.by_x[:, c], -still.by_y[:, c]]) for c in range(3)]
+        [
+            np.stack([still.mean[:, c], ones, *place.T, -still.by_x[:, c], -still.by_y[:, c]])
+            for c in range(3)
+        ]
     )
     numbers = [np.r_[4 * c : 4 * c + 4, 12, 13] for c in range(3)]  # unknowns of each colour
     own_prior = (
         np.array([DRIFT.prior_std[0], DRIFT.prior_std[1], DRIFT.prior_std[2], DRIFT.prior_std[2]])
         / DRIFT.block_noise_grey
     )
-    prior = np.concatenate([np.tile(own_prior, 3), np.full(2, DRIFT.prior_std[3] / DRIFT.block_noise_grey)]) ** -2.0
+    prior = (
+        np.concatenate(
+            [np.tile(own_prior, 3), np.full(2, DRIFT.prior_std[3] / DRIFT.block_noise_grey)]
+        )
+        ** -2.0
+    )
     weight = ones
     solution: Doubles = np.zeros(14)
     left = target.T
     for scale in (*DRIFT.scales_grey, agrees, agrees):
-        normal, right = np.diag(prior), np.zeros(14)
+        normal = np.diag(prior)
+        right = np.zeros(14)
         right[12:] = -prior[12:] * shift
         weighted = columns * weight
-        blocks, to = weighted @ columns.swapaxes(1, 2), weighted @ target.T[:, :, None]
+        blocks = weighted @ columns.swapaxes(1, 2)
+        to = weighted @ target.T[:, :, None]
         for c, where in enumerate(numbers):
             normal[np.ix_(where, where)] += blocks[c]
             right[where] += to[c, :, 0]

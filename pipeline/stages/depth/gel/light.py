@@ -1,7 +1,8 @@
-"""Node *light*: the illumination of a frame, from its image, its rest image and the context frames of the recording.
+"""Node *light*: the illumination of a frame, from its image, its rest image and the context frames
+of the recording.
 
-It depends on nothing else: settings of the stage are at their defaults, so that a slider does not change the light.
-That of a recording is cached on disk, as its fit takes as long as several frames.
+It depends on nothing else: settings of the stage are at their defaults, so that a slider does not
+change the light. That of a recording is cached on disk, as its fit takes as long as several frames.
 """
 
 from dataclasses import replace
@@ -23,12 +24,18 @@ from pipeline.stages.depth.illumination import selection
 from pipeline.stages.depth.illumination.light import FrameLight, Illumination, ImagePatch
 from pipeline.stages.depth.poisson import Integrator
 
-_NOT_COVERED = StageWarning("no indentation of the calibration covers this touch: it is measured without calibration")
+_NOT_COVERED = StageWarning(
+    "no indentation of the calibration covers this touch: it is measured without calibration"
+)
 _MIN_CONTEXT_TOUCHES = 2  # one tells no more than the frame itself
 _CODE = (
-    "pipeline.stages.depth", "pipeline.stages.depth.gel", "pipeline.stages.depth.illumination", "pipeline.calibration",
-    "pipeline.physics", "pipeline.sensors",
-)  # fmt: skip
+    "pipeline.stages.depth",
+    "pipeline.stages.depth.gel",
+    "pipeline.stages.depth.illumination",
+    "pipeline.calibration",
+    "pipeline.physics",
+    "pipeline.sensors",
+)
 _recordings: Memo[tuple[str, ...], Illumination] = Memo(8)
 
 
@@ -40,11 +47,14 @@ def estimate_light(
     None where the calibration table was fitted to presses, and some of them cover the touch.
     """
     progress.step(0.0, "estimating the light")
-    image, calibration = cast("Image", frame.image), rest.calibration
+    image = cast("Image", frame.image)
+    calibration = rest.calibration
     changed = make_changed_image(image, rest, change, calibration)
-    window, notes = changed.window, tuple[str, ...]()
+    window = changed.window
+    notes = tuple[str, ...]()
     if not calibration.covers(window.changed, (window.rows.start, window.cols.start)):
-        calibration, notes = describe_as_built_in(rest), (_NOT_COVERED,)
+        calibration = describe_as_built_in(rest)
+        notes = (_NOT_COVERED,)
         changed = replace(changed, calibration=calibration)
         rest = replace(rest, calibration=calibration)
     if not rest.uses_illumination:
@@ -60,17 +70,25 @@ def estimate_light(
 
 
 def describe_as_built_in(rest: RestState) -> Calibration:
-    """The table of the sensor's description, with the calibration's pixel width and contact limit."""
+    """The table of the sensor's description, with the calibration's pixel width and contact
+    limit.
+    """
     known = rest.calibration
     return replace(
-        make_built_in(rest.source), pixel_mm=known.pixel_mm, median_pressure_share=known.median_pressure_share
+        make_built_in(rest.source),
+        pixel_mm=known.pixel_mm,
+        median_pressure_share=known.median_pressure_share,
     )
 
 
 def _describe_illumination(illumination: Illumination, n_context_frames: int) -> list[str]:
     """Notes on fitted LEDs."""
     if illumination.is_fitted_leds:
-        to = f"{n_context_frames} touches of the recording" if illumination.from_context else "this touch"
+        to = (
+            f"{n_context_frames} touches of the recording"
+            if illumination.from_context
+            else "this touch"
+        )
         return [f"measured with this sensor's LEDs, fitted to {to}"]
     return []
 
@@ -78,10 +96,14 @@ def _describe_illumination(illumination: Illumination, n_context_frames: int) ->
 def choose_for_recording(
     images: tuple[Image, ...], reference: Image, rest: RestState, progress: Progress
 ) -> Illumination | None:
-    """The light of the sensor instance, chosen by several touches (rows, cols, 3) of one recording; None for fewer."""
+    """The light of the sensor instance, chosen by several touches (rows, cols, 3) of one recording.
+
+    None for fewer.
+    """
     if len(images) < _MIN_CONTEXT_TOUCHES:
         return None
-    source, calibration = rest.source, rest.calibration
+    source = rest.source
+    calibration = rest.calibration
     made_of = (
         compute_cached_digest(images),
         compute_cached_digest(reference),
@@ -95,8 +117,8 @@ def choose_for_recording(
         if len(found) < _MIN_CONTEXT_TOUCHES:
             return selection.DESCRIBED
         light = selection.choose_illumination(found)
-        # Cast shadows differ from press to press by more than one choice allows: simulated recordings of a DIGIT,
-        # .8 mm deep, err by 52 um in place of 47.
+        # Cast shadows differ from press to press by more than one choice allows: simulated
+        # recordings of a DIGIT, .8 mm deep, err by 52 um in place of 47.
         holds = light.model == "leds" or not selection.casts_shadows(source)
         return replace(light, from_context=True) if holds else selection.DESCRIBED
 
@@ -106,8 +128,13 @@ def choose_for_recording(
     return chosen if chosen.from_context else None
 
 
-def find_touch(image: Image, reference: Image, rest: RestState, progress: Progress) -> selection.Touch | None:
-    """The touch of an image (rows, cols, 3) on the refinement grid; None where its light is not needed."""
+def find_touch(
+    image: Image, reference: Image, rest: RestState, progress: Progress
+) -> selection.Touch | None:
+    """The touch of an image (rows, cols, 3) on the refinement grid.
+
+    None where its light is not needed.
+    """
     change = observe_change(image, reference, rest)
     if change.press.verdict != "press" or change.press.is_smooth:
         return None
@@ -122,4 +149,6 @@ def make_touch(changed: ChangedImage, progress: Progress) -> selection.Touch:
         return changed.make_integrator(patch, progress, 0.3)
 
     guess_mm = changed.guess_surface(cells, make_integrator(cells))
-    return selection.Touch(guess_mm=guess_mm, patch=cells, source=changed.source, make_integrator=make_integrator)
+    return selection.Touch(
+        guess_mm=guess_mm, patch=cells, source=changed.source, make_integrator=make_integrator
+    )

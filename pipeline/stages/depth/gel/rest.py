@@ -21,11 +21,20 @@ from pipeline.stages.depth.frame_checks import check_frame, make_untouched_depth
 from pipeline.stages.depth.gel import coarse_light
 
 # Of kinds that measure depth themselves; any other is a gel.
-EstimateDepth = Callable[[TactileFrame, SensorSpec, Calibration | None, DepthParams, Progress], DepthMap]
-DEPTH_ESTIMATORS: KindTable[EstimateDepth] = KindTable({BubbleSensor: bubble_depth.estimate_bubble_frame})
-# (frame, sensor, calibration, limit in grey levels or mm) -> notes without contact; None = there may be contact
-CheckContact = Callable[[TactileFrame, SensorSpec, Calibration | None, float], tuple[str, ...] | None]
-NO_CONTACT_CHECKS: KindTable[CheckContact] = KindTable({BubbleSensor: bubble_depth.describe_if_no_contact})
+EstimateDepth = Callable[
+    [TactileFrame, SensorSpec, Calibration | None, DepthParams, Progress], DepthMap
+]
+DEPTH_ESTIMATORS: KindTable[EstimateDepth] = KindTable(
+    {BubbleSensor: bubble_depth.estimate_bubble_frame}
+)
+# (frame, sensor, calibration, limit in grey levels or mm) -> notes without contact; None = there
+# may be contact
+CheckContact = Callable[
+    [TactileFrame, SensorSpec, Calibration | None, float], tuple[str, ...] | None
+]
+NO_CONTACT_CHECKS: KindTable[CheckContact] = KindTable(
+    {BubbleSensor: bubble_depth.describe_if_no_contact}
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,7 +43,8 @@ class RestState:
 
     source: SensorSpec  # with the frame's own camera
     calibration: Calibration  # the table of the sensor's description where none is given
-    light: Floats | None  # (rows, cols, 3, 2) coarse light of the instance; None for a sensor without optics
+    # (rows, cols, 3, 2) coarse light of the instance; None for a sensor without optics
+    light: Floats | None
     notes: tuple[str, ...]
 
     @property
@@ -44,32 +54,44 @@ class RestState:
 
     @property
     def uses_illumination(self) -> bool:
-        """Whether surfaces are corrected by light: not where a table was fitted to presses, which holds its own."""
+        """Whether surfaces are corrected by light: not where a table was fitted to presses,
+        which holds its own.
+        """
         return self.source.optics is not None and self.calibration.is_built_in
 
 
 def describe_rest(
-    frame: TactileFrame, source: SensorSpec, calibration: Calibration | None, params: DepthParams, progress: Progress
+    frame: TactileFrame,
+    source: SensorSpec,
+    calibration: Calibration | None,
+    params: DepthParams,
+    progress: Progress,
 ) -> RestState | Skipped[DepthMap] | EarlyAnswer[DepthMap]:
     """A gel before the touch of a frame, which is checked; the depth map of another kind of sensor.
 
-    Raises ShapeError for a frame that cannot be read, CalibrationError for a calibration of another sensor.
+    Raises ShapeError for a frame that cannot be read, CalibrationError for a calibration of another
+    sensor.
     """
     progress.step(0.0, "comparing with the reference image")
     check_frame(frame, source)
-    kind, seen_by = source.sensor_kind, see_by_frame(source, frame)
-    estimate, check = DEPTH_ESTIMATORS.get(kind), NO_CONTACT_CHECKS.get(kind)
+    kind = source.sensor_kind
+    seen_by = see_by_frame(source, frame)
+    estimate = DEPTH_ESTIMATORS.get(kind)
+    check = NO_CONTACT_CHECKS.get(kind)
     if estimate is not None:
         limit = source.limits.no_contact_change / params.sensitivity
         notes = None if check is None else check(frame, seen_by, calibration, limit)
         if notes is not None:
             return Skipped(output=make_untouched_depth(frame, seen_by, notes), reason=notes[0])
         return EarlyAnswer(output=estimate(frame, source, calibration, params, progress))
-    image, reference = cast("Image", frame.image), cast("Image", frame.reference)
+    image = cast("Image", frame.image)
+    reference = cast("Image", frame.reference)
     table = calibration if calibration is not None else make_built_in(seen_by)
     check_calibration(table, source.name, image)
     light = None
     if source.optics is not None:
-        light = coarse_light.estimate_light(frame.context_frames, reference, seen_by, table.pixel_mm)
+        light = coarse_light.estimate_light(
+            frame.context_frames, reference, seen_by, table.pixel_mm
+        )
     notes = instance_check.check_sensor_instance(table, reference)
     return RestState(source=seen_by, calibration=table, light=light, notes=notes)

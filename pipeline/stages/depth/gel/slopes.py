@@ -52,18 +52,26 @@ class ChangedImage:
     calibration: Calibration
     smoothing_px: float
     boundary: Boundary
-    markers: Mask | None = None  # (rows, cols) what printed markers hide of the image; None = not known
+    # (rows, cols) what printed markers hide of the image; None = not known
+    markers: Mask | None = None
 
     @cached_property
     def patches(self) -> tuple[ImagePatch, ImagePatch]:
         """The window at image resolution, and on the refinement grid."""
         patch = extract_patch(
-            self.image, self.reference.image, self.window, self.smoothing_px, self.source.markers,
-            self.calibration.pixel_mm, self.markers,
-        )  # fmt: skip
+            self.image,
+            self.reference.image,
+            self.window,
+            self.smoothing_px,
+            self.source.markers,
+            self.calibration.pixel_mm,
+            self.markers,
+        )
         return patch, downsample_patch(patch, self.image.shape)
 
-    def make_integrator(self, patch: ImagePatch, progress: Progress, fraction: float = 0.4) -> Integrator:
+    def make_integrator(
+        self, patch: ImagePatch, progress: Progress, fraction: float = 0.4
+    ) -> Integrator:
         """The integrator of a patch's slopes (..., rows, cols); it can be cancelled at every use.
 
         The surfaces in mm are 0 in the median outside the changed region.
@@ -86,10 +94,16 @@ class ChangedImage:
     def _find_boundaries(self) -> SideBoundaries:
         """The boundary condition on each side of the window.
 
-        A touch at the image border is free there: the gel beyond is not visible, and not known to be at rest.
+        A touch at the image border is free there: the gel beyond is not visible, and not known to
+        be at rest.
         """
         (rows, cols), window = self.image.shape[:2], self.window
-        inside = (window.cols.start > 0, window.cols.stop < cols, window.rows.start > 0, window.rows.stop < rows)
+        inside = (
+            window.cols.start > 0,
+            window.cols.stop < cols,
+            window.rows.start > 0,
+            window.rows.stop < rows,
+        )
         ends: list[Boundary] = [self.boundary if is_inside else "free" for is_inside in inside]
         return SideBoundaries(*ends)
 
@@ -105,7 +119,9 @@ class FrameSlopes:
     """Slopes of the changed part of an image by the calibration table."""
 
     changed: ChangedImage
-    gx: Floats  # (rows, cols) mm/mm, x right: of the refinement grid where light corrects them, else of the window
+    # (rows, cols) mm/mm, x right: of the refinement grid where light corrects them, else of the
+    # window
+    gx: Floats
     gy: Floats
     notes: tuple[str, ...]
 
@@ -120,40 +136,63 @@ def measure_slopes(
 ) -> FrameSlopes:
     """Slopes of a press by the calibration table, around what has changed."""
     progress.step(0.0, "looking up slopes")
-    changed = make_changed_image(cast("Image", frame.image), rest, change, light.calibration, params)
-    slopes = look_up_slopes(changed.patches[1], light.calibration) if light.illumination else _look_up_window(changed)
+    changed = make_changed_image(
+        cast("Image", frame.image), rest, change, light.calibration, params
+    )
+    slopes = (
+        look_up_slopes(changed.patches[1], light.calibration)
+        if light.illumination
+        else _look_up_window(changed)
+    )
     _check_slopes(*slopes, rest.source)
     notes = _warn_of_image(changed)
     return FrameSlopes(changed=changed, gx=slopes[0], gy=slopes[1], notes=notes)
 
 
 def make_changed_image(
-    image: Image, rest: RestState, change: FrameChange, calibration: Calibration, params: SlopeParams | None = None
+    image: Image,
+    rest: RestState,
+    change: FrameChange,
+    calibration: Calibration,
+    params: SlopeParams | None = None,
 ) -> ChangedImage:
-    """The press of an image (rows, cols, 3) and the window around it, by default settings for `params` None."""
+    """The press of an image (rows, cols, 3) and the window around it, by default settings for
+    `params` None.
+    """
     params = SlopeParams() if params is None else params
     limit_grey = rest.source.limits.no_contact_change / params.sensitivity
     window = change_detection.detect_press(
         image, change.rest.image_8bit, limit_grey, calibration.pixel_mm, change.press.dent_mm
     )
     return ChangedImage(
-        image=image, reference=change.rest, window=window, source=rest.source, calibration=calibration,
-        smoothing_px=params.smoothing_px, boundary=params.boundary, markers=change.markers,
-    )  # fmt: skip
+        image=image,
+        reference=change.rest,
+        window=window,
+        source=rest.source,
+        calibration=calibration,
+        smoothing_px=params.smoothing_px,
+        boundary=params.boundary,
+        markers=change.markers,
+    )
 
 
 def _warn_of_image(changed: ChangedImage) -> tuple[str, ...]:
     """Notes on slopes that the image does not show: under markers, and where it is saturated."""
     import cv2
 
-    window, notes = changed.window, list[str]()
+    window = changed.window
+    notes = list[str]()
     if changed.source.markers is not None:
         notes.append("slopes under the printed markers were filled in from around them")
     red, green, blue = cv2.split(changed.image[window.rows, window.cols])
     clipped = np.asarray(cv2.max(cv2.max(red, green), blue)) >= _SATURATED_GREY
     share = np.count_nonzero(clipped & window.changed) / np.count_nonzero(window.changed)
     if share > _MAX_SATURATED_SHARE:
-        notes.append(StageWarning(f"{share:.0%} of the touch is saturated: slopes there may be wrong; expose less"))
+        notes.append(
+            StageWarning(
+                f"{share:.0%} of the touch is saturated: slopes there may be wrong; expose less"
+            )
+        )
     return tuple(notes)
 
 
@@ -162,9 +201,14 @@ def _look_up_window(changed: ChangedImage) -> tuple[Floats, Floats]:
     window = changed.window
     here = (window.rows, window.cols)
     gx, gy = compute_slopes(
-        changed.calibration, changed.image[here], changed.reference.image[here], window.changed,
-        (window.rows.start, window.cols.start), markers=changed.source.markers, smoothing_px=changed.smoothing_px,
-    )  # fmt: skip
+        changed.calibration,
+        changed.image[here],
+        changed.reference.image[here],
+        window.changed,
+        (window.rows.start, window.cols.start),
+        markers=changed.source.markers,
+        smoothing_px=changed.smoothing_px,
+    )
     return gx, gy
 
 
@@ -172,5 +216,6 @@ def _check_slopes(gx: Floats, gy: Floats, source: SensorSpec) -> None:
     """Raise CalibrationError for slopes that are not finite."""
     if not math.isfinite(float(gx.sum()) + float(gy.sum())):
         raise CalibrationError(
-            f"the calibration table of {source.name} gives slopes that are not finite; calibrate again"
+            f"the calibration table of {source.name} gives slopes that are not finite; calibrate "
+            "again"
         )

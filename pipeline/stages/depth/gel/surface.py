@@ -1,4 +1,6 @@
-"""Node *surface*: the surface of a gel by its slopes, corrected by rendering it in the frame's light."""
+"""Node *surface*: the surface of a gel by its slopes, corrected by rendering it in the frame's
+light.
+"""
 
 from dataclasses import dataclass
 
@@ -14,8 +16,10 @@ from pipeline.stages.depth.gel.slopes import ChangedImage, FrameSlopes
 from pipeline.stages.depth.illumination import selection
 from pipeline.stages.depth.illumination.light import FrameLight, Illumination, upsample_surface
 
-# 42 balls on a real DIGIT: a reach of 1 mm, or .4 of the deepest point, measures them as well (`docs/experiments.md`).
-_DENT_SHARE, _REACH_MM = 0.25, 0.5  # of the deepest point of a coarse dent: surely indented; and around that
+# 42 balls on a real DIGIT: a reach of 1 mm, or .4 of the deepest point, measures them as well
+# (`docs/experiments.md`). of the deepest point of a coarse dent: surely indented; and around that
+_DENT_SHARE = 0.25
+_REACH_MM = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,16 +31,22 @@ class FrameSurface:
 
 
 def estimate_surface(
-    change: FrameChange, slopes: FrameSlopes, light: FrameLight, _params: NoParams, progress: Progress
+    change: FrameChange,
+    slopes: FrameSlopes,
+    light: FrameLight,
+    _params: NoParams,
+    progress: Progress,
 ) -> FrameSurface:
     """The surface of slopes in a light; it can be cancelled at every iteration.
 
-    Shadows that are cast next to a touch look like ridges in a shading field: where LEDs cast them, its slopes count
-    only near the coarse dent.
+    Shadows that are cast next to a touch look like ridges in a shading field: where LEDs cast them,
+    its slopes count only near the coarse dent.
     """
     progress.step(0.0, "integrating slopes")
     changed = slopes.changed
-    window, calibration, notes = changed.window, changed.calibration, tuple[str, ...]()
+    window = changed.window
+    calibration = changed.calibration
+    notes = tuple[str, ...]()
     surface = _integrate(slopes, light.illumination, progress)
     if (
         light.illumination is not None
@@ -52,7 +62,9 @@ def estimate_surface(
     return FrameSurface(surface_mm=freeze(surface), notes=notes)
 
 
-def _integrate(slopes: FrameSlopes, illumination: Illumination | None, progress: Progress) -> Floats:
+def _integrate(
+    slopes: FrameSlopes, illumination: Illumination | None, progress: Progress
+) -> Floats:
     changed = slopes.changed
     patch, cells = changed.patches
     if illumination is None:
@@ -67,14 +79,23 @@ def _integrate(slopes: FrameSlopes, illumination: Illumination | None, progress:
     return selection.add_detail(surface, patch, changed.source, illumination, integrate)
 
 
-def _flatten_far(surface_mm: Floats, dent_mm: Floats, changed: ChangedImage, progress: Progress) -> Floats:
-    """The surface (rows, cols) whose slopes fall to 0 within a reach of the coarse dent (rows, cols) of the image."""
+def _flatten_far(
+    surface_mm: Floats, dent_mm: Floats, changed: ChangedImage, progress: Progress
+) -> Floats:
+    """The surface (rows, cols) whose slopes fall to 0 within a reach of the coarse dent (rows,
+    cols) of the image.
+    """
     import cv2
 
-    dent = np.asarray(cv2.resize(dent_mm, changed.image.shape[1::-1], interpolation=cv2.INTER_LINEAR))
+    dent = np.asarray(
+        cv2.resize(dent_mm, changed.image.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+    )
     outside = (dent < _DENT_SHARE * dent.max()).astype(np.uint8)
     pixel_mm = changed.calibration.pixel_mm
-    away_mm = pixel_mm * cv2.distanceTransform(outside, cv2.DIST_L2, 5)[changed.window.rows, changed.window.cols]
+    away_mm = (
+        pixel_mm
+        * cv2.distanceTransform(outside, cv2.DIST_L2, 5)[changed.window.rows, changed.window.cols]
+    )
     near = np.clip(1.0 - away_mm / _REACH_MM, 0.0, 1.0).astype(np.float32)
     gx, gy = compute_slopes(surface_mm, pixel_mm)
     return changed.make_integrator(changed.patches[0], progress, 0.8)(gx * near, gy * near)

@@ -1,17 +1,21 @@
 """Light of LEDs close to the gel as a smooth shading field, and its fit to one touch.
 
-Close LEDs change the colours differently from instance to instance, and many times over within one image: next to a LED
-a slope hardly changes its colour. Each colour k of the relative change q (`slope_model`) is linear in the normal n and
-the indentation z, q_k(p) = a_k(p) . (n - e_z) + b_k(p) z, with smooth fields a, b (`calibration.shading_field`).
+Close LEDs change the colours differently from instance to instance, and many times over within one
+image: next to a LED a slope hardly changes its colour. Each colour k of the relative change q
+(`slope_model`) is linear in the normal n and the indentation z, q_k(p) = a_k(p) . (n - e_z) +
+b_k(p) z, with smooth fields a, b (`calibration.shading_field`).
 
-A touch that is at rest all around determines how the changes of its colours relate to each other, for its slopes have
-to be those of one surface; but a deeper surface in weaker light looks the same. How deep it is then follows from how
-likely such light is (`near_led_prior`). Of surfaces of one shape, that of the depth with the likeliest colours is taken
-(the vertex of a parabola through three depths): it moves with the colours, without a jump,
+A touch that is at rest all around determines how the changes of its colours relate to each other,
+for its slopes have to be those of one surface; but a deeper surface in weaker light looks the same.
+How deep it is then follows from how likely such light is (`near_led_prior`). Of surfaces of one
+shape, that of the depth with the likeliest colours is taken (the vertex of a parabola through three
+depths): it moves with the colours, without a jump,
 
-    -2 ln p(q) = sum w q^2 + m' P m - b' P'^-1 b + ln det P',     P' = P + sum w f f',   b = P m + sum w f q
+    -2 ln p(q) = sum w q^2 + m' P m - b' P'^-1 b + ln det P',     P' = P + sum w f f',   b = P m +
+    sum w f q
 
-with m and P the mean and precision of the prior, f what a pixel's light depends on and w its weight.
+with m and P the mean and precision of the prior, f what a pixel's light depends on and w its
+weight.
 """
 
 import functools
@@ -62,24 +66,34 @@ def make_field_light(coefficients: Doubles, patch: ImagePatch, source: SensorSpe
     field = expand_field(coefficients, *_compute_positions(patch, source))
     field /= slope_model.compute_gain(patch.reference)[..., None]
     return FieldLight(
-        source=source, patch=patch, step_rule=FIELD_STEP, field=field,
+        source=source,
+        patch=patch,
+        step_rule=FIELD_STEP,
+        field=field,
         blur_px=optics.require_optics(source).blur_px,
-    )  # fmt: skip
+    )
 
 
 def fit_field(
-    surface_mm: Floats, patch: ImagePatch, source: SensorSpec, integrate: Integrator, described_misfit: float = math.inf
+    surface_mm: Floats,
+    patch: ImagePatch,
+    source: SensorSpec,
+    integrate: Integrator,
+    described_misfit: float = math.inf,
 ) -> tuple[Doubles, float] | None:
-    """Coefficients (m,) of the shading field that a touch determines, from a first guess of its surface; the misfit.
+    """Coefficients (m,) of the shading field that a touch determines, from a first guess of its
+    surface; the misfit.
 
-    None where too few pixels have changed, and where the field will not explain far more than described light does.
+    None where too few pixels have changed, and where the field will not explain far more than
+    described light does.
     """
     q = patch.change * slope_model.compute_gain(patch.reference)
     where = np.flatnonzero(patch.changed & (np.abs(q).max(axis=2) > CONSTANTS.min_relative_change))
     if len(where) < CONSTANTS.min_field_samples:
         return None
     prior = near_led_prior.compute_prior(source, source.pixel_mm, source.camera.shape)
-    light, iterations = make_field_light(prior.mean, patch, source), CONSTANTS.first_field_refinements
+    light = make_field_light(prior.mean, patch, source)
+    iterations = CONSTANTS.first_field_refinements
     surface_mm, misfit = refine_surface(surface_mm, patch, light, integrate, iterations)
     coefficients = prior.mean
     for _ in range(CONSTANTS.field_iterations):
@@ -97,7 +111,8 @@ def fit_field(
 def estimate_likeliest_depth(
     prior: ShadingFieldPrior, sample: Callable[[float], SurfaceSamples]
 ) -> tuple[float, Doubles]:
-    """The factor of a surface's depth under which its colours are likeliest, and the field's coefficients (m,) there.
+    """The factor of a surface's depth under which its colours are likeliest, and the field's
+    coefficients (m,) there.
 
     `sample` returns the same pixels and colours with the depth times a factor.
     """
@@ -119,19 +134,25 @@ def expand_field(coefficients: Doubles, u: Floats, v: Floats) -> Floats:
     for k, (i, j) in enumerate(_list_powers(POSITION_DEGREE)):
         grid[j, i] = table[:, k]
     along_u, along_v = (np.vander(w.astype(np.float64), n, increasing=True) for w in (u, v))
-    rows = np.tensordot(along_v, grid, 1).reshape(len(v), n, -1)  # (rows, powers of u, colours x terms)
+    # (rows, powers of u, colours x terms)
+    rows = np.tensordot(along_v, grid, 1).reshape(len(v), n, -1)
     return np.asarray(along_u @ rows, np.float32).reshape(len(v), len(u), 3, N_SHADING_TERMS)
 
 
 def _list_powers(degree: int) -> list[tuple[int, int]]:
-    """Powers of u and v of the monomials up to a degree, in the order of `shading_field.compute_position_terms`."""
+    """Powers of u and v of the monomials up to a degree, in the order of
+    `shading_field.compute_position_terms`.
+    """
     return [(i, j) for j in range(degree + 1) for i in range(degree + 1 - j)]
 
 
 def _compute_places(u: Floats, v: Floats) -> Doubles:
     """Monomials of positions (n,), up to those of products of two position terms: (m, n)."""
     degree = 2 * POSITION_DEGREE
-    of_u, of_v = (np.ascontiguousarray(np.vander(w.astype(np.float64), degree + 1, increasing=True).T) for w in (u, v))
+    of_u, of_v = (
+        np.ascontiguousarray(np.vander(w.astype(np.float64), degree + 1, increasing=True).T)
+        for w in (u, v)
+    )
     return np.stack([of_u[i] * of_v[j] for i, j in _list_powers(degree)])
 
 
@@ -144,18 +165,23 @@ def _index_products() -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return np.array([number[p] for p in powers]), np.array(pairs)
 
 
-def _compute_posterior(prior: ShadingFieldPrior, surface: SurfaceSamples, places: Doubles) -> tuple[float, Doubles]:
+def _compute_posterior(
+    prior: ShadingFieldPrior, surface: SurfaceSamples, places: Doubles
+) -> tuple[float, Doubles]:
     """(-2 ln p of the colours up to a constant, posterior mean of the coefficients).
 
-    The normal equations are sums over pixels of products of two position terms and two shading terms: products of
-    positions are monomials again, the same for every depth.
+    The normal equations are sums over pixels of products of two position terms and two shading
+    terms: products of positions are monomials again, the same for every depth.
     """
     weight = CONSTANTS.field_independent_pixels / max(len(surface.u), 1) / CONSTANTS.field_noise**2
     single, pairs = _index_products()
-    block, terms = N_POSITION_TERMS * N_SHADING_TERMS, np.ascontiguousarray(surface.shading_terms.T)
+    block = N_POSITION_TERMS * N_SHADING_TERMS
+    terms = np.ascontiguousarray(surface.shading_terms.T)
     change = surface.change.T.astype(np.float64)
     first, second = np.triu_indices(N_SHADING_TERMS)
-    products = np.concatenate([terms[first] * terms[second], (terms[:, None] * change).reshape(-1, len(surface.u))])
+    products = np.concatenate(
+        [terms[first] * terms[second], (terms[:, None] * change).reshape(-1, len(surface.u))]
+    )
     sums = places @ products.T
     both = np.zeros((N_SHADING_TERMS, N_SHADING_TERMS), np.intp)
     both[first, second] = both[second, first] = np.arange(len(first))
@@ -176,17 +202,24 @@ def _compute_posterior(prior: ShadingFieldPrior, surface: SurfaceSamples, places
 def _sample_surface(
     surface_mm: Floats, light: FieldLight, q: Floats, where: NDArray[np.intp], factor: float
 ) -> SurfaceSamples:
-    """The pixels `where` of a surface whose depth is scaled by a factor, blurred as the recorded change is."""
+    """The pixels `where` of a surface whose depth is scaled by a factor, blurred as the recorded
+    change is.
+    """
     import cv2
 
     patch = light.patch
     width = max(_MIN_BLUR_PX, math.hypot(light.blur_px, patch.smoothing_px) / patch.downsampling)
     z = np.asarray(
-        cv2.GaussianBlur(clip_surface(surface_mm * np.float32(factor), patch, light), (0, 0), width), np.float32
+        cv2.GaussianBlur(
+            clip_surface(surface_mm * np.float32(factor), patch, light), (0, 0), width
+        ),
+        np.float32,
     )
     u, v = _compute_positions(patch, light.source)
     row, col = np.divmod(where, z.shape[1])
-    slopes = np.stack([g.ravel()[where] for g in compute_slopes(z, patch.pixel_mm)], axis=1).astype(np.float64)
+    slopes = np.stack([g.ravel()[where] for g in compute_slopes(z, patch.pixel_mm)], axis=1).astype(
+        np.float64
+    )
     terms = shading_field.compute_shading_terms(slopes, z.ravel()[where].astype(np.float64))
     return SurfaceSamples(u=u[col], v=v[row], shading_terms=terms, change=q.reshape(-1, 3)[where])
 
@@ -195,5 +228,6 @@ def _compute_positions(patch: ImagePatch, source: SensorSpec) -> tuple[Floats, F
     """Positions (u, v) of the columns and rows, as `slope_model.compute_positions` has them."""
     rows, cols = source.camera.shape
     half = np.float32(0.5 * max(rows, cols))
-    u, v = (patch.x_px - np.float32(0.5 * (cols - 1))) / half, (patch.y_px - np.float32(0.5 * (rows - 1))) / half
+    u = (patch.x_px - np.float32(0.5 * (cols - 1))) / half
+    v = (patch.y_px - np.float32(0.5 * (rows - 1))) / half
     return u.astype(np.float32), v.astype(np.float32)

@@ -1,8 +1,9 @@
-"""Compiled rendering of the three light models, with derivatives, and the Gauss-Newton step of the slopes.
+"""Compiled rendering of the three light models, with derivatives, and the Gauss-Newton step of the
+slopes.
 
-Colour images (rows, cols, 3) are read as (rows, 3 cols) where that is faster: a stride that the compiler does not know
-is slow. `change` is in grey levels; `rate_x` and `rate_y` are its derivatives by the slopes gx and gy (grey levels per
-mm/mm).
+Colour images (rows, cols, 3) are read as (rows, 3 cols) where that is faster: a stride that the
+compiler does not know is slow. `change` is in grey levels; `rate_x` and `rate_y` are its
+derivatives by the slopes gx and gy (grey levels per mm/mm).
 """
 # pyright: basic
 
@@ -12,12 +13,17 @@ import numpy as np
 
 from pipeline.core.cached_kernels import FAST, inline_kernel, kernel
 
-TILE_PX = 128  # pixels of a row that are processed together, so that loops without branches are vectorised
+# pixels of a row that are processed together, so that loops without branches are vectorised
+TILE_PX = 128
 N_LINES = 9  # scratch lines of a tile
 _LINE = tuple(np.uint64(k * TILE_PX) for k in range(N_LINES))
 _L1, _L2, _L3, _L4, _L5, _L6, _L7, _L8 = _LINE[1:]
-_COLOURS, _GREEN, _BLUE = np.uint64(3), np.uint64(1), np.uint64(2)
-_MIN_GREY, _MAX_GREY = np.float32(0.5), np.float32(254.0)  # the camera carries no information beyond
+_COLOURS = np.uint64(3)
+_GREEN = np.uint64(1)
+_BLUE = np.uint64(2)
+# the camera carries no information beyond
+_MIN_GREY = np.float32(0.5)
+_MAX_GREY = np.float32(254.0)
 _NOISE_GREY = np.float32(1.5)
 _MAX_STEP = np.float32(0.3)  # mm/mm: the light is linear in the slope for about that far
 _TINY = np.float32(1e-20)  # a fast reciprocal root of 0 is not finite
@@ -25,8 +31,11 @@ _TINY = np.float32(1e-20)  # a fast reciprocal root of 0 is not finite
 
 @inline_kernel()
 def _lens_share(x, y, cols, rows, vignette):
-    one, two, half = np.float32(1.0), np.float32(2.0), np.float32(0.5)
-    u, v = (x + half) * two / cols - one, (y + half) * two / rows - one
+    one = np.float32(1.0)
+    two = np.float32(2.0)
+    half = np.float32(0.5)
+    u = (x + half) * two / cols - one
+    v = (y + half) * two / rows - one
     corner = (u * u + v * v) * half
     return one - vignette * corner * corner
 
@@ -35,33 +44,45 @@ def _lens_share(x, y, cols, rows, vignette):
 def render_led_light(gx, gy, place, light, line, change, rate_x, rate_y):
     """Render slopes in the light of distant LEDs.
 
-    place: x (cols,) and y (rows,) in the image; its size (cols, rows) in pixels; the LEDs and their strength as
-    `optics.pack_leds` has them; the vignette. light, each (rows, cols, 3): the reference image, the gain of the
-    instance's light over the described one, and the share of light that no dent blocks. line (9 TILE,): scratch.
+    place: x (cols,) and y (rows,) in the image; its size (cols, rows) in pixels; the LEDs and their
+    strength as `optics.pack_leds` has them; the vignette. light, each (rows, cols, 3): the
+    reference image, the gain of the instance's light over the described one, and the share of light
+    that no dent blocks. line (9 TILE,): scratch.
     """
     x, y, size, leds, strength, vignette = place
     rows, cols = gx.shape
     flat = (rows, 3 * cols)
-    reference, gain, share = light[0].reshape(flat), light[1].reshape(flat), light[2].reshape(flat)
-    change, rate_x, rate_y = change.reshape(flat), rate_x.reshape(flat), rate_y.reshape(flat)
-    one, zero = np.float32(1.0), np.float32(0.0)
+    reference = light[0].reshape(flat)
+    gain = light[1].reshape(flat)
+    share = light[2].reshape(flat)
+    change = change.reshape(flat)
+    rate_x = rate_x.reshape(flat)
+    rate_y = rate_y.reshape(flat)
+    one = np.float32(1.0)
+    zero = np.float32(0.0)
     for row in range(rows):
         r = np.uint64(row)
         for start in range(0, cols, TILE_PX):
-            n, first = min(TILE_PX, cols - start), np.uint64(start)
+            n = min(TILE_PX, cols - start)
+            first = np.uint64(start)
             line[:] = zero
             for number in range(leds.shape[0]):
-                led, power = leds[number], strength[number]
+                led = leds[number]
+                power = strength[number]
                 for i in range(n):
-                    t, c = np.uint64(i), np.uint64(i) + first
-                    sx, sy = gx[r, c], gy[r, c]
+                    t = np.uint64(i)
+                    c = np.uint64(i) + first
+                    sx = gx[r, c]
+                    sy = gy[r, c]
                     slant = one / np.sqrt(one + sx * sx + sy * sy)
                     facing = (led[2] - sx * led[0] - sy * led[1]) * slant
                     lens = _lens_share(x[c], y[r], size[0], size[1], vignette)
                     weight = lens * (power[0] + power[1] * x[c] + power[2] * y[r]) / (one - led[2])
                     more = ((facing if facing > zero else zero) - led[2]) * weight
-                    bent, weight = facing * slant * slant, weight if facing > zero else zero
-                    across, down = (-led[0] * slant - bent * sx) * weight, (-led[1] * slant - bent * sy) * weight
+                    bent = facing * slant * slant
+                    weight = weight if facing > zero else zero
+                    across = (-led[0] * slant - bent * sx) * weight
+                    down = (-led[1] * slant - bent * sy) * weight
                     line[t] += more * led[3]
                     line[t + _L1] += more * led[4]
                     line[t + _L2] += more * led[5]
@@ -72,111 +93,197 @@ def render_led_light(gx, gy, place, light, line, change, rate_x, rate_y):
                     line[t + _L7] += down * led[4]
                     line[t + _L8] += down * led[5]
             for i in range(n):
-                t, red = np.uint64(i), _COLOURS * (np.uint64(i) + first)
-                green, blue = red + _GREEN, red + _BLUE
-                dark, by = reference[r, red], gain[r, red] * share[r, red]
+                t = np.uint64(i)
+                red = _COLOURS * (np.uint64(i) + first)
+                green = red + _GREEN
+                blue = red + _BLUE
+                dark = reference[r, red]
+                by = gain[r, red] * share[r, red]
                 change[r, red] = dark * (share[r, red] - one) + line[t] * by
-                rate_x[r, red], rate_y[r, red] = line[t + _L3] * by, line[t + _L6] * by
-                dark, by = reference[r, green], gain[r, green] * share[r, green]
+                rate_x[r, red] = line[t + _L3] * by
+                rate_y[r, red] = line[t + _L6] * by
+                dark = reference[r, green]
+                by = gain[r, green] * share[r, green]
                 change[r, green] = dark * (share[r, green] - one) + line[t + _L1] * by
-                rate_x[r, green], rate_y[r, green] = line[t + _L4] * by, line[t + _L7] * by
-                dark, by = reference[r, blue], gain[r, blue] * share[r, blue]
+                rate_x[r, green] = line[t + _L4] * by
+                rate_y[r, green] = line[t + _L7] * by
+                dark = reference[r, blue]
+                by = gain[r, blue] * share[r, blue]
                 change[r, blue] = dark * (share[r, blue] - one) + line[t + _L2] * by
-                rate_x[r, blue], rate_y[r, blue] = line[t + _L5] * by, line[t + _L8] * by
+                rate_x[r, blue] = line[t + _L5] * by
+                rate_y[r, blue] = line[t + _L8] * by
 
 
 @kernel(fastmath=FAST)
 def render_field_light(gx, gy, surface_mm, field, change, rate_x, rate_y):
     """Render slopes and indentations in a shading field.
 
-    field (rows, cols, 3, 4): grey levels of each colour per unit of the normal's x, y and z, and per mm.
+    field (rows, cols, 3, 4): grey levels of each colour per unit of the normal's x, y and z, and
+    per mm.
     """
     rows, cols = gx.shape
     one = np.float32(1.0)
     for r in range(rows):
         for c in range(cols):
-            sx, sy = gx[r, c], gy[r, c]
+            sx = gx[r, c]
+            sy = gy[r, c]
             slant = one / np.sqrt(one + sx * sx + sy * sy)
             bent = slant * slant * slant
             for k in range(3):
                 a = field[r, c, k]
-                change[r, c, k] = -(a[0] * sx + a[1] * sy) * slant + a[2] * (slant - one) + a[3] * surface_mm[r, c]
+                change[r, c, k] = (
+                    -(a[0] * sx + a[1] * sy) * slant
+                    + a[2] * (slant - one)
+                    + a[3] * surface_mm[r, c]
+                )
                 along = (a[0] * sx + a[1] * sy - a[2]) * bent
-                rate_x[r, c, k], rate_y[r, c, k] = along * sx - a[0] * slant, along * sy - a[1] * slant
+                rate_x[r, c, k] = along * sx - a[0] * slant
+                rate_y[r, c, k] = along * sy - a[1] * slant
 
 
 @inline_kernel()
 def _accumulate(sums, confidence, jx, jy, rendered, change, reference, huber):
-    """Add one colour to the normal equations (xx, xy, yy, to x, to y) and to the misfit; none where it is clipped."""
+    """Add one colour to the normal equations (xx, xy, yy, to x, to y) and to the misfit.
+
+    None where it is clipped.
+    """
     xx, xy, yy, to_x, to_y, misfit = sums
-    one, zero, observed = np.float32(1.0), np.float32(0.0), reference + change
+    one = np.float32(1.0)
+    zero = np.float32(0.0)
+    observed = reference + change
     residual = observed - min(max(rendered + reference, zero), np.float32(255.0))
-    jx, jy, residual = jx * confidence, jy * confidence, residual * confidence
-    rendered, size = observed - residual, abs(residual)
+    jx = jx * confidence
+    jy = jy * confidence
+    residual = residual * confidence
+    rendered = observed - residual
+    size = abs(residual)
     informative = (rendered >= _MIN_GREY or observed >= _MIN_GREY + _NOISE_GREY) and (
         rendered <= _MAX_GREY or observed <= _MAX_GREY - _NOISE_GREY
     )
     weight = min(one, huber / max(size, np.float32(1e-6))) if informative else zero
     misfit += min(size, huber + huber) if informative else zero
-    wx, wy = weight * jx, weight * jy
-    return xx + wx * jx, xy + wx * jy, yy + wy * jy, to_x + wx * residual, to_y + wy * residual, misfit
+    wx = weight * jx
+    wy = weight * jy
+    return (
+        xx + wx * jx,
+        xy + wx * jy,
+        yy + wy * jy,
+        to_x + wx * residual,
+        to_y + wy * residual,
+        misfit,
+    )
 
 
 @inline_kernel()
 def _step(sx, sy, sums, max_slope):
-    """The slopes after the step that solves the normal equations, limited in its length and in the slope."""
+    """The slopes after the step that solves the normal equations, limited in its length and in
+    the slope.
+    """
     one = np.float32(1.0)
     xx, xy, yy, to_x, to_y, _ = sums
     per = one / (xx * yy - xy * xy)
-    step_x, step_y = (yy * to_x - xy * to_y) * per, (xx * to_y - xy * to_x) * per
+    step_x = (yy * to_x - xy * to_y) * per
+    step_y = (xx * to_y - xy * to_x) * per
     cut = min(one, _MAX_STEP / math.sqrt(step_x * step_x + step_y * step_y + _TINY))
-    to_x, to_y = sx + step_x * cut, sy + step_y * cut
+    to_x = sx + step_x * cut
+    to_y = sy + step_y * cut
     cut = min(one, max_slope / math.sqrt(to_x * to_x + to_y * to_y + _TINY))
     return to_x * cut, to_y * cut
 
 
 @kernel(fastmath=FAST)
-def update_slopes(rendered, recorded, confidence, changed, rate_x, rate_y, limits, line, gx, gy, weights):
-    """Add the Gauss-Newton step to the slopes gx, gy of each changed pixel, zero them elsewhere; return the misfit.
+def update_slopes(
+    rendered, recorded, confidence, changed, rate_x, rate_y, limits, line, gx, gy, weights
+):
+    """Add the Gauss-Newton step to the slopes gx, gy of each changed pixel, zero them elsewhere.
 
-    rendered (rows, cols, 3): the change that the surface shows, in grey levels, before the camera clips it; recorded:
-    the recorded change and the reference image, each alike; confidence (rows, cols, 3): weight of each colour. limits:
-    see `StepRule`. line (9 TILE,): scratch. weights (3, rows, cols) is written: the information matrix (xx, xy, yy) of
-    each pixel's slopes. The misfit sums the absolute residuals before the step, each at most twice the Huber limit.
+    Return the misfit.
+
+    rendered (rows, cols, 3): the change that the surface shows, in grey levels, before the camera
+    clips it; recorded: the recorded change and the reference image, each alike; confidence (rows,
+    cols, 3): weight of each colour. limits: see `StepRule`. line (9 TILE,): scratch. weights (3,
+    rows, cols) is written: the information matrix (xx, xy, yy) of each pixel's slopes. The misfit
+    sums the absolute residuals before the step, each at most twice the Huber limit.
     """
     pull, huber, max_slope, outside = limits
     rows, cols = changed.shape
     flat = (rows, 3 * cols)
-    rendered, confidence = rendered.reshape(flat), confidence.reshape(flat)
-    change, reference = recorded[0].reshape(flat), recorded[1].reshape(flat)
-    rate_x, rate_y = rate_x.reshape(flat), rate_y.reshape(flat)
-    zero, misfit = np.float32(0.0), 0.0
+    rendered = rendered.reshape(flat)
+    confidence = confidence.reshape(flat)
+    change = recorded[0].reshape(flat)
+    reference = recorded[1].reshape(flat)
+    rate_x = rate_x.reshape(flat)
+    rate_y = rate_y.reshape(flat)
+    zero = np.float32(0.0)
+    misfit = 0.0
     for row in range(rows):
         r = np.uint64(row)
         for start in range(0, cols, TILE_PX):
-            n, first = min(TILE_PX, cols - start), np.uint64(start)
+            n = min(TILE_PX, cols - start)
+            first = np.uint64(start)
             for i in range(n):
-                t, k = np.uint64(i), _COLOURS * (np.uint64(i) + first)
+                t = np.uint64(i)
+                k = _COLOURS * (np.uint64(i) + first)
                 sums = (pull, zero, pull, zero, zero, zero)
-                sums = _accumulate(sums, confidence[r, k], rate_x[r, k], rate_y[r, k], rendered[r, k], change[r, k],
-                                   reference[r, k], huber)  # fmt: skip
+                sums = _accumulate(
+                    sums,
+                    confidence[r, k],
+                    rate_x[r, k],
+                    rate_y[r, k],
+                    rendered[r, k],
+                    change[r, k],
+                    reference[r, k],
+                    huber,
+                )
                 k += _GREEN
-                sums = _accumulate(sums, confidence[r, k], rate_x[r, k], rate_y[r, k], rendered[r, k], change[r, k],
-                                   reference[r, k], huber)  # fmt: skip
+                sums = _accumulate(
+                    sums,
+                    confidence[r, k],
+                    rate_x[r, k],
+                    rate_y[r, k],
+                    rendered[r, k],
+                    change[r, k],
+                    reference[r, k],
+                    huber,
+                )
                 k += _GREEN
-                sums = _accumulate(sums, confidence[r, k], rate_x[r, k], rate_y[r, k], rendered[r, k], change[r, k],
-                                   reference[r, k], huber)  # fmt: skip
-                line[t], line[t + _L1], line[t + _L2], line[t + _L3], line[t + _L4], line[t + _L5] = sums
+                sums = _accumulate(
+                    sums,
+                    confidence[r, k],
+                    rate_x[r, k],
+                    rate_y[r, k],
+                    rendered[r, k],
+                    change[r, k],
+                    reference[r, k],
+                    huber,
+                )
+                (
+                    line[t],
+                    line[t + _L1],
+                    line[t + _L2],
+                    line[t + _L3],
+                    line[t + _L4],
+                    line[t + _L5],
+                ) = sums
             total = zero
             for i in range(n):
-                t, c = np.uint64(i), np.uint64(i) + first
+                t = np.uint64(i)
+                c = np.uint64(i) + first
                 here = changed[r, c]
                 weights[0, r, c] = line[t] if here else outside
                 weights[1, r, c] = line[t + _L1] if here else zero
                 weights[2, r, c] = line[t + _L2] if here else outside
-                sums = (line[t], line[t + _L1], line[t + _L2], line[t + _L3], line[t + _L4], line[t + _L5])
+                sums = (
+                    line[t],
+                    line[t + _L1],
+                    line[t + _L2],
+                    line[t + _L3],
+                    line[t + _L4],
+                    line[t + _L5],
+                )
                 to_x, to_y = _step(gx[r, c], gy[r, c], sums, max_slope)
-                gx[r, c], gy[r, c] = to_x if here else zero, to_y if here else zero
+                gx[r, c] = to_x if here else zero
+                gy[r, c] = to_y if here else zero
                 total += sums[5] if here else zero
             misfit += total
     return misfit

@@ -1,11 +1,13 @@
 """Light of distant LEDs, as the sensor description gives it or as fitted to a sensor instance.
 
-    light = (R + g c(grad z)) s(z),    R: reference image,  c: colour change of a slope (`physics.optics`),
-                                       s: share of the light that passes the surface,  g: gain of near LEDs
+    light = (R + g c(grad z)) s(z),    R: reference image,  c: colour change of a slope
+    (`physics.optics`),
+                                       s: share of the light that passes the surface,  g: gain of
+                                       near LEDs
 
-The deviations of an instance from its description are (5 n + 5,): azimuth, elevation (degrees) and the logarithm of
-each colour for each of n LEDs; then fall-off, vignette, the logarithms of blur and of shadow strength, and the shadows'
-elevation (degrees).
+The deviations of an instance from its description are (5 n + 5,): azimuth, elevation (degrees) and
+the logarithm of each colour for each of n LEDs; then fall-off, vignette, the logarithms of blur and
+of shadow strength, and the shadows' elevation (degrees).
 """
 
 import math
@@ -19,12 +21,21 @@ from pipeline.physics.optics import apply_shadows, pack_leds, require_optics
 from pipeline.sensors.parts import Led, Optics, compute_mean_reference_light
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.constants import DESCRIBED_STEP, TRUSTED_STEP
-from pipeline.stages.depth.illumination.light import ImagePatch, Light, RenderedChange, compute_cell_means
+from pipeline.stages.depth.illumination.light import (
+    ImagePatch,
+    Light,
+    RenderedChange,
+    compute_cell_means,
+)
 
 # Standard deviations between sensor instances, as `simulation.variation` draws them.
-_AZIMUTH_DEG, _ELEVATION_DEG = 8.0, 3.0
-_LOG_POWER, _LOG_COLOUR = 0.12, 0.08  # of a whole LED, and of each of its colours
-_OTHERS = (0.05, 0.08, 0.15, 0.25, 3.0)  # fall-off, vignette, log blur, log shadow, shadow elevation (degrees)
+_AZIMUTH_DEG = 8.0
+_ELEVATION_DEG = 3.0
+# of a whole LED, and of each of its colours
+_LOG_POWER = 0.12
+_LOG_COLOUR = 0.08
+# fall-off, vignette, log blur, log shadow, shadow elevation (degrees)
+_OTHERS = (0.05, 0.08, 0.15, 0.25, 3.0)
 _ELEVATION_LIMITS_DEG = 5.0, 80.0
 _REFERENCE_BLUR_PX = 3.0  # of the brightness that the gain of near LEDs is compared with
 
@@ -38,14 +49,31 @@ class LedLight(Light):
 
     def render(self, surface_mm: Floats, gx: Floats, gy: Floats) -> RenderedChange:
         """Render the light of a surface (rows, cols) with these slopes."""
-        from pipeline.stages.depth.illumination.illumination_kernels import N_LINES, TILE_PX, render_led_light
+        from pipeline.stages.depth.illumination.illumination_kernels import (
+            N_LINES,
+            TILE_PX,
+            render_led_light,
+        )
 
-        camera, patch = self.source.camera, self.patch
+        camera = self.source.camera
+        patch = self.patch
         size = np.array([camera.cols, camera.rows], np.float32)
-        place = (patch.x_px, patch.y_px, size, *pack_leds(self.optics, camera), np.float32(self.optics.vignette))
+        place = (
+            patch.x_px,
+            patch.y_px,
+            size,
+            *pack_leds(self.optics, camera),
+            np.float32(self.optics.vignette),
+        )
         share = np.ones_like(patch.reference)
         if self.optics.shadow > 0:
-            apply_shadows(share, self.optics, camera, np.ascontiguousarray(surface_mm, np.float32), patch.pixel_mm)
+            apply_shadows(
+                share,
+                self.optics,
+                camera,
+                np.ascontiguousarray(surface_mm, np.float32),
+                patch.pixel_mm,
+            )
         out = RenderedChange(*(np.empty_like(patch.change) for _ in range(3)))
         scratch = np.empty(N_LINES * TILE_PX, np.float32)
         render_led_light(gx, gy, place, (patch.reference, self.gain, share), scratch, *out)
@@ -55,19 +83,26 @@ class LedLight(Light):
 def make_led_light(
     source: SensorSpec, optics: Optics, patch: ImagePatch, *, trusted: bool, near: bool = False
 ) -> LedLight:
-    """Light of these optics of a sensor; `near` scales it by what LEDs close to the gel change of it."""
+    """Light of these optics of a sensor.
+
+    `near` scales it by what LEDs close to the gel change of it.
+    """
     return LedLight(
-        source=source, optics=optics, patch=patch, step_rule=TRUSTED_STEP if trusted else DESCRIBED_STEP,
+        source=source,
+        optics=optics,
+        patch=patch,
+        step_rule=TRUSTED_STEP if trusted else DESCRIBED_STEP,
         gain=_compute_near_gain(source, patch) if near else np.ones_like(patch.reference),
         blur_px=optics.blur_px,
-    )  # fmt: skip
+    )
 
 
 def compute_led_prior_root(described: Optics) -> Doubles:
     """A root (m, m) of the prior covariance of the deviations; a LED's colours vary together."""
     n_leds = len(described.leds)
     led = np.zeros((5, 5))
-    led[0, 0], led[1, 1] = _AZIMUTH_DEG, _ELEVATION_DEG
+    led[0, 0] = _AZIMUTH_DEG
+    led[1, 1] = _ELEVATION_DEG
     led[2:, 2:] = np.linalg.cholesky(_LOG_COLOUR**2 * np.eye(3) + _LOG_POWER**2)
     m = 5 * n_leds
     root = np.zeros((m + len(_OTHERS), m + len(_OTHERS)))
@@ -83,7 +118,9 @@ def shift_optics(described: Optics, deviations: Doubles) -> Optics:
     low, high = _ELEVATION_LIMITS_DEG
     return replace(
         described,
-        leds=tuple(_shift_led(led, deviations[5 * k : 5 * k + 5]) for k, led in enumerate(described.leds)),
+        leds=tuple(
+            _shift_led(led, deviations[5 * k : 5 * k + 5]) for k, led in enumerate(described.leds)
+        ),
         falloff=min(max(described.falloff + falloff, 0.0), 1.0),
         vignette=min(max(described.vignette + vignette, 0.0), 1.0),
         blur_px=described.blur_px * math.exp(blur),
@@ -105,28 +142,42 @@ def _shift_led(led: Led, deviations: Doubles) -> Led:
 def _compute_near_gain(source: SensorSpec, patch: ImagePatch) -> Floats:
     """Gain of each colour's light (rows, cols, 3) over the described one.
 
-    Paint, lens, exposure, and LEDs that light a part of the gel make a place bright, and its change strong as well;
-    LEDs close to the gel change the colours' response to slopes besides (`near_led_prior.compute_gains`).
+    Paint, lens, exposure, and LEDs that light a part of the gel make a place bright, and its change
+    strong as well; LEDs close to the gel change the colours' response to slopes besides
+    (`near_led_prior.compute_gains`).
     """
     import cv2
 
     rows, cols = patch.changed.shape
     by = max(1, round(_REFERENCE_BLUR_PX / patch.downsampling))  # cells as wide as the blur
     cells = cv2.GaussianBlur(
-        compute_cell_means(patch.reference, by), (0, 0), _REFERENCE_BLUR_PX / patch.downsampling / by
+        compute_cell_means(patch.reference, by),
+        (0, 0),
+        _REFERENCE_BLUR_PX / patch.downsampling / by,
     )
-    offset, camera = np.float32(slope_model.OFFSET_GREY), source.camera
+    offset = np.float32(slope_model.OFFSET_GREY)
+    camera = source.camera
     usual = compute_mean_reference_light(camera, require_optics(source))
     table = near_led_prior.compute_gains(source) / (usual + offset)
     down, across = (
-        _make_interpolation((px[0] + (np.arange(n) * by + 0.5 * (by - 1)) * patch.downsampling) / (end - 1), m)
-        for px, n, end, m in zip((patch.y_px, patch.x_px), cells.shape, camera.shape, table.shape, strict=False)
+        _make_interpolation(
+            (px[0] + (np.arange(n) * by + 0.5 * (by - 1)) * patch.downsampling) / (end - 1), m
+        )
+        for px, n, end, m in zip(
+            (patch.y_px, patch.x_px), cells.shape, camera.shape, table.shape, strict=False
+        )
     )
     gains = (cells + offset) * np.tensordot(down, np.tensordot(across, table, (1, 1)), (1, 1))
     wide = (cells.shape[1] * by, cells.shape[0] * by)
-    return np.ascontiguousarray(cv2.resize(gains, wide, interpolation=cv2.INTER_LINEAR)[:rows, :cols], np.float32)
+    return np.ascontiguousarray(
+        cv2.resize(gains, wide, interpolation=cv2.INTER_LINEAR)[:rows, :cols], np.float32
+    )
 
 
 def _make_interpolation(share: Floats, n: int) -> Floats:
-    """The matrix (m, n) that interpolates `n` values linearly at shares (m,) of the way from the first to the last."""
-    return np.maximum(0.0, 1.0 - np.abs(np.clip(share, 0.0, 1.0)[:, None] * (n - 1) - np.arange(n))).astype(np.float32)
+    """The matrix (m, n) that interpolates `n` values linearly at shares (m,) of the way from the
+    first to the last.
+    """
+    return np.maximum(
+        0.0, 1.0 - np.abs(np.clip(share, 0.0, 1.0)[:, None] * (n - 1) - np.arange(n))
+    ).astype(np.float32)

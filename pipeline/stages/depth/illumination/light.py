@@ -1,4 +1,6 @@
-"""The part of a gel image that is refined, its illumination, and what every light model can do with it."""
+"""The part of a gel image that is refined, its illumination, and what every light model can do
+with it.
+"""
 
 import math
 from dataclasses import dataclass
@@ -29,14 +31,22 @@ class ImagePatch:
     downsampling: int  # image pixels along one side of a cell
     pixel_mm: float  # width of a cell, by the calibration, which may differ from the sensor's
     smoothing_px: float  # standard deviation of the change's smoothing, image pixels
-    unmarked_share: Floats  # (rows, cols, 3) share of a cell that no printed marker hides, now or in the reference
+    # (rows, cols, 3) share of a cell that no printed marker hides, now or in the reference
+    unmarked_share: Floats
 
 
 def extract_patch(
-    image: Image, reference: Floats, window: ImageWindow, smoothing_px: float, markers: Markers | None, pixel_mm: float,
+    image: Image,
+    reference: Floats,
+    window: ImageWindow,
+    smoothing_px: float,
+    markers: Markers | None,
+    pixel_mm: float,
     detected: Mask | None = None,
-) -> ImagePatch:  # fmt: skip
-    """The window of an image (rows, cols, 3); printed markers, now and in the reference, are inpainted.
+) -> ImagePatch:
+    """The window of an image (rows, cols, 3).
+
+    Printed markers, now and in the reference, are inpainted.
 
     `detected` (rows, cols), what markers hide of the image, is computed where it is None.
     """
@@ -44,24 +54,37 @@ def extract_patch(
 
     here = (window.rows, window.cols)
     light = np.array(reference[here], np.float32)
-    change, unmarked = image[here].astype(np.float32) - light, np.ones(window.changed.shape, np.float32)
+    change = image[here].astype(np.float32) - light
+    unmarked = np.ones(window.changed.shape, np.float32)
     if markers is not None:
         printed, bright = remove_printed_markers(reference, markers, pixel_mm)
         now = detect_markers(image[here], markers, pixel_mm) if detected is None else detected[here]
         hidden = printed[here] | now
         change = inpaint_markers(change, hidden, markers, pixel_mm)
-        light, unmarked = np.array(bright[here]), (~hidden).astype(np.float32)
+        light = np.array(bright[here])
+        unmarked = (~hidden).astype(np.float32)
     if smoothing_px > 0:
         change = np.asarray(cv2.GaussianBlur(change, (0, 0), smoothing_px), np.float32)
     x, y = (np.arange(a.start, a.stop, dtype=np.float32) for a in (window.cols, window.rows))
     return ImagePatch(
-        x_px=x, y_px=y, change=change, reference=light, changed=window.changed, downsampling=1, pixel_mm=pixel_mm,
-        smoothing_px=smoothing_px, unmarked_share=np.asarray(cv2.merge([unmarked] * 3), np.float32),
-    )  # fmt: skip
+        x_px=x,
+        y_px=y,
+        change=change,
+        reference=light,
+        changed=window.changed,
+        downsampling=1,
+        pixel_mm=pixel_mm,
+        smoothing_px=smoothing_px,
+        unmarked_share=np.asarray(cv2.merge([unmarked] * 3), np.float32),
+    )
 
 
-def downsample_patch(patch: ImagePatch, shape: tuple[int, ...], cells: int = CONSTANTS.grid_cells) -> ImagePatch:
-    """The patch on a grid of at most `cells` cells along an image of `shape`; each cell is the mean of its pixels.
+def downsample_patch(
+    patch: ImagePatch, shape: tuple[int, ...], cells: int = CONSTANTS.grid_cells
+) -> ImagePatch:
+    """The patch on a grid of at most `cells` cells along an image of `shape`.
+
+    Each cell is the mean of its pixels.
 
     Lens blur leaves nothing finer in the light.
     """
@@ -69,7 +92,8 @@ def downsample_patch(patch: ImagePatch, shape: tuple[int, ...], cells: int = CON
     if by == 1:
         return patch
     rows, cols = (-(-n // by) for n in patch.changed.shape)
-    middle, step = np.float32(0.5 * (by - 1) * patch.downsampling), by * patch.downsampling
+    middle = np.float32(0.5 * (by - 1) * patch.downsampling)
+    step = by * patch.downsampling
     return ImagePatch(
         x_px=patch.x_px[0] + middle + step * np.arange(cols, dtype=np.float32),
         y_px=patch.y_px[0] + middle + step * np.arange(rows, dtype=np.float32),
@@ -77,12 +101,17 @@ def downsample_patch(patch: ImagePatch, shape: tuple[int, ...], cells: int = CON
         reference=compute_cell_means(patch.reference, by),
         changed=compute_cell_means(patch.changed.astype(np.float32), by) > 0,
         unmarked_share=compute_cell_means(patch.unmarked_share, by),
-        downsampling=step, pixel_mm=by * patch.pixel_mm, smoothing_px=patch.smoothing_px,
-    )  # fmt: skip
+        downsampling=step,
+        pixel_mm=by * patch.pixel_mm,
+        smoothing_px=patch.smoothing_px,
+    )
 
 
 def compute_cell_means(image: Floats, by: int) -> Floats:
-    """Means of an image (rows, cols, ...) over cells of `by` x `by` pixels; the border is replicated."""
+    """Means of an image (rows, cols, ...) over cells of `by` x `by` pixels.
+
+    The border is replicated.
+    """
     import cv2
 
     rows, cols = (-(-n // by) for n in image.shape[:2])
@@ -105,9 +134,12 @@ def upsample_surface(surface_mm: Floats, by: int, shape: tuple[int, ...]) -> Flo
 def look_up_slopes(patch: ImagePatch, calibration: Calibration) -> tuple[Floats, Floats]:
     """Slopes (gx, gy) (rows, cols) in mm/mm that the calibration table gives for the patch."""
     half = 0.5 * max(calibration.rows, calibration.cols)
-    u, v = (patch.x_px - 0.5 * (calibration.cols - 1)) / half, (patch.y_px - 0.5 * (calibration.rows - 1)) / half
+    u = (patch.x_px - 0.5 * (calibration.cols - 1)) / half
+    v = (patch.y_px - 0.5 * (calibration.rows - 1)) / half
     change = patch.change * slope_model.compute_gain(patch.reference)
-    return slope_model.evaluate(calibration.model, change, u.astype(np.float32), v.astype(np.float32), patch.changed)
+    return slope_model.evaluate(
+        calibration.model, change, u.astype(np.float32), v.astype(np.float32), patch.changed
+    )
 
 
 def blur_change(change: Floats, patch: ImagePatch, lens_blur_px: float) -> Floats:
@@ -115,18 +147,26 @@ def blur_change(change: Floats, patch: ImagePatch, lens_blur_px: float) -> Float
     import cv2
 
     width = math.hypot(lens_blur_px, patch.smoothing_px) / patch.downsampling
-    return np.asarray(cv2.GaussianBlur(change, (0, 0), width), np.float32) if width > _NO_BLUR_PX else change
+    return (
+        np.asarray(cv2.GaussianBlur(change, (0, 0), width), np.float32)
+        if width > _NO_BLUR_PX
+        else change
+    )
 
 
 def simulate_recorded_change(change: Floats, patch: ImagePatch, lens_blur_px: float) -> Floats:
-    """What the camera records of a change of light (rows, cols, 3): blurred, and clipped to 0-255."""
+    """What the camera records of a change of light (rows, cols, 3): blurred, and clipped to
+    0-255.
+    """
     recorded = np.clip(blur_change(change, patch, lens_blur_px) + patch.reference, 0.0, 255.0)
     return np.asarray(recorded - patch.reference, np.float32)
 
 
 def sum_change_grey(patch: ImagePatch) -> float:
     """Sum of the absolute change in grey levels, cut and weighted as misfits are."""
-    change = np.minimum(np.abs(patch.change * patch.unmarked_share), np.float32(2.0 * CONSTANTS.huber_grey))
+    change = np.minimum(
+        np.abs(patch.change * patch.unmarked_share), np.float32(2.0 * CONSTANTS.huber_grey)
+    )
     return float(change[patch.changed].sum())
 
 
@@ -137,13 +177,15 @@ IlluminationModel = Literal["described", "trusted", "near", "leds", "field"]
 class Illumination:
     """Parameters of the light that a frame is read by.
 
-    model: "described" and "trusted" are the LEDs of the sensor's description; trusted light is known to explain the
-    image. "near" scales the described light by what LEDs close to the gel change of it. "leds" are
-    LEDs fitted to the sensor instance, as deviations from the description. "field" is a smooth shading field.
+    model: "described" and "trusted" are the LEDs of the sensor's description; trusted light is
+    known to explain the image. "near" scales the described light by what LEDs close to the gel
+    change of it. "leds" are LEDs fitted to the sensor instance, as deviations from the description.
+    "field" is a smooth shading field.
     """
 
     model: IlluminationModel = "described"
-    parameters: tuple[float, ...] = ()  # of fitted models: deviations (`led_light`), or coefficients
+    # of fitted models: deviations (`led_light`), or coefficients
+    parameters: tuple[float, ...] = ()
     from_context: bool = False  # chosen by the context frames, not by the frame itself
 
     def __post_init__(self) -> None:
@@ -152,12 +194,16 @@ class Illumination:
 
     @property
     def is_trusted(self) -> bool:
-        """Whether LEDs of a usual instance explain the image, so that each pixel counts by its certainty."""
+        """Whether LEDs of a usual instance explain the image, so that each pixel counts by its
+        certainty.
+        """
         return self.model in {"leds", "trusted"}
 
     @property
     def is_bound_to_place(self) -> bool:
-        """Whether touches at one place err alike: the light is not fitted to each by itself, or by LEDs alone."""
+        """Whether touches at one place err alike: the light is not fitted to each by itself, or
+        by LEDs alone.
+        """
         return self.model in {"described", "trusted", "near"}
 
     @property
@@ -181,7 +227,9 @@ class FrameLight:
 
 
 class RenderedChange(NamedTuple):
-    """Change of the light of a surface against the reference image, before the lens, each (rows, cols, 3)."""
+    """Change of the light of a surface against the reference image, before the lens, each (rows,
+    cols, 3).
+    """
 
     change: Floats  # grey levels
     rate_x: Floats  # its derivatives by the slopes, grey levels per mm/mm

@@ -1,15 +1,18 @@
-"""Fit of LED parameters to touches of one sensor instance by variable projection (Golub and Pereyra 1973).
+"""Fit of LED parameters to touches of one sensor instance by variable projection (Golub and Pereyra
+1973).
 
-Instances differ in their LEDs' positions and powers, in fall-off, lens and shadows: deviations t from the description,
-with a prior covariance C. Whatever they are, the surface explains as much of the image as it can; only what no surface
-explains determines t. A step dt changes that by D dt, summed over all touches,
+Instances differ in their LEDs' positions and powers, in fall-off, lens and shadows: deviations t
+from the description, with a prior covariance C. Whatever they are, the surface explains as much of
+the image as it can; only what no surface explains determines t. A step dt changes that by D dt,
+summed over all touches,
 
     D = T - J grad P(J^+ T),    dt = (sum D' W D / s^2 + C^-1)^-1 (sum D' W r / s^2 - C^-1 t)
 
-with T, J the derivatives of the image by deviations and slopes, J^+ the slopes that explain a change best, P the
-surface nearest to them by certainty, r the residual, W Huber's weights, and s the noise of a colour. The power common
-to all LEDs is determined by slopes that are not small, and by C. Several touches of one instance determine more than
-one: on simulated instances the light fitted to eight is as good as the true one.
+with T, J the derivatives of the image by deviations and slopes, J^+ the slopes that explain a
+change best, P the surface nearest to them by certainty, r the residual, W Huber's weights, and s
+the noise of a colour. The power common to all LEDs is determined by slopes that are not small, and
+by C. Several touches of one instance determine more than one: on simulated instances the light
+fitted to eight is as good as the true one.
 """
 
 import math
@@ -25,7 +28,11 @@ from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.constants import CONSTANTS
-from pipeline.stages.depth.illumination.led_light import compute_led_prior_root, make_led_light, shift_optics
+from pipeline.stages.depth.illumination.led_light import (
+    compute_led_prior_root,
+    make_led_light,
+    shift_optics,
+)
 from pipeline.stages.depth.illumination.light import (
     ImagePatch,
     Light,
@@ -40,7 +47,9 @@ from pipeline.stages.depth.poisson import Integrator, solve_weighted_slopes
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LedObservation:
-    """One touch for the fit: its image, a first guess of its surface, and the integrator of its patch."""
+    """One touch for the fit: its image, a first guess of its surface, and the integrator of its
+    patch.
+    """
 
     patch: ImagePatch
     surface_mm: Floats  # (rows, cols)
@@ -54,18 +63,19 @@ class FitRule:
     The deviance is t' C^-1 t, the excess the share of the change that is left beyond noise.
     """
 
-    # Simulated instances reach up to 0.99 of the limit, one in fifty more; single balls on a real Mini from 1.19, other
-    # real instances from 2.1.
+    # Simulated instances reach up to 0.99 of the limit, one in fifty more; single balls on a real
+    # Mini from 1.19, other real instances from 2.1.
     max_deviance: float = 70.0
     max_excess: float = 0.28
     independent_pixels: float = 800.0  # of one touch
     noise_grey: float = 1.5  # grey levels of misfit per pixel that are noise
     # This sum beyond which a fit ends: as described, after one step, two, ... 238 accepted fits
-    # (`benchmarks/simulated_depth.py`) have at most 1.97, 1.65, 1.78 and 1.25; all of 15 touches on a real GelSlim have
-    # more than 2 after two steps.
+    # (`benchmarks/simulated_depth.py`) have at most 1.97, 1.65, 1.78 and 1.25; all of 15 touches on
+    # a real GelSlim have more than 2 after two steps.
     hopeless: tuple[float, ...] = (2.32, 1.9, 1.9, 1.4)
-    # Share of the deviance of random instances below which the description stands: walls and shadows on instances as
-    # described have up to this in three touches of four, others 0.22 or more.
+    # Share of the deviance of random instances below which the description stands: walls and
+    # shadows on instances as described have up to this in three touches of four, others 0.22 or
+    # more.
     as_described: float = 0.2
 
 
@@ -87,14 +97,20 @@ class _LedModel:
 
 
 def fit_leds(source: SensorSpec, touches: Sequence[LedObservation]) -> Doubles | None:
-    """Deviations (m,) of the instance's LEDs (`led_light.shift_optics`); None where no usual instance explains them.
+    """Deviations (m,) of the instance's LEDs (`led_light.shift_optics`).
+
+    None where no usual instance explains them.
 
     Zero where the touches do not differ from the description.
     """
-    model = _LedModel(source=source, prior_root=compute_led_prior_root(optics.require_optics(source)))
+    model = _LedModel(
+        source=source, prior_root=compute_led_prior_root(optics.require_optics(source))
+    )
     precision = np.linalg.inv(model.prior_root @ model.prior_root.T)
     deviations = np.zeros(len(precision))
-    normal, noise, change = precision, 0.0, 0.0
+    normal = precision
+    noise = 0.0
+    change = 0.0
     for touch in touches:
         share = touch.patch.unmarked_share
         noise += LED_RULE.noise_grey * float((share[..., 0] * touch.patch.changed).sum())
@@ -102,17 +118,24 @@ def fit_leds(source: SensorSpec, touches: Sequence[LedObservation]) -> Doubles |
     for iteration in range(CONSTANTS.fit_iterations + 1):
         touches, misfit = _refine_surfaces(model, deviations, touches)
         excess = max(0.0, misfit - noise) / max(change, 1.0)
-        score = float(deviations @ precision @ deviations) / LED_RULE.max_deviance + excess / LED_RULE.max_excess
+        score = (
+            float(deviations @ precision @ deviations) / LED_RULE.max_deviance
+            + excess / LED_RULE.max_excess
+        )
         if score > (*LED_RULE.hopeless, 1.0)[iteration]:
             return None
         if iteration < CONSTANTS.fit_iterations:
             systems = [_linearise(model, deviations, touch) for touch in touches]
             normal = precision + sum(system[0] for system in systems)
-            step = np.linalg.solve(normal, sum(system[1] for system in systems) - precision @ deviations)
+            step = np.linalg.solve(
+                normal, sum(system[1] for system in systems) - precision @ deviations
+            )
             length = math.sqrt(float(step @ precision @ step))
             deviations = deviations + step * min(1.0, CONSTANTS.max_fit_step / max(length, 1e-9))
     determined = float(np.trace(np.linalg.solve(normal, normal - precision)))
-    is_as_described = float(deviations @ precision @ deviations) < LED_RULE.as_described * determined
+    is_as_described = (
+        float(deviations @ precision @ deviations) < LED_RULE.as_described * determined
+    )
     return np.zeros_like(deviations) if is_as_described else deviations
 
 
@@ -120,20 +143,30 @@ def _refine_surfaces(
     model: _LedModel, deviations: Doubles, touches: Sequence[LedObservation]
 ) -> tuple[list[LedObservation], float]:
     """The touches with their surfaces refined in this light, and the sum of their misfits."""
-    refined, total = list[LedObservation](), 0.0
+    refined = list[LedObservation]()
+    total = 0.0
     for touch in touches:
         surface, misfit = refine_surface(
-            touch.surface_mm, touch.patch, model.make_light(deviations, touch.patch), touch.integrate,
-            CONSTANTS.fit_refinements, CONSTANTS.fit_cg_steps,
-        )  # fmt: skip
+            touch.surface_mm,
+            touch.patch,
+            model.make_light(deviations, touch.patch),
+            touch.integrate,
+            CONSTANTS.fit_refinements,
+            CONSTANTS.fit_cg_steps,
+        )
         refined.append(replace(touch, surface_mm=surface))
         total += misfit
     return refined, total
 
 
-def _linearise(model: _LedModel, deviations: Doubles, touch: LedObservation) -> tuple[Doubles, Doubles]:
-    """The normal equations (m, m), (m,) of the deviations, from what no change of the surface explains."""
-    patch, light = touch.patch, model.make_light(deviations, touch.patch)
+def _linearise(
+    model: _LedModel, deviations: Doubles, touch: LedObservation
+) -> tuple[Doubles, Doubles]:
+    """The normal equations (m, m), (m,) of the deviations, from what no change of the surface
+    explains.
+    """
+    patch = touch.patch
+    light = model.make_light(deviations, touch.patch)
     surface = clip_surface(touch.surface_mm, patch, light)
     slopes = compute_slopes(surface, patch.pixel_mm)
     rendered = light.render(surface, *slopes)
@@ -145,39 +178,66 @@ def _linearise(model: _LedModel, deviations: Doubles, touch: LedObservation) -> 
     for k, size in enumerate(sizes):
         shifted = deviations.copy()
         shifted[k] += size
-        if model.shift(shifted) == model.shift(deviations):  # this sensor's light does not depend on it
+        # this sensor's light does not depend on it
+        if model.shift(shifted) == model.shift(deviations):
             continue
         other = model.make_light(shifted, patch)
-        columns[k] = blur_change(other.render(surface, *slopes).change, patch, other.blur_px) - blurred
+        columns[k] = (
+            blur_change(other.render(surface, *slopes).change, patch, other.blur_px) - blurred
+        )
         columns[k] /= np.float32(size)
     _project_out_surface(columns, rendered, weight, patch, touch.integrate)
     flat = columns.reshape(len(deviations), -1).astype(np.float64)
-    share = min(1.0, LED_RULE.independent_pixels / max(1, np.count_nonzero(patch.changed))) / CONSTANTS.noise_grey**2
+    share = (
+        min(1.0, LED_RULE.independent_pixels / max(1, np.count_nonzero(patch.changed)))
+        / CONSTANTS.noise_grey**2
+    )
     weighted = flat * (share * weight.ravel().astype(np.float64))
     return weighted @ flat.T, weighted @ residual.ravel()
 
 
 def _compute_colour_weights(residual: Floats, patch: ImagePatch) -> Floats:
     """Huber's weights (rows, cols, 3) of the residuals; 0 where the camera is clipped."""
-    image, huber = patch.reference + patch.change, np.float32(CONSTANTS.huber_grey)
-    informative = (image > CONSTANTS.black_grey) & (image < CONSTANTS.white_grey) & patch.changed[..., None]
-    return np.asarray(informative * np.minimum(1.0, huber / np.maximum(np.abs(residual), huber)), np.float32)
+    image = patch.reference + patch.change
+    huber = np.float32(CONSTANTS.huber_grey)
+    informative = (
+        (image > CONSTANTS.black_grey) & (image < CONSTANTS.white_grey) & patch.changed[..., None]
+    )
+    return np.asarray(
+        informative * np.minimum(1.0, huber / np.maximum(np.abs(residual), huber)), np.float32
+    )
 
 
 def _project_out_surface(
-    columns: Floats, rendered: RenderedChange, weight: Floats, patch: ImagePatch, integrate: Integrator
+    columns: Floats,
+    rendered: RenderedChange,
+    weight: Floats,
+    patch: ImagePatch,
+    integrate: Integrator,
 ) -> None:
-    """Subtract from `columns` (m, rows, cols, 3), changes of an image, what the best surface explains of each."""
+    """Subtract from `columns` (m, rows, cols, 3), changes of an image, what the best surface
+    explains of each.
+    """
     _, across, down = rendered
-    pull, outside = np.float32(CONSTANTS.pull), np.float32(CONSTANTS.outside_weight)
-    xx, xy, yy = _sum(weight, across, across) + pull, _sum(weight, across, down), _sum(weight, down, down) + pull
-    weights = np.where(patch.changed, np.stack([xx, xy, yy]), np.array([outside, 0.0, outside])[:, None, None])
+    pull = np.float32(CONSTANTS.pull)
+    outside = np.float32(CONSTANTS.outside_weight)
+    xx = _sum(weight, across, across) + pull
+    xy = _sum(weight, across, down)
+    yy = _sum(weight, down, down) + pull
+    weights = np.where(
+        patch.changed, np.stack([xx, xy, yy]), np.array([outside, 0.0, outside])[:, None, None]
+    )
     per = patch.changed / (xx * yy - xy * xy)
-    to_x, to_y = (per * np.einsum("rck,rck,nrck->nrc", weight, rates, columns) for rates in (across, down))
+    to_x, to_y = (
+        per * np.einsum("rck,rck,nrck->nrc", weight, rates, columns) for rates in (across, down)
+    )
     target = _single(yy * to_x - xy * to_y), _single(xx * to_y - xy * to_x)
     flat = np.zeros_like(target[0])
     steps = CONSTANTS.projection_cg_steps
-    bent = solve_weighted_slopes(flat, target, _single(weights), patch.pixel_mm, integrate, steps) * patch.changed
+    bent = (
+        solve_weighted_slopes(flat, target, _single(weights), patch.pixel_mm, integrate, steps)
+        * patch.changed
+    )
     for rates, slopes in zip((across, down), compute_slopes(bent, patch.pixel_mm), strict=True):
         columns -= rates * slopes[..., None]
 

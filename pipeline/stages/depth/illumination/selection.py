@@ -1,4 +1,5 @@
-"""Choice of the light model of a sensor instance from its touches, and correction of a surface in that light.
+"""Choice of the light model of a sensor instance from its touches, and correction of a surface in
+that light.
 
 `docs/illumination.md` says which recordings need which.
 """
@@ -61,17 +62,26 @@ class Touch:
         """The touch with a surface (rows, cols), on the coarser grid of the LED fit."""
         cells = downsample_patch(self.patch, self.source.camera.shape, CONSTANTS.led_grid_cells)
         if cells is not self.patch:
-            surface_mm = compute_cell_means(surface_mm, cells.downsampling // self.patch.downsampling)
-        return LedObservation(patch=cells, surface_mm=surface_mm, integrate=self.make_integrator(cells))
+            surface_mm = compute_cell_means(
+                surface_mm, cells.downsampling // self.patch.downsampling
+            )
+        return LedObservation(
+            patch=cells, surface_mm=surface_mm, integrate=self.make_integrator(cells)
+        )
 
 
 def choose_illumination(touches: Sequence[Touch]) -> Illumination:
-    """The light that explains the touches of one sensor instance; the described light where none does.
+    """The light that explains the touches of one sensor instance.
 
-    A model whose parameters differ from place to place has none for several touches: `fit_touch` finds those of each.
+    The described light where none does.
+
+    A model whose parameters differ from place to place has none for several touches: `fit_touch`
+    finds those of each.
     """
     source = touches[0].source
-    leds = pack_leds("leds", fit_leds(source, [touch.observe(touch.described[0]) for touch in touches]))
+    leds = pack_leds(
+        "leds", fit_leds(source, [touch.observe(touch.described[0]) for touch in touches])
+    )
     if leds is not None:  # of a usual instance: most simulated touches
         return leds
     is_explained = _is_explained(touches, sum(touch.described[1] for touch in touches))
@@ -81,22 +91,30 @@ def choose_illumination(touches: Sequence[Touch]) -> Illumination:
     if is_explained:  # the described LEDs hold, once each pixel counts by its certainty
         misfit = sum(touch.refine(TRUSTED, touch.described[0])[1] for touch in touches)
         return TRUSTED if _is_explained(touches, misfit) else DESCRIBED
-    return DESCRIBED if casts_shadows(source) else Illumination(model="near")  # LEDs close to the gel: a real GelSlim
+    # LEDs close to the gel: a real GelSlim
+    return DESCRIBED if casts_shadows(source) else Illumination(model="near")
 
 
 def fit_touch(touch: Touch) -> Illumination:
-    """The shading field of one touch of a recording; the described light where the touch determines none."""
+    """The shading field of one touch of a recording.
+
+    The described light where the touch determines none.
+    """
     return pack_leds("field", _fit_field(touch)[0]) or DESCRIBED
 
 
 def _try_field(touches: Sequence[Touch]) -> Illumination | None:
-    """A shading field for each touch, if it explains far more than the described light: a real GelSight Mini.
+    """A shading field for each touch, if it explains far more than the described light: a real
+    GelSight Mini.
 
     Where LEDs cast shadows, which no field explains, more is enough: a real DIGIT.
     """
     decisive = touches[: CONSTANTS.field_touches]
     described = sum(touch.described[1] for touch in decisive)
-    fits = [_fit_field(touch, touch.described[1] if len(touches) == 1 else math.inf) for touch in decisive]
+    fits = [
+        _fit_field(touch, touch.described[1] if len(touches) == 1 else math.inf)
+        for touch in decisive
+    ]
     gain = 1.0 if casts_shadows(touches[0].source) else CONSTANTS.field_gain
     if described <= gain * sum(fit[1] for fit in fits):
         return None
@@ -104,7 +122,10 @@ def _try_field(touches: Sequence[Touch]) -> Illumination | None:
 
 
 def _fit_field(touch: Touch, described_misfit: float = math.inf) -> tuple[Doubles | None, float]:
-    """Coefficients (m,) of the shading field of one touch and its misfit; none and infinity where it has none."""
+    """Coefficients (m,) of the shading field of one touch and its misfit.
+
+    None and infinity where it has none.
+    """
     integrate = touch.make_integrator(touch.patch)
     fit = fit_field(touch.guess_mm, touch.patch, touch.source, integrate, described_misfit)
     return (None, math.inf) if fit is None else fit
@@ -118,7 +139,11 @@ def _is_explained(touches: Sequence[Touch], misfit: float) -> bool:
 
 def pack_leds(model: IlluminationModel, parameters: Doubles | None) -> Illumination | None:
     """A fitted illumination; None where the fit was rejected."""
-    return None if parameters is None else Illumination(model=model, parameters=tuple(parameters.tolist()))
+    return (
+        None
+        if parameters is None
+        else Illumination(model=model, parameters=tuple(parameters.tolist()))
+    )
 
 
 def get_optics(illumination: Illumination, source: SensorSpec) -> Optics:
@@ -138,25 +163,43 @@ def make_light(illumination: Illumination, patch: ImagePatch, source: SensorSpec
         return make_field_light(parameters, patch, source)
     is_near = illumination.model == "near"
     return led_light.make_led_light(
-        source, get_optics(illumination, source), patch, trusted=illumination.is_trusted, near=is_near
+        source,
+        get_optics(illumination, source),
+        patch,
+        trusted=illumination.is_trusted,
+        near=is_near,
     )
 
 
 def correct_surface(
-    surface_mm: Floats, patch: ImagePatch, source: SensorSpec, illumination: Illumination, integrate: Integrator
+    surface_mm: Floats,
+    patch: ImagePatch,
+    source: SensorSpec,
+    illumination: Illumination,
+    integrate: Integrator,
 ) -> Floats:
-    """The surface (rows, cols) in mm of a patch, corrected in an illumination from a first guess."""
+    """The surface (rows, cols) in mm of a patch, corrected in an illumination from a first
+    guess.
+    """
     iterations = CONSTANTS.iterations
     light = make_light(illumination, patch, source)
     if illumination.is_trusted:
-        plain = led_light.make_led_light(source, get_optics(illumination, source), patch, trusted=False)
-        surface_mm, _ = refine_surface(surface_mm, patch, plain, integrate, iterations, until_settled=True)
+        plain = led_light.make_led_light(
+            source, get_optics(illumination, source), patch, trusted=False
+        )
+        surface_mm, _ = refine_surface(
+            surface_mm, patch, plain, integrate, iterations, until_settled=True
+        )
         iterations *= CONSTANTS.trusted_iteration_factor
     return refine_surface(surface_mm, patch, light, integrate, iterations, until_settled=True)[0]
 
 
 def add_detail(
-    surface_mm: Floats, patch: ImagePatch, source: SensorSpec, illumination: Illumination, integrate: Integrator
+    surface_mm: Floats,
+    patch: ImagePatch,
+    source: SensorSpec,
+    illumination: Illumination,
+    integrate: Integrator,
 ) -> Floats:
     """The surface (rows, cols) after one more iteration, at the image's own resolution."""
     light = make_light(illumination, patch, source)

@@ -1,26 +1,27 @@
 """A gel's surface, corrected until its rendered image matches the recorded one.
 
-A calibration table knows a pixel's colour and place only. Where a dent blocks a LED, the table takes the darkness for
-a slope; over a steep rim, lens blur flattens the slopes. Both follow from the surface, so they are estimated together
-with it (analysis by synthesis). Each iteration renders the surface z in a light model, compares the result with the
-recorded change, and takes a Gauss-Newton step of every pixel's slopes g = grad z,
+A calibration table knows a pixel's colour and place only. Where a dent blocks a LED, the table
+takes the darkness for a slope; over a steep rim, lens blur flattens the slopes. Both follow from
+the surface, so they are estimated together with it (analysis by synthesis). Each iteration renders
+the surface z in a light model, compares the result with the recorded change, and takes a
+Gauss-Newton step of every pixel's slopes g = grad z,
 
     dg = A^-1 J' W r,    A = J' W J + pull,
 
-r the residual, J the derivatives of the rendered colours, W Huber's weights (0 where the camera is clipped), and
-integrates. What a pixel cannot determine is left as the integration has it.
+r the residual, J the derivatives of the rendered colours, W Huber's weights (0 where the camera is
+clipped), and integrates. What a pixel cannot determine is left as the integration has it.
 
-A wall is saturated: it looks alike at any height. While all slopes count alike, what it lacks is taken from the flanks
-that are measured well. In light that is known to explain the image, the surface is therefore the one nearest to the
-slopes by their certainty,
+A wall is saturated: it looks alike at any height. While all slopes count alike, what it lacks is
+taken from the flanks that are measured well. In light that is known to explain the image, the
+surface is therefore the one nearest to the slopes by their certainty,
 
     minimise  sum (grad z - g - dg)' A (grad z - g - dg),
 
-after what stands on walls has been raised as a whole. A wall determines its slope weakly, and what stands between walls
-strongly: springs in series, of which the weak ones yield last when a surface approaches its slopes step by step. So the
-surface is first moved as a whole: scaled, its walls raised low, in the middle or high up, and each of its dents by
-itself. In light that is not the instance's own, colours are less certain than they are clear, and this would follow
-the clearest.
+after what stands on walls has been raised as a whole. A wall determines its slope weakly, and what
+stands between walls strongly: springs in series, of which the weak ones yield last when a surface
+approaches its slopes step by step. So the surface is first moved as a whole: scaled, its walls
+raised low, in the middle or high up, and each of its dents by itself. In light that is not the
+instance's own, colours are less certain than they are clear, and this would follow the clearest.
 """
 
 import numpy as np
@@ -36,7 +37,9 @@ from pipeline.stages.depth.illumination.light import (
 from pipeline.stages.depth.poisson import Integrator, solve_weighted_slopes
 
 _WALL_RANGES = ((0.1, 0.5), (0.3, 0.8), (0.6, 1.0))  # of the depth: where a wall is raised
-_MAX_DENTS, _DENT_SHARE = 4, 0.5  # dents that are raised by themselves; their depth as a share of the deepest
+# dents that are raised by themselves; their depth as a share of the deepest
+_MAX_DENTS = 4
+_DENT_SHARE = 0.5
 _REACH_PX = 5  # of a dent's walls
 _DEEPEST = 99.5  # percentile that stands for the depth
 _MIN_DEPTH_MM = 0.02
@@ -44,62 +47,101 @@ _RIDGE = 1e-6  # of the normal equations' trace
 
 
 def refine_surface(
-    surface_mm: Floats, patch: ImagePatch, light: Light, integrate: Integrator, iterations: int,
-    cg_steps: int = CONSTANTS.cg_steps, *, until_settled: bool = False,
-) -> tuple[Floats, float]:  # fmt: skip
-    """The surface (rows, cols) in mm whose rendered image comes nearest to the recorded one, and the misfit.
+    surface_mm: Floats,
+    patch: ImagePatch,
+    light: Light,
+    integrate: Integrator,
+    iterations: int,
+    cg_steps: int = CONSTANTS.cg_steps,
+    *,
+    until_settled: bool = False,
+) -> tuple[Floats, float]:
+    """The surface (rows, cols) in mm whose rendered image comes nearest to the recorded one, and
+    the misfit.
 
-    `surface_mm` is the first guess; `integrate` makes slopes (gx, gy) of the patch a surface. The misfit is in grey
-    levels, summed over pixels and colours, before the last iteration. `until_settled`: one that
-    hardly moves any pixel is the last.
+    `surface_mm` is the first guess; `integrate` makes slopes (gx, gy) of the patch a surface. The
+    misfit is in grey levels, summed over pixels and colours, before the last iteration.
+    `until_settled`: one that hardly moves any pixel is the last.
     """
     import cv2
 
-    from pipeline.stages.depth.illumination.illumination_kernels import N_LINES, TILE_PX, update_slopes
+    from pipeline.stages.depth.illumination.illumination_kernels import (
+        N_LINES,
+        TILE_PX,
+        update_slopes,
+    )
 
-    rule, misfit = light.step_rule, 0.0
+    rule = light.step_rule
+    misfit = 0.0
     weights = np.empty((3, *patch.changed.shape), np.float32)
-    limits, scratch = rule.pack_limits(), np.empty(N_LINES * TILE_PX, np.float32)
+    limits = rule.pack_limits()
+    scratch = np.empty(N_LINES * TILE_PX, np.float32)
     for _ in range(iterations):
         surface = clip_surface(surface_mm, patch, light)
         slopes = compute_slopes(surface, patch.pixel_mm)
         change, *rates = light.render(surface, *slopes)
         misfit = update_slopes(
-            blur_change(change, patch, light.blur_px), (patch.change, patch.reference), patch.unmarked_share,
-            patch.changed, *rates, limits, scratch, *slopes, weights,
-        )  # fmt: skip
+            blur_change(change, patch, light.blur_px),
+            (patch.change, patch.reference),
+            patch.unmarked_share,
+            patch.changed,
+            *rates,
+            limits,
+            scratch,
+            *slopes,
+            weights,
+        )
         before = surface_mm
         if rule.weighted:
             raised = raise_walls(surface_mm, slopes, weights, patch.pixel_mm)
-            surface_mm = solve_weighted_slopes(raised, slopes, weights, patch.pixel_mm, integrate, cg_steps)
+            surface_mm = solve_weighted_slopes(
+                raised, slopes, weights, patch.pixel_mm, integrate, cg_steps
+            )
         else:
             surface_mm = integrate(*slopes)
-        moved_mm, depth_mm = cv2.norm(surface_mm, before, cv2.NORM_INF), cv2.norm(surface_mm, cv2.NORM_INF)
-        if until_settled and moved_mm < min(CONSTANTS.settled_mm, CONSTANTS.settled_share * depth_mm):
+        moved_mm = cv2.norm(surface_mm, before, cv2.NORM_INF)
+        depth_mm = cv2.norm(surface_mm, cv2.NORM_INF)
+        if until_settled and moved_mm < min(
+            CONSTANTS.settled_mm, CONSTANTS.settled_share * depth_mm
+        ):
             break
     return surface_mm, misfit
 
 
 def clip_surface(surface_mm: Floats, patch: ImagePatch, light: Light) -> Floats:
     """The surface (rows, cols) within the range of the gel; 0 where nothing has changed."""
-    return np.clip(surface_mm, CONSTANTS.bulge_mm, light.source.limits.indentation_max_mm) * patch.changed
+    return (
+        np.clip(surface_mm, CONSTANTS.bulge_mm, light.source.limits.indentation_max_mm)
+        * patch.changed
+    )
 
 
-def raise_walls(surface_mm: Floats, slopes: tuple[Floats, Floats], weights: Floats, pixel_mm: float) -> Floats:
-    """The surface (rows, cols) in mm, moved as a whole toward these slopes; see `poisson.solve_weighted_slopes`.
+def raise_walls(
+    surface_mm: Floats, slopes: tuple[Floats, Floats], weights: Floats, pixel_mm: float
+) -> Floats:
+    """The surface (rows, cols) in mm, moved as a whole toward these slopes.
+
+    See `poisson.solve_weighted_slopes`.
 
     weights (3, rows, cols): the information matrix (xx, xy, yy) of each pixel's slopes.
     """
     import cv2
 
-    from pipeline.stages.depth.illumination.wall_correction_kernels import accumulate_normal_equations
+    from pipeline.stages.depth.illumination.wall_correction_kernels import (
+        accumulate_normal_equations,
+    )
 
     shapes = _make_shapes(surface_mm)
     if not shapes:
         return surface_mm
-    n, cols = len(shapes), surface_mm.shape[1]
-    normal, pull, line = np.empty((n, n)), np.empty(n), np.empty((2, cols), np.float32)
-    accumulate_normal_equations(*compute_slopes(np.stack(shapes), pixel_mm), *slopes, *weights, line, normal, pull)
+    n = len(shapes)
+    cols = surface_mm.shape[1]
+    normal = np.empty((n, n))
+    pull = np.empty(n)
+    line = np.empty((2, cols), np.float32)
+    accumulate_normal_equations(
+        *compute_slopes(np.stack(shapes), pixel_mm), *slopes, *weights, line, normal, pull
+    )
     factors = np.linalg.solve(normal + _RIDGE * np.trace(normal) * np.eye(n), pull)
     raised_mm = np.array(surface_mm, np.float32)
     for factor, shape in zip(factors, shapes, strict=True):
@@ -114,13 +156,20 @@ def _make_shapes(surface_mm: Floats) -> list[Floats]:
     depth_mm = float(percentile(surface_mm, _DEEPEST))
     if depth_mm <= _MIN_DEPTH_MM:
         return []
-    shapes = [surface_mm, *(_make_ramp(surface_mm, depth_mm, low, high) for low, high in _WALL_RANGES)]
-    n, labels = cv2.connectedComponents((surface_mm > _DENT_SHARE * depth_mm).astype(np.uint8), connectivity=8)
+    shapes = [
+        surface_mm,
+        *(_make_ramp(surface_mm, depth_mm, low, high) for low, high in _WALL_RANGES),
+    ]
+    n, labels = cv2.connectedComponents(
+        (surface_mm > _DENT_SHARE * depth_mm).astype(np.uint8), connectivity=8
+    )
     if n > 2:  # the background and one dent
         dents = np.asarray(labels, np.int32)
         areas = np.bincount(dents.ravel(), minlength=n)[1:]
         for k in 1 + np.argsort(-areas, kind="stable")[:_MAX_DENTS]:
-            mask = cv2.dilate((dents == k).astype(np.uint8), np.ones((_REACH_PX, _REACH_PX), np.uint8))
+            mask = cv2.dilate(
+                (dents == k).astype(np.uint8), np.ones((_REACH_PX, _REACH_PX), np.uint8)
+            )
             shapes.append(np.asarray(shapes[2] * mask, np.float32))
     return shapes
 

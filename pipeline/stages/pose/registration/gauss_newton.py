@@ -1,8 +1,11 @@
-"""Register contact points to an object's distance grid by robust Gauss-Newton; weak directions are held.
+"""Register contact points to an object's distance grid by robust Gauss-Newton.
 
-The residual of a point p is the signed distance d(R^T (p - t)), its normal the distance's gradient; there is no search
-for correspondences. Residuals are weighted after Geman and McClure at a scale that shrinks with their spread.
-Directions that the points do not determine (X-ICP, Tuna et al. 2023) keep their initial value.
+Weak directions are held.
+
+The residual of a point p is the signed distance d(R^T (p - t)), its normal the distance's gradient;
+there is no search for correspondences. Residuals are weighted after Geman and McClure at a scale
+that shrinks with their spread. Directions that the points do not determine (X-ICP, Tuna et al.
+2023) keep their initial value.
 """
 
 from __future__ import annotations
@@ -17,16 +20,20 @@ from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.distance_grid import DistanceGrid
 from pipeline.core.values.results import PoseStep
-from pipeline.stages.pose.registration.observability import NO_SYSTEMATIC_STD, TOLERANCES, SystematicStd, Tolerances
+from pipeline.stages.pose.registration.observability import (
+    NO_SYSTEMATIC_STD,
+    TOLERANCES,
+    SystematicStd,
+    Tolerances,
+)
 
 MIN_POINTS = 6  # as many as unknowns
 TOO_FEW = "fewer than 6 points are finite; a pose has six unknowns"
 COINCIDENT_POINTS = "all points coincide within rounding"
 _ROUNDING_SHARE = 1e-12  # share of the distance to the frame's origin: rounding
-_SUBSET_ABOVE, _SUBSET_POINTS = (
-    2000,
-    500,
-)  # number of points above which a subset finds the neighbourhood first; size of the subset
+# number of points above which a subset finds the neighbourhood first; size of the subset
+_SUBSET_ABOVE = 2000
+_SUBSET_POINTS = 500
 _SUBSET_CONVERGENCE_MM = 5e-3  # convergence (mm) of that first pass
 _SCALE_FACTOR = 1.5  # factor on the subset's final scale at which all points start
 NOTHING_NEAR = "no point lies within the search distance of the object"
@@ -80,7 +87,8 @@ class CentredPoints:
             return NotDetermined(reason=TOO_FEW)
         # The sum of coordinates near the largest float is not finite.
         with np.errstate(over="ignore", invalid="ignore"):
-            centred = given - given[0]  # relative to the first point: a distant frame costs no digits
+            # relative to the first point: a distant frame costs no digits
+            centred = given - given[0]
             about = given[0] + centred.mean(axis=0)
             centred -= centred.mean(axis=0)
             radius = float(np.sqrt((centred**2).sum(axis=1).mean()))
@@ -95,26 +103,34 @@ class CentredPoints:
         return replace(self, centred_mm=np.ascontiguousarray(self.centred_mm[::step]))
 
 
-def fit_pose(points: CentredPoints, grid: DistanceGrid, start: Doubles, how: FitOptions) -> PoseFit | NotDetermined:
-    """Return the pose (sensor_from_object) near `start` that fits points of the sensor frame to the object.
+def fit_pose(
+    points: CentredPoints, grid: DistanceGrid, start: Doubles, how: FitOptions
+) -> PoseFit | NotDetermined:
+    """Return the pose (sensor_from_object) near `start` that fits points of the sensor frame to the
+    object.
 
     Raises CalibrationError when `start` is no rigid transform.
     """
     rows = _rows(rigid.validate_rigid(start, "the start of the registration")[None], points)
-    history, scale_mm = np.empty((0, 14)), how.max_distance_mm
+    history = np.empty((0, 14))
+    scale_mm = how.max_distance_mm
     if len(points.centred_mm) >= _SUBSET_ABOVE:
         few = points.thin(_SUBSET_POINTS)
-        history, found_mm = _fit(few, rows, grid, replace(how, convergence_mm=_SUBSET_CONVERGENCE_MM), scale_mm)
+        history, found_mm = _fit(
+            few, rows, grid, replace(how, convergence_mm=_SUBSET_CONVERGENCE_MM), scale_mm
+        )
         scale_mm = min(_SCALE_FACTOR * found_mm, scale_mm)
     rest, _ = _fit(points, rows, grid, how, scale_mm)
     if rest[-1, 13] == 0:
         return NotDetermined(reason=NOTHING_NEAR)
     poses = np.concatenate([history[:-1], rest])
     return PoseFit(
-        sensor_from_object=freeze(_pose(rest[-1], points.centre_mm)), rmse_mm=float(rest[-1, 12]),
-        fitness=float(rest[-1, 13]), stop_reason=_describe_stop(rest, points.radius_mm, how),
+        sensor_from_object=freeze(_pose(rest[-1], points.centre_mm)),
+        rmse_mm=float(rest[-1, 12]),
+        fitness=float(rest[-1, 13]),
+        stop_reason=_describe_stop(rest, points.radius_mm, how),
         steps=_steps(poses, points, how) if how.keep_steps else (),
-    )  # fmt: skip
+    )
 
 
 def trace_iterations(
@@ -125,7 +141,9 @@ def trace_iterations(
     return _steps(rows, points, how)
 
 
-def register_from_starts(points: CentredPoints, grid: DistanceGrid, starts: Doubles, how: FitOptions) -> Doubles:
+def register_from_starts(
+    points: CentredPoints, grid: DistanceGrid, starts: Doubles, how: FitOptions
+) -> Doubles:
     """Return the pose (n, 4, 4) that each start (n, 4, 4) converges to."""
     rows = _rows(starts, points)
     _fit(points, rows, grid, how, how.max_distance_mm)
@@ -135,10 +153,14 @@ def register_from_starts(points: CentredPoints, grid: DistanceGrid, starts: Doub
 def _fit(
     points: CentredPoints, rows: Doubles, grid: DistanceGrid, how: FitOptions, scale_mm: float
 ) -> tuple[Doubles, float]:
-    """Move `rows` (n, 12) in place; return the history (k, 14) of the last row and its final scale (mm)."""
+    """Move `rows` (n, 12) in place.
+
+    Return the history (k, 14) of the last row and its final scale (mm).
+    """
     from pipeline.stages.pose.registration.gauss_newton_kernels import N_BINS, N_SUMS, fit_poses
 
-    history, ended = np.empty((how.n_iterations + 1, 14)), np.zeros((len(rows), 2))
+    history = np.empty((how.n_iterations + 1, 14))
+    ended = np.zeros((len(rows), 2))
     arrays = (
         np.empty(N_SUMS),
         np.empty(N_BINS, np.int64),
@@ -146,12 +168,15 @@ def _fit(
         np.empty(6),
         (np.empty((6, 6)), np.empty((6, 6))),
     )
-    text, radius_mm = how.tolerances, points.radius_mm
+    text = how.tolerances
+    radius_mm = points.radius_mm
     rule = (
         (how.systematic_error.rotation_mm**2, (math.radians(text.deg) * radius_mm) ** -2),
-        (how.systematic_error.translation_mm**2, text.mm**-2), math.radians(text.normal_error_deg) ** 2,
-    )  # fmt: skip
-    size, limits = (radius_mm, how.max_distance_mm, scale_mm), (how.noise_mm, how.convergence_mm)
+        (how.systematic_error.translation_mm**2, text.mm**-2),
+        math.radians(text.normal_error_deg) ** 2,
+    )
+    size = (radius_mm, how.max_distance_mm, scale_mm)
+    limits = (how.noise_mm, how.convergence_mm)
     fit_poses(points.centred_mm, rows, grid.lattice, size, limits, rule, arrays, history, ended)
     return history[: int(ended[-1, 0])].copy(), float(ended[-1, 1])
 
@@ -171,11 +196,13 @@ def _pose(row: Doubles, about_mm: Doubles) -> Doubles:
 def _steps(rows: Doubles, points: CentredPoints, how: FitOptions) -> tuple[PoseStep, ...]:
     return tuple(
         PoseStep(
-            sensor_from_object=freeze(_pose(row, points.centre_mm)), rmse_mm=float(row[12]), fitness=float(row[13]),
+            sensor_from_object=freeze(_pose(row, points.centre_mm)),
+            rmse_mm=float(row[12]),
+            fitness=float(row[13]),
             max_correspondence_mm=how.max_distance_mm,
         )
         for row in rows
-    )  # fmt: skip
+    )
 
 
 def _describe_stop(rows: Doubles, radius_mm: float, how: FitOptions) -> str:
@@ -186,6 +213,12 @@ def _describe_stop(rows: Doubles, radius_mm: float, how: FitOptions) -> str:
     angle = math.asin(min(1.0, float(np.linalg.norm(turned - turned.T)) / math.sqrt(8.0)))
     moved_mm = math.hypot(radius_mm * angle, float(np.linalg.norm(rows[-1, 9:12] - rows[-2, 9:12])))
     if len(rows) <= how.n_iterations or moved_mm <= how.convergence_mm:
-        return f"converged: the last iteration moved the contact by less than {how.convergence_mm:g} mm"
-    text = f"ended after {len(rows) - 1} iterations, the limit: the last one still moved the contact by"
+        return (
+            "converged: the last iteration moved the contact by less than "
+            f"{how.convergence_mm:g} mm"
+        )
+    text = (
+        f"ended after {len(rows) - 1} iterations, the limit: the last one still moved the "
+        "contact by"
+    )
     return f"{text} {moved_mm:.2g} mm"

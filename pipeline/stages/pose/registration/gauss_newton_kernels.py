@@ -1,7 +1,10 @@
 # pyright: basic
-"""Compiled loops of the registration: robust Gauss-Newton on signed distances; undetermined directions are held.
+"""Compiled loops of the registration: robust Gauss-Newton on signed distances.
 
-Everything runs on one thread and adds up in the order of the points, so that results are reproducible.
+Undetermined directions are held.
+
+Everything runs on one thread and adds up in the order of the points, so that results are
+reproducible.
 """
 
 from __future__ import annotations
@@ -16,27 +19,47 @@ N_SUMS = 30  # 21 of H, 6 of g, weight, squares within reach, points within reac
 N_BINS = 1024
 _SPREAD = 1.4826  # standard deviation of a normal distribution over its median absolute value
 _BENDS_AT = (
-    5.0  # standard deviations at which a residual's weight is a quarter: 1.5 % less efficient than least squares
+    # standard deviations at which a residual's weight is a quarter: 1.5 % less efficient than least
+    # squares
+    5.0
 )
 _SHRINK = 0.3  # smallest ratio of the scales of two iterations
 
 
 @inner_kernel()
 def accumulate_normal_equations(points, poses, n, grid, radius, scale, reach, bins, sums):
-    """Accumulate into `sums` the normal equations in the object's axes about the centroid, rotations times `radius`."""
-    r00, r01, r02 = poses[n, 0], poses[n, 1], poses[n, 2]
-    r10, r11, r12 = poses[n, 3], poses[n, 4], poses[n, 5]
-    r20, r21, r22 = poses[n, 6], poses[n, 7], poses[n, 8]
-    t0, t1, t2 = poses[n, 9], poses[n, 10], poses[n, 11]
-    mx, my, mz = -(r00 * t0 + r10 * t1 + r20 * t2), -(r01 * t0 + r11 * t1 + r21 * t2), -(r02 * t0 + r12 * t1 + r22 * t2)
+    """Accumulate into `sums` the normal equations in the object's axes about the centroid,
+    rotations times `radius`.
+    """
+    r00 = poses[n, 0]
+    r01 = poses[n, 1]
+    r02 = poses[n, 2]
+    r10 = poses[n, 3]
+    r11 = poses[n, 4]
+    r12 = poses[n, 5]
+    r20 = poses[n, 6]
+    r21 = poses[n, 7]
+    r22 = poses[n, 8]
+    t0 = poses[n, 9]
+    t1 = poses[n, 10]
+    t2 = poses[n, 11]
+    mx = -(r00 * t0 + r10 * t1 + r20 * t2)
+    my = -(r01 * t0 + r11 * t1 + r21 * t2)
+    mz = -(r02 * t0 + r12 * t1 + r22 * t2)
     for k in range(sums.size):
         sums[k] = 0.0
     for k in range(bins.size):
         bins[k] = 0
-    square, per_mm, to_bin = scale * scale, 1.0 / radius, 1.0 / reach
+    square = scale * scale
+    per_mm = 1.0 / radius
+    to_bin = 1.0 / reach
     for m in range(points.shape[0]):
-        px, py, pz = points[m, 0], points[m, 1], points[m, 2]
-        ax, ay, az = r00 * px + r10 * py + r20 * pz, r01 * px + r11 * py + r21 * pz, r02 * px + r12 * py + r22 * pz
+        px = points[m, 0]
+        py = points[m, 1]
+        pz = points[m, 2]
+        ax = r00 * px + r10 * py + r20 * pz
+        ay = r01 * px + r11 * py + r21 * pz
+        az = r02 * px + r12 * py + r22 * pz
         d, gx, gy, gz = look_up(ax + mx, ay + my, az + mz, grid)
         far = abs(d)
         weight = square / (square + d * d)
@@ -45,7 +68,14 @@ def accumulate_normal_equations(points, poses, n, grid, radius, scale, reach, bi
             sums[28] += d * d
             sums[29] += 1.0
             bins[min(int(math.sqrt(far * to_bin) * N_BINS), N_BINS - 1)] += 1
-        row = (ay * gz - az * gy) * per_mm, (az * gx - ax * gz) * per_mm, (ax * gy - ay * gx) * per_mm, gx, gy, gz
+        row = (
+            (ay * gz - az * gy) * per_mm,
+            (az * gx - ax * gz) * per_mm,
+            (ax * gy - ay * gx) * per_mm,
+            gx,
+            gy,
+            gz,
+        )
         at = 0
         for i in range(6):
             weighted = weight * row[i]
@@ -58,11 +88,15 @@ def accumulate_normal_equations(points, poses, n, grid, radius, scale, reach, bi
 
 @inner_kernel()
 def estimate_robust_std(bins, n, reach):
-    """Return the robust standard deviation of the n residuals within `reach`; `reach` where there are none."""
+    """Return the robust standard deviation of the n residuals within `reach`.
+
+    `reach` where there are none.
+    """
     passed = 0
     for k in range(bins.size):
         if n > 0.0 and passed + bins[k] >= 0.5 * n:
-            low, high = reach * (k / N_BINS) ** 2, reach * ((k + 1) / N_BINS) ** 2
+            low = reach * (k / N_BINS) ** 2
+            high = reach * ((k + 1) / N_BINS) ** 2
             return _SPREAD * (low + (high - low) * (0.5 * n - passed) / max(bins[k], 1))
         passed += bins[k]
     return reach
@@ -70,32 +104,40 @@ def estimate_robust_std(bins, n, reach):
 
 @kernel()
 def fit_poses(points, poses, grid, size, limits, rule, arrays, history, ended):
-    """Register points (n, 3) about their centroid from each pose (k, 12) of rotation and translation, in place.
+    """Register points (n, 3) about their centroid from each pose (k, 12) of rotation and
+    translation, in place.
 
-    `size`: the points' radius, search distance, first scale. `limits`: smallest noise, motion that ends the iterations.
-    `rule`: for rotations and for translations the variance that does not average out and the information required per
-    mm^2 of variance, and what is required of both for any noise. `history` (most + 1, 14) holds the iterations of the
-    last pose, with rmse and share; `ended` (k, 2) their number and the final scale.
+    `size`: the points' radius, search distance, first scale. `limits`: smallest noise, motion that
+    ends the iterations. `rule`: for rotations and for translations the variance that does not
+    average out and the information required per mm^2 of variance, and what is required of both for
+    any noise. `history` (most + 1, 14) holds the iterations of the last pose, with rmse and share;
+    `ended` (k, 2) their number and the final scale.
     """
     sums, bins, asked, motion, work = arrays
     radius, reach, _ = size
     floor, settled = limits
     for start in range(poses.shape[0]):
-        scale, last, n = size[2], 1e300, 0
+        scale = size[2]
+        last = 1e300
+        n = 0
         while True:
-            accumulate_normal_equations(points, poses, start, grid, radius, scale, reach, bins, sums)
+            accumulate_normal_equations(
+                points, poses, start, grid, radius, scale, reach, bins, sums
+            )
             for k in range(12):
                 history[n, k] = poses[start, k]
             history[n, 12] = math.sqrt(sums[28] / max(sums[29], 1.0))
             history[n, 13] = sums[29] / points.shape[0]
-            # A start may be off by more than the search distance: continue while the weights give a direction.
+            # A start may be off by more than the search distance: continue while the weights give a
+            # direction.
             if n + 1 == history.shape[0] or not sums[27] > 0.0:
                 break
             noise = max(estimate_robust_std(bins, sums[29], reach), floor)
             bend = min(scale, max(_BENDS_AT * noise, _SHRINK * scale))
             if last <= settled and bend > 0.9 * scale:
                 break
-            # Misfit is not noise before convergence: only the sensor's known error holds directions.
+            # Misfit is not noise before convergence: only the sensor's known error holds
+            # directions.
             known = noise if last <= settled else floor
             variance = known * known / max(sums[27], 1.0)
             for k in range(6):
@@ -105,4 +147,5 @@ def fit_poses(points, poses, grid, size, limits, rule, arrays, history, ended):
             scale = bend
             last = apply_motion(poses, start, motion, radius, reach)
             n += 1
-        ended[start, 0], ended[start, 1] = n + 1, scale
+        ended[start, 0] = n + 1
+        ended[start, 1] = scale

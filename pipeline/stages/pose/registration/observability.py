@@ -1,12 +1,13 @@
 """Estimate how well a contact determines a pose, and which motions it does not observe.
 
-J_i = [((x_i - c) x n_i)^T, n_i^T] is the change of point i's distance along its normal by a small motion (rotation
-about the scene's centroid c, translation); Cov = sigma^2 (J^T J)^-1 (valid for point-to-plane, Bonnabel 2014), with as
-many points as are independent, plus an error that does not average out.
+J_i = [((x_i - c) x n_i)^T, n_i^T] is the change of point i's distance along its normal by a small
+motion (rotation about the scene's centroid c, translation); Cov = sigma^2 (J^T J)^-1 (valid for
+point-to-plane, Bonnabel 2014), with as many points as are independent, plus an error that does not
+average out.
 
-J^T J overestimates: facets of a round rod and the distance grid's gradients have normals off by an angle e, which adds
-e^2 of every motion along the surface. So a direction counts as determined only if its information exceeds that, and
-places it within a tolerance.
+J^T J overestimates: facets of a round rod and the distance grid's gradients have normals off by an
+angle e, which adds e^2 of every motion along the surface. So a direction counts as determined only
+if its information exceeds that, and places it within a tolerance.
 """
 
 import math
@@ -23,11 +24,15 @@ MIN_NOISE_MM = 1e-3  # of a tactile depth; avoids a zero covariance
 NORMAL_ERROR_DEG = 3.0
 """rms, in each of two directions, of what a mesh and its distance grid say.
 
-Facets that leave a round part of 1 mm radius by 2 um are off by 2 degrees, and errors that hang together over a patch
-exceed their mean. It is also where an offset of all depths by 10 um shifts the answer by 0.2 mm: less slope is no hold.
+Facets that leave a round part of 1 mm radius by 2 um are off by 2 degrees, and errors that hang
+together over a patch exceed their mean. It is also where an offset of all depths by 10 um shifts
+the answer by 0.2 mm: less slope is no hold.
 """
-_MAX_CORRELATED, _MAX_CORRELATED_DRAFT = 500, 150  # points in correlated covariances: final, and in between
-_NO_INFORMATION = 1e-9  # share of the information that counts as none, so that variances stay finite
+# points in correlated covariances: final, and in between
+_MAX_CORRELATED = 500
+_MAX_CORRELATED_DRAFT = 150
+# share of the information that counts as none, so that variances stay finite
+_NO_INFORMATION = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,7 +51,8 @@ TOLERANCES = Tolerances()
 class SystematicStd:
     """Standard deviations that do not average out over the points.
 
-    A smooth error affects rotations by its differences across the contact, translations by its mean.
+    A smooth error affects rotations by its differences across the contact, translations by its
+    mean.
     """
 
     translation_mm: float = 0.0
@@ -60,7 +66,8 @@ NO_SYSTEMATIC_STD = SystematicStd()
 class Observability:
     """What the data determine, about the scene's centroid, in the sensor frame."""
 
-    covariance: Doubles  # (6, 6) of (rotation rad, translation mm); large but finite where undetermined
+    # (6, 6) of (rotation rad, translation mm); large but finite where undetermined
+    covariance: Doubles
     observable: Doubles  # (6, 6) idempotent: projects a motion to its determined part
     weak_directions: tuple[str, ...]  # undetermined motions in words
     weak_motions: Doubles  # (k, 6) of (rotation rad, translation mm), each of 1 mm rms
@@ -79,24 +86,33 @@ def assess_observability(
 ) -> Observability:
     """Assess matched points (n, 3) with the object's normals there, about the scene's centroid.
 
-    `noise_mm` is the spread of residuals, `systematic_error` the error that does not average out. Rotations are
-    scaled by the     points' rms distance from the centroid, so that all six directions are in mm.
+    `noise_mm` is the spread of residuals, `systematic_error` the error that does not average out.
+    Rotations are scaled by the     points' rms distance from the centroid, so that all six
+    directions are in mm.
     """
     arms = points_mm - about_mm
     jacobian, radius_mm = _jacobian(points_mm, normals, about_mm)
     information = _sum_products(jacobian, jacobian) / len(points_mm)
     alone = max(noise_mm, MIN_NOISE_MM) ** 2 / len(points_mm)
-    shift_mm2, turn_mm2 = alone + systematic_error.translation_mm**2, alone + systematic_error.rotation_mm**2
-    fake = _along_surface(arms / radius_mm, information) * math.radians(tolerances.normal_error_deg) ** 2
+    shift_mm2 = alone + systematic_error.translation_mm**2
+    turn_mm2 = alone + systematic_error.rotation_mm**2
+    fake = (
+        _along_surface(arms / radius_mm, information)
+        * math.radians(tolerances.normal_error_deg) ** 2
+    )
     required = fake + _required_information(turn_mm2, shift_mm2, radius_mm, tolerances)
     lost = _find_undetermined(information, required)
     to_mm = np.array([radius_mm] * 3 + [1.0] * 3)  # (rad, mm) -> mm
     projector = np.eye(6) - lost @ lost.T
     named = describe_motions(
-        lost, np.asarray(about_mm, dtype=np.float64), radius_mm, lambda v: bool(v @ (information - required) @ v < 0.0)
+        lost,
+        np.asarray(about_mm, dtype=np.float64),
+        radius_mm,
+        lambda v: bool(v @ (information - required) @ v < 0.0),
     )
     return Observability(
-        covariance=_covariance(information, projector, max(turn_mm2, shift_mm2)) / np.outer(to_mm, to_mm),
+        covariance=_covariance(information, projector, max(turn_mm2, shift_mm2))
+        / np.outer(to_mm, to_mm),
         observable=projector * to_mm[None, :] / to_mm[:, None],
         weak_directions=tuple(words for words, _ in named),
         weak_motions=np.array([motion / to_mm for _, motion in named]).reshape(-1, 6),
@@ -115,10 +131,11 @@ def compute_correlated_covariance(
     error: DepthErrorModel,
     systematic_mm: float = 0.0,
 ) -> Doubles:
-    """Return the (6, 6) covariance of (rotation rad, translation mm) of the `observable` motions, by correlated errors.
+    """Return the (6, 6) covariance of (rotation rad, translation mm) of the `observable` motions,
+    by correlated errors.
 
-    (J^T J)^-1 J^T C J (J^T J)^-1: C is the sum of the noise of single points, of `error`, which is rms^2 exp(-d^2 / (2
-    l^2)) between points d apart, and of the error that does not average out.
+    (J^T J)^-1 J^T C J (J^T J)^-1: C is the sum of the noise of single points, of `error`, which is
+    rms^2 exp(-d^2 / (2 l^2)) between points d apart, and of the error that does not average out.
     """
     jacobian, radius_mm = _jacobian(points_mm, normals, about_mm)
     to_mm = np.array([radius_mm] * 3 + [1.0] * 3)
@@ -126,7 +143,8 @@ def compute_correlated_covariance(
     projector = observable * to_mm[:, None] / to_mm[None, :]
     whole = _covariance(_sum_products(jacobian, jacobian) / len(points_mm), projector, 1.0)
     known = projector @ whole @ projector
-    alone, shape = max(noise_mm, MIN_NOISE_MM) ** 2 / len(points_mm) + systematic_mm**2, error.rms_mm**2
+    alone = max(noise_mm, MIN_NOISE_MM) ** 2 / len(points_mm) + systematic_mm**2
+    shape = error.rms_mm**2
     found = alone * known + shape * known @ pulls @ known + (alone + shape) * (whole - known)
     return 0.5 * (found + found.T) / np.outer(to_mm, to_mm)
 
@@ -134,19 +152,30 @@ def compute_correlated_covariance(
 def estimate_systematic_error(
     points_mm: Doubles, normals: Doubles, about_mm: Doubles, error: DepthErrorModel
 ) -> SystematicStd:
-    """Return what a correlated error leaves of rotations about a point and of translations for any number of points.
+    """Return what a correlated error leaves of rotations about a point and of translations for any
+    number of points.
 
-    Over all three axes of each: the variance that the error causes, over the information of the points.
+    Over all three axes of each: the variance that the error causes, over the information of the
+    points.
     """
     jacobian, _ = _jacobian(points_mm, normals, about_mm)
     seen = (jacobian**2).mean(axis=0)
-    pulled = np.diag(_correlated_information(points_mm, jacobian, error.correlation_mm, _MAX_CORRELATED_DRAFT))
-    turn, shift = (float(pulled[k].sum() / max(seen[k].sum(), _NO_INFORMATION)) for k in (np.s_[:3], np.s_[3:]))
-    return SystematicStd(translation_mm=error.rms_mm * math.sqrt(shift), rotation_mm=error.rms_mm * math.sqrt(turn))
+    pulled = np.diag(
+        _correlated_information(points_mm, jacobian, error.correlation_mm, _MAX_CORRELATED_DRAFT)
+    )
+    turn, shift = (
+        float(pulled[k].sum() / max(seen[k].sum(), _NO_INFORMATION)) for k in (np.s_[:3], np.s_[3:])
+    )
+    return SystematicStd(
+        translation_mm=error.rms_mm * math.sqrt(shift), rotation_mm=error.rms_mm * math.sqrt(turn)
+    )
 
 
 def _jacobian(points_mm: Doubles, normals: Doubles, about_mm: Doubles) -> tuple[Doubles, float]:
-    """Return (n, 6) change of distances by scaled rotations and translations; and the rms distance (mm)."""
+    """Return (n, 6) change of distances by scaled rotations and translations.
+
+    And the rms distance (mm).
+    """
     arms = points_mm - about_mm
     radius_mm = max(float(np.sqrt((arms**2).sum(axis=1).mean())), 1e-6)
     return np.concatenate([np.cross(arms, normals) / radius_mm, normals], axis=1), radius_mm
@@ -157,8 +186,12 @@ def _sum_products(a: Doubles, b: Doubles) -> Doubles:
     return np.einsum("ni,nj->ij", a, b)
 
 
-def _correlated_information(points_mm: Doubles, jacobian: Doubles, correlation_mm: float, most: int) -> Doubles:
-    """Return (6, 6) J^T C J / n^2 of correlated errors of 1 mm rms, from at most `most` of the points."""
+def _correlated_information(
+    points_mm: Doubles, jacobian: Doubles, correlation_mm: float, most: int
+) -> Doubles:
+    """Return (6, 6) J^T C J / n^2 of correlated errors of 1 mm rms, from at most `most` of the
+    points.
+    """
     some = np.s_[:: -(-len(points_mm) // most)]
     apart_sq = sum((w[:, None] - w) ** 2 for w in np.ascontiguousarray(points_mm[some].T))
     together = np.exp(apart_sq * (-0.5 / correlation_mm**2))
@@ -179,7 +212,9 @@ def _along_surface(arms: Doubles, information: Doubles) -> Doubles:
     return carried - information
 
 
-def _required_information(turn_mm2: float, shift_mm2: float, radius_mm: float, tolerances: Tolerances) -> Doubles:
+def _required_information(
+    turn_mm2: float, shift_mm2: float, radius_mm: float, tolerances: Tolerances
+) -> Doubles:
     """Return (6, 6) information at which the predicted standard deviation equals the tolerances."""
     turn_mm = math.radians(tolerances.deg) * radius_mm
     return np.diag([turn_mm2 / turn_mm**2] * 3 + [shift_mm2 / tolerances.mm**2] * 3)
@@ -188,9 +223,11 @@ def _required_information(turn_mm2: float, shift_mm2: float, radius_mm: float, t
 def _find_undetermined(information: Doubles, required: Doubles) -> Doubles:
     """Return orthonormal (6, k): the motions v with v^T information v < v^T required v.
 
-    Both sides are quadratic forms, so the result does not depend on the relative scale of rotations and translations.
+    Both sides are quadratic forms, so the result does not depend on the relative scale of rotations
+    and translations.
     """
-    size = 1.0 / np.sqrt(np.diag(required))  # a contact of almost no extent needs a million times more for rotations
+    # a contact of almost no extent needs a million times more for rotations
+    size = 1.0 / np.sqrt(np.diag(required))
     values, vectors = np.linalg.eigh(required * np.outer(size, size))
     whiten = size[:, None] * vectors / np.sqrt(np.maximum(values, _NO_INFORMATION))
     seen, directions = np.linalg.eigh(whiten.T @ information @ whiten)
@@ -199,7 +236,10 @@ def _find_undetermined(information: Doubles, required: Doubles) -> Doubles:
 
 
 def _covariance(information: Doubles, projector: Doubles, variance_mm2: float) -> Doubles:
-    """Return the covariance of a motion in scaled coordinates; undetermined directions do not count."""
+    """Return the covariance of a motion in scaled coordinates.
+
+    Undetermined directions do not count.
+    """
     true = projector @ information @ projector
     values, vectors = np.linalg.eigh(0.5 * (true + true.T))
     least = _NO_INFORMATION * float(np.trace(information))

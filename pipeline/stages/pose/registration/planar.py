@@ -1,8 +1,10 @@
-"""Port of the paper's released pose evaluation: point-to-point ICP of projections in the sensor plane, for comparison.
+"""Port of the paper's released pose evaluation: point-to-point ICP of projections in the sensor
+plane, for comparison.
 
-Its choices are kept: every contact point takes the nearest model point at any distance, many to one; the number of
-iterations is fixed; the side of the object and unobservable motions are not considered. Starts are those of its sweep;
-the one of least rmse is used. A method of the pose stage, and the protocol for both fingers of a grasp, run it.
+Its choices are kept: every contact point takes the nearest model point at any distance, many to
+one; the number of iterations is fixed; the side of the object and unobservable motions are not
+considered. Starts are those of its sweep; the one of least rmse is used. A method of the pose
+stage, and the protocol for both fingers of a grasp, run it.
 """
 
 import math
@@ -37,7 +39,8 @@ class PlanarFit:
     fitness: float  # share of model points with a contact point within `INLIER_MM`, in 3D
     inlier_rmse_mm: float  # over those; the chosen start has the least
     stop_reason: str = ""  # of the chosen start, in words
-    steps: tuple[PoseStep, ...] = ()  # of the chosen start; rmse over all contact points, to their partners
+    # of the chosen start; rmse over all contact points, to their partners
+    steps: tuple[PoseStep, ...] = ()
     notes: tuple[str, ...] = ()
 
 
@@ -51,25 +54,34 @@ def register_planar(
     keep_steps: bool = False,
     starts_deg: Sequence[float] = SWEEP_DEG,
 ) -> PlanarFit:
-    """Fit the projection of the model, `placed` (4, 4), to the scene's by rotation about z and in-plane translation.
+    """Fit the projection of the model, `placed` (4, 4), to the scene's by rotation about z and
+    in-plane translation.
 
-    Each of a fixed number of iterations pairs every contact point with the nearest model point in the plane and solves
-    for the motion in closed form (Kabsch in 2D). The start of least inlier rmse in 3D is used, as in the released code.
-    Raises ShapeError for clouds that are not (n, 3) and finite or a model without points, SettingProblem for fewer than
-    one iteration.
+    Each of a fixed number of iterations pairs every contact point with the nearest model point in
+    the plane and solves for the motion in closed form (Kabsch in 2D). The start of least inlier
+    rmse in 3D is used, as in the released code. Raises ShapeError for clouds that are not (n, 3)
+    and finite or a model without points, SettingProblem for fewer than one iteration.
     """
     _check(model_points_mm, scene_points_mm, n_iterations)
     if len(scene_points_mm) < MIN_POINTS:
         note = f"only {len(scene_points_mm)} contact points: the start is returned"
-        return PlanarFit(scene_from_model=freeze(placed.copy()), fitness=0.0, inlier_rmse_mm=math.nan, notes=(note,))
+        return PlanarFit(
+            scene_from_model=freeze(placed.copy()),
+            fitness=0.0,
+            inlier_rmse_mm=math.nan,
+            notes=(note,),
+        )
     from scipy.spatial import KDTree
 
-    contact_tree, model_mm = KDTree(scene_points_mm), rigid.apply(placed, model_points_mm)
+    contact_tree = KDTree(scene_points_mm)
+    model_mm = rigid.apply(placed, model_points_mm)
     best: tuple[float, float, Doubles, list[tuple[Doubles, float]]] | None = None
     for k, start_deg in enumerate(starts_deg):
         progress.step(k / len(starts_deg), f"planar start {k + 1} of {len(starts_deg)}")
         start = rigid.rotation((0.0, 0.0, math.radians(start_deg)))
-        pose, steps = _iterate(model_mm * _IN_PLANE, scene_points_mm * _IN_PLANE, start, n_iterations)
+        pose, steps = _iterate(
+            model_mm * _IN_PLANE, scene_points_mm * _IN_PLANE, start, n_iterations
+        )
         fitness, rmse_mm = _evaluate(rigid.apply(pose, model_mm), contact_tree)
         if best is None or rmse_mm < best[0]:
             best = (rmse_mm, fitness, pose, steps)
@@ -77,37 +89,48 @@ def register_planar(
     rmse_mm, fitness, pose, steps = best
     kept = steps if keep_steps else []
     return PlanarFit(
-        scene_from_model=freeze(pose @ placed), fitness=fitness, inlier_rmse_mm=rmse_mm,
+        scene_from_model=freeze(pose @ placed),
+        fitness=fitness,
+        inlier_rmse_mm=rmse_mm,
         stop_reason=_describe_stop(len(steps), n_iterations),
         steps=tuple(
             PoseStep(sensor_from_object=freeze(motion @ placed), rmse_mm=off_mm, fitness=fitness)
             for motion, off_mm in kept
         ),
-    )  # fmt: skip
+    )
 
 
 def _check(model: Doubles, scene: Doubles, n_iterations: int) -> None:
     for points, what in ((model, "model"), (scene, "scene")):
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-            raise ShapeError(f"the {what} must be finite points of shape (n, 3), got {points.shape}")
+            raise ShapeError(
+                f"the {what} must be finite points of shape (n, 3), got {points.shape}"
+            )
     if len(model) == 0:
         raise ShapeError("the model has no points")
     if n_iterations < 1:
-        raise SettingProblem(f"a planar registration needs at least one iteration, got {n_iterations}")
+        raise SettingProblem(
+            f"a planar registration needs at least one iteration, got {n_iterations}"
+        )
 
 
 def _iterate(
     model: Doubles, scene: Doubles, start: Doubles, n_iterations: int
 ) -> tuple[Doubles, list[tuple[Doubles, float]]]:
-    """Return the motion (4, 4) of the model in its plane after all iterations; and each with its rmse (mm)."""
+    """Return the motion (4, 4) of the model in its plane after all iterations.
+
+    And each with its rmse (mm).
+    """
     from scipy.spatial import KDTree
 
     # Nearest neighbours do not depend on which cloud moves: the model's tree is built once.
     tree: Any = KDTree(model[:, :2])
-    motion, steps = start, list[tuple[Doubles, float]]()
+    motion = start
+    steps = list[tuple[Doubles, float]]()
     for _ in range(n_iterations):
         _, index = tree.query(rigid.apply(rigid.invert(motion), scene)[:, :2])
-        before, motion = motion, _kabsch(model[index], scene)
+        before = motion
+        motion = _kabsch(model[index], scene)
         off = rigid.apply(motion, model[index]) - scene
         steps.append((motion, float(np.sqrt((off**2).sum(axis=1).mean()))))
         if np.array_equal(before, motion):
@@ -122,8 +145,11 @@ def _describe_stop(n: int, most: int) -> str:
 
 
 def _kabsch(model: Doubles, scene: Doubles) -> Doubles:
-    """Return the motion (4, 4) that takes paired points (n, 3) of the model's plane closest to the scene's."""
-    middle_m, middle_s = model.mean(axis=0), scene.mean(axis=0)
+    """Return the motion (4, 4) that takes paired points (n, 3) of the model's plane closest to
+    the scene's.
+    """
+    middle_m = model.mean(axis=0)
+    middle_s = scene.mean(axis=0)
     w = (scene - middle_s).T @ (model - middle_m)
     turned = rigid.rotation((0.0, 0.0, math.atan2(w[1, 0] - w[0, 1], w[0, 0] + w[1, 1])))
     turned[:3, 3] = middle_s - turned[:3, :3] @ middle_m
@@ -131,36 +157,64 @@ def _kabsch(model: Doubles, scene: Doubles) -> Doubles:
 
 
 def _evaluate(model_mm: Doubles, contact_tree: Any) -> tuple[float, float]:
-    """Return (share of placed model points within `INLIER_MM` of a contact point, their rms distance in mm)."""
+    """Return (share of placed model points within `INLIER_MM` of a contact point, their rms
+    distance in mm).
+    """
     distance, _ = contact_tree.query(model_mm, distance_upper_bound=INLIER_MM)
     near = np.isfinite(distance)
-    return float(near.mean()), float(np.sqrt((distance[near] ** 2).mean())) if near.any() else math.inf
+    return float(near.mean()), float(
+        np.sqrt((distance[near] ** 2).mean())
+    ) if near.any() else math.inf
 
 
-NOTE = "paper 2D: in-plane turn and shift only; height and tilt keep their initial values, no uncertainty is known"
+NOTE = (
+    "paper 2D: in-plane turn and shift only; height and tilt keep their initial values, no "
+    "uncertainty is known"
+)
 _FACE = "+z"  # default face
 
 
 def estimate_planar_pose(
-    scene: ContactScene, mesh: Mesh, model: ObjectModel, face: str, n_iterations: int, *, keep_steps: bool,
+    scene: ContactScene,
+    mesh: Mesh,
+    model: ObjectModel,
+    face: str,
+    n_iterations: int,
+    *,
+    keep_steps: bool,
     progress: Progress = SILENT,
-) -> ObjectPose:  # fmt: skip
-    """Register projections along the sensor's axis point to point; the centre of a face starts on the contact."""
+) -> ObjectPose:
+    """Register projections along the sensor's axis point to point.
+
+    The centre of a face starts on the contact.
+    """
     chosen = _FACE if face == "auto" else face
     placed = list_starts(scene, model, chosen, 1)[0].sensor_from_object
     model_mm = sample_surface(mesh, N_MODEL, 0)[0]
-    fit = register_planar(model_mm, scene.points_mm, placed, n_iterations, progress, keep_steps=keep_steps)
-    notes = (NOTE, *fit.notes) if face != "auto" else (NOTE, f"face {_FACE} by default; choose the face", *fit.notes)
+    fit = register_planar(
+        model_mm, scene.points_mm, placed, n_iterations, progress, keep_steps=keep_steps
+    )
+    notes = (
+        (NOTE, *fit.notes)
+        if face != "auto"
+        else (NOTE, f"face {_FACE} by default; choose the face", *fit.notes)
+    )
     return ObjectPose(
         sensor_from_object=freeze(fit.scene_from_model),
-        rmse_mm=fit.inlier_rmse_mm, fitness=fit.fitness, scene_mm=freeze(scene.points_mm.astype(np.float32)),
-        source_index=freeze(scene.pixel), steps=fit.steps, stop_reason=fit.stop_reason, starts_tried=len(SWEEP_DEG),
+        rmse_mm=fit.inlier_rmse_mm,
+        fitness=fit.fitness,
+        scene_mm=freeze(scene.points_mm.astype(np.float32)),
+        source_index=freeze(scene.pixel),
+        steps=fit.steps,
+        stop_reason=fit.stop_reason,
+        starts_tried=len(SWEEP_DEG),
         notes=notes,
-    )  # fmt: skip
+    )
 
 
 N_ITERATIONS = 200
-_PLANE_FROM_GRASP = np.array([[0.0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])  # y, z, x: x becomes the axis
+# y, z, x: x becomes the axis
+_PLANE_FROM_GRASP = np.array([[0.0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,13 +225,16 @@ class GraspPoseError:
     rotation_deg: float
 
 
-def compute_grasp_pose_error(points_mm: Doubles, mesh: Mesh, grasp_from_object: Doubles) -> GraspPoseError | None:
-    """The paper's protocol as released: contact points (n, 3) of both fingers, registered in the grasp's plane.
+def compute_grasp_pose_error(
+    points_mm: Doubles, mesh: Mesh, grasp_from_object: Doubles
+) -> GraspPoseError | None:
+    """The paper's protocol as released: contact points (n, 3) of both fingers, registered in the
+    grasp's plane.
 
-    The points are joined in the grasp frame, whose x axis is the direction in which the fingers close, and projected
-    along it; the start is the identity. The rotation about x is compared as the first Euler angle, without wrapping.
-    The released code compares with the angle that was commanded, and scores no translation; here the tool's recorded
-    pose is compared.
+    The points are joined in the grasp frame, whose x axis is the direction in which the fingers
+    close, and projected along it; the start is the identity. The rotation about x is compared as
+    the first Euler angle, without wrapping. The released code compares with the angle that was
+    commanded, and scores no translation; here the tool's recorded pose is compared.
 
     None with too few points, which the released code answers with its start.
     """
@@ -185,12 +242,16 @@ def compute_grasp_pose_error(points_mm: Doubles, mesh: Mesh, grasp_from_object: 
         return None
     model_mm = sample_surface(mesh, N_MODEL, 0)[0]
     scene_mm = rigid.apply(_PLANE_FROM_GRASP, points_mm)
-    fit = register_planar(model_mm, scene_mm, _PLANE_FROM_GRASP.copy(), N_ITERATIONS, starts_deg=(0.0,))
+    fit = register_planar(
+        model_mm, scene_mm, _PLANE_FROM_GRASP.copy(), N_ITERATIONS, starts_deg=(0.0,)
+    )
     estimate = rigid.invert(_PLANE_FROM_GRASP) @ fit.scene_from_model
     centre = model_mm.mean(axis=0)[None]
     shift = (rigid.apply(estimate, centre) - rigid.apply(grasp_from_object, centre))[0]
     turned = compute_first_euler_deg(estimate) - compute_first_euler_deg(grasp_from_object)
-    return GraspPoseError(translation_mm=math.hypot(float(shift[1]), float(shift[2])), rotation_deg=abs(turned))
+    return GraspPoseError(
+        translation_mm=math.hypot(float(shift[1]), float(shift[2])), rotation_deg=abs(turned)
+    )
 
 
 def compute_first_euler_deg(transform: Doubles) -> float:

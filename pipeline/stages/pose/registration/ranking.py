@@ -1,9 +1,9 @@
 """Rank object poses by how well they explain a touch: contact, and space without contact.
 
-The misfit adds areas: contact surface off the object, and object surface that would have made contact but did not,
-because it penetrates the membrane or rests on it outside the contact. The latter distinguishes positions along a flat
-face, and notches that a membrane bridges; an object is placed by it along directions that its surface does not
-determine.
+The misfit adds areas: contact surface off the object, and object surface that would have made
+contact but did not, because it penetrates the membrane or rests on it outside the contact. The
+latter distinguishes positions along a flat face, and notches that a membrane bridges; an object is
+placed by it along directions that its surface does not determine.
 """
 
 import math
@@ -25,10 +25,14 @@ CORRELATION_MM = 0.5  # correlation length of errors of the membrane's shape
 LEAST_SPREAD_MM = 0.02  # smallest std of the membrane's shape
 _MAX_DEVIATIONS = 3.0  # standard deviations of depth that may put the membrane behind a near object
 _SIGNIFICANT = 2.0  # standard errors above which two misfits differ
-_FIRST_STEP_MM, _LAST_STEP_MM = 0.8, 0.02
+_FIRST_STEP_MM = 0.8
+_LAST_STEP_MM = 0.02
 _MAX_ROUNDS = 40
-_TRIAL_MM = 0.5  # translation (mm) that must raise the misfit for the outline to determine the place
-_NOTICED_SHARE, _NOTICED_MM = 0.05, 0.01  # rise of the misfit that counts: share, and mm
+# translation (mm) that must raise the misfit for the outline to determine the place
+_TRIAL_MM = 0.5
+# rise of the misfit that counts: share, and mm
+_NOTICED_SHARE = 0.05
+_NOTICED_MM = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,79 +45,112 @@ class PoseJudge:
     kernel_inputs: tuple[Any, ...]  # of `measure_unexplained`, after the poses
 
     def misfit_mm(self, poses: Sequence[Doubles] | Doubles) -> Doubles:
-        """Return the root mean square misfit (n,) of each sensor_from_object over the contact's area."""
+        """Return the root mean square misfit (n,) of each sensor_from_object over the contact's
+        area.
+        """
         means, _ = self._measure_unexplained(np.array(poses, dtype=np.float64).reshape(-1, 4, 4))
         return np.sqrt(means[:, 0] + means[:, 1] * (self.model.area_mm2 / self.scene.area_mm2))
 
     def distinguishes(self, better: Doubles, other: Doubles) -> bool:
         """Return whether one pose fits better than the other by more than the touch's own error.
 
-        A membrane that is off by e in one independent place (their area: 2 pi l^2) changes the difference of squared
-        distances by 2 e (d - d'); e is what the better pose leaves unexplained.
+        A membrane that is off by e in one independent place (their area: 2 pi l^2) changes the
+        difference of squared distances by 2 e (d - d'); e is what the better pose leaves
+        unexplained.
         """
         spread_mm = max(float(self.misfit_mm([better])[0]), LEAST_SPREAD_MM)
         patch_mm2 = 2.0 * math.pi * CORRELATION_MM**2
         share = min(1.0, patch_mm2 / self.scene.area_mm2)
-        (felt_a, unfelt_a), (felt_b, unfelt_b) = (self._by_place(pose, patch_mm2) for pose in (better, other))
+        (felt_a, unfelt_a), (felt_b, unfelt_b) = (
+            self._by_place(pose, patch_mm2) for pose in (better, other)
+        )
         gap = float((felt_b - felt_a).mean()) + share * float((unfelt_b - unfelt_a).sum())
         contact_sq = share * float(((np.sqrt(felt_b) - np.sqrt(felt_a)) ** 2).mean())
         unfelt_sq = share**2 * float(((np.sqrt(unfelt_b) - np.sqrt(unfelt_a)) ** 2).sum())
         return gap > _SIGNIFICANT * 2.0 * spread_mm * math.sqrt(contact_sq + unfelt_sq)
 
     def _by_place(self, pose: Doubles, patch_mm2: float) -> tuple[Doubles, Doubles]:
-        """Return (k,) squares of contact points, and mean squares of the object's over image patches (tiles,)."""
-        of_felt, of_points, pixel = self._measure_unexplained(np.array(pose, dtype=np.float64)[None])[1]
+        """Return (k,) squares of contact points, and mean squares of the object's over image
+        patches (tiles,).
+        """
+        of_felt, of_points, pixel = self._measure_unexplained(
+            np.array(pose, dtype=np.float64)[None]
+        )[1]
         side_px = max(1.0, math.sqrt(patch_mm2) / self.scene.pixel_mm)
         rows, cols = self.scene.camera.shape
         row, col = (np.floor(at / side_px).astype(np.intp) for at in np.divmod(pixel, cols))
-        tiles_across, tiles_down = int(cols / side_px) + 1, int(rows / side_px) + 1
+        tiles_across = int(cols / side_px) + 1
+        tiles_down = int(rows / side_px) + 1
         found = np.bincount(row * tiles_across + col, of_points, tiles_across * tiles_down)
         per_point = self.model.area_mm2 / max(len(self.model.points_mm), 1) / patch_mm2
         return of_felt, np.asarray(found * per_point, dtype=np.float64)
 
-    def _measure_unexplained(self, poses: Doubles) -> tuple[Doubles, tuple[Doubles, Doubles, Indices]]:
-        """Return (n, 2) mean squares of poses (n, 4, 4), and those of each point for the last pose, with the pixels."""
+    def _measure_unexplained(
+        self, poses: Doubles
+    ) -> tuple[Doubles, tuple[Doubles, Doubles, Indices]]:
+        """Return (n, 2) mean squares of poses (n, 4, 4), and those of each point for the last
+        pose, with the pixels.
+        """
         from pipeline.stages.pose.registration.ranking_kernels import measure_unexplained
 
         n_model = len(self.model.points_mm)
-        means, last = (
-            np.empty((len(poses), 2)),
-            (np.empty(len(self.points_mm)), np.empty(n_model), np.empty(n_model, np.int32)),
-        )
+        means = np.empty((len(poses), 2))
+        last = (np.empty(len(self.points_mm)), np.empty(n_model), np.empty(n_model, np.int32))
         measure_unexplained(poses, *self.kernel_inputs, means, last)
         return means, last
 
 
 def make_judge(
-    scene: ContactScene, grid: DistanceGrid, model: ObjectModel, n_contact: int, n_model: int, limit_mm: float
+    scene: ContactScene,
+    grid: DistanceGrid,
+    model: ObjectModel,
+    n_contact: int,
+    n_model: int,
+    limit_mm: float,
 ) -> PoseJudge:
     """Return a judge on about `n_contact` contact points and `n_model` model points."""
     step = max(1, len(scene.points_mm) // n_contact)
     points_mm, normals = (np.ascontiguousarray(a[::step]) for a in (scene.points_mm, scene.normals))
-    thin, camera, pixel_mm = model.thin(n_model), scene.camera, scene.pixel_mm
-    # A light contact is within the depth's error: an object just before the membrane may have touched it.
+    thin = model.thin(n_model)
+    camera = scene.camera
+    pixel_mm = scene.pixel_mm
+    # A light contact is within the depth's error: an object just before the membrane may have
+    # touched it.
     within_mm = _MAX_DEVIATIONS * math.hypot(scene.noise_mm, scene.error.rms_mm)
     view = (
-        camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, within_mm, max(_CLEARANCE_MM, pixel_mm / 2),
-        _OUTLINE_PX * pixel_mm, scene.membrane_mm, scene.off_contact_mm,
-    )  # fmt: skip
+        camera.fx_px,
+        camera.fy_px,
+        camera.cx_px,
+        camera.cy_px,
+        within_mm,
+        max(_CLEARANCE_MM, pixel_mm / 2),
+        _OUTLINE_PX * pixel_mm,
+        scene.membrane_mm,
+        scene.off_contact_mm,
+    )
     inputs = (points_mm, normals, grid.lattice, (thin.points_mm, thin.normals), view, limit_mm)
     return PoseJudge(scene=scene, points_mm=points_mm, model=thin, kernel_inputs=inputs)
 
 
-def align_to_outline(pose: Doubles, weak_motions: Doubles, about_mm: Doubles, by: PoseJudge) -> Doubles:
-    """Return `pose` moved along the weak motions (k, 6) to the least misfit, by pattern search with step halving."""
+def align_to_outline(
+    pose: Doubles, weak_motions: Doubles, about_mm: Doubles, by: PoseJudge
+) -> Doubles:
+    """Return `pose` moved along the weak motions (k, 6) to the least misfit, by pattern search
+    with step halving.
+    """
     if len(weak_motions) == 0:
         return pose
     steps = np.concatenate([weak_motions, -weak_motions])
-    best, least = pose, float(by.misfit_mm([pose])[0])
+    best = pose
+    least = float(by.misfit_mm([pose])[0])
     size_mm = _FIRST_STEP_MM
     for _round in range(_MAX_ROUNDS):
         tried = rigid.apply_screw(best, steps * size_mm, about_mm)
         misfits = by.misfit_mm(tried)
         k = int(np.argmin(misfits))
         if misfits[k] < least:
-            best, least = tried[k], float(misfits[k])
+            best = tried[k]
+            least = float(misfits[k])
             continue
         size_mm /= 2
         if size_mm < _LAST_STEP_MM:
@@ -122,7 +159,9 @@ def align_to_outline(pose: Doubles, weak_motions: Doubles, about_mm: Doubles, by
 
 
 def outline_constrains(pose: Doubles, motion: Doubles, about_mm: Doubles, by: PoseJudge) -> bool:
-    """Return whether the outline determines the place along one motion (6,): moving either way fits worse."""
+    """Return whether the outline determines the place along one motion (6,): moving either way
+    fits worse.
+    """
     trials = np.outer((0.0, _TRIAL_MM, -_TRIAL_MM), motion)
     here, one, other = by.misfit_mm(rigid.apply_screw(pose, trials, about_mm))
     return bool(min(one, other) > here * (1 + _NOTICED_SHARE) + _NOTICED_MM)

@@ -12,12 +12,15 @@ from pipeline.core.geometry.normals import compute_area_vectors
 from pipeline.core.values.results import DepthErrorModel, DepthMap
 from pipeline.stages.pose.registration.model import ObjectModel
 
-COMPUTED = DepthErrorModel(rms_mm=0.0, correlation_mm=0.5)  # correlation length: a membrane relaxes over about this
-MOST_TURNED_AWAY = -0.2  # cosine to the contact normal; a notch's side wall is steep, the far side of a plate is at -1
+# correlation length: a membrane relaxes over about this
+COMPUTED = DepthErrorModel(rms_mm=0.0, correlation_mm=0.5)
+# cosine to the contact normal; a notch's side wall is steep, the far side of a plate is at -1
+MOST_TURNED_AWAY = -0.2
 
-# A touch transferred from a thin gel has no information deeper than that gel reached, where the contact
-# ends: a bubble would have wrapped the object's shoulders, the gel never touched them.
-_RIM_PERCENT, _RIM_MM = 95.0, 0.25
+# A touch transferred from a thin gel has no information deeper than that gel reached, where the
+# contact ends: a bubble would have wrapped the object's shoulders, the gel never touched them.
+_RIM_PERCENT = 95.0
+_RIM_MM = 0.25
 
 # A generated touch is known to its predicted error: an object may penetrate it by three times that
 # (24 touches of unseen tools: translation error 0.71 mm so, 0.99 by two times, 1.27 by none).
@@ -34,8 +37,10 @@ class ContactScene:
     normals: Doubles  # (n, 3) out of the object, toward the camera
     pixel: Indices  # (n,) flat pixel of the touch
     area_mm2: float  # of the contact, along the surface
-    membrane_mm: Floats  # (rows, cols) z that bounds objects without contact; NaN outside the source's view
-    off_contact_mm: Floats  # (rows, cols) distance to the nearest contact; 0 outside the source's view
+    # (rows, cols) z that bounds objects without contact; NaN outside the source's view
+    membrane_mm: Floats
+    # (rows, cols) distance to the nearest contact; 0 outside the source's view
+    off_contact_mm: Floats
     camera: Camera
     noise_mm: float  # of single pixels
     error: DepthErrorModel  # correlated error, in addition
@@ -47,7 +52,10 @@ class ContactScene:
 
 
 def extract_scene(touch: DepthMap, max_points: int, seed: int) -> ContactScene:
-    """Extract at most `max_points` contact points with normals; a seeded choice where there are more."""
+    """Extract at most `max_points` contact points with normals.
+
+    A seeded choice where there are more.
+    """
     known = np.ones(touch.contact.shape, np.bool_) if touch.in_view is None else touch.in_view
     usable = touch.contact & (touch.depth_mm > MIN_DEPTH_MM) & np.isfinite(touch.depth_mm)
     top, left, rows, cols = _box(usable)
@@ -64,9 +72,17 @@ def extract_scene(touch: DepthMap, max_points: int, seed: int) -> ContactScene:
     row, col = np.divmod(chosen, max(cols, 1))
     import cv2
 
-    typical_mm = float(np.median(touch.depth_mm[usable])) / touch.camera.fx_px if usable.any() else 0.0
-    off_px = np.asarray(cv2.distanceTransform((~usable).astype(np.uint8), cv2.DIST_L2, 5), np.float32)
-    farthest_mm = float(np.percentile(touch.depth_mm[usable], _RIM_PERCENT)) + _RIM_MM if usable.any() else 0.0
+    typical_mm = (
+        float(np.median(touch.depth_mm[usable])) / touch.camera.fx_px if usable.any() else 0.0
+    )
+    off_px = np.asarray(
+        cv2.distanceTransform((~usable).astype(np.uint8), cv2.DIST_L2, 5), np.float32
+    )
+    farthest_mm = (
+        float(np.percentile(touch.depth_mm[usable], _RIM_PERCENT)) + _RIM_MM
+        if usable.any()
+        else 0.0
+    )
     return ContactScene(
         points_mm=surface.reshape(-1, 3)[chosen],
         normals=across[chosen] / area[chosen, None],
@@ -85,7 +101,9 @@ def extract_scene(touch: DepthMap, max_points: int, seed: int) -> ContactScene:
 
 
 def _allow_penetration_mm(touch: DepthMap) -> Floats:
-    """Return how far (rows, cols) an object may penetrate a generated touch, from its predicted error; else 0."""
+    """Return how far (rows, cols) an object may penetrate a generated touch, from its predicted
+    error; else 0.
+    """
     if touch.expected_error_mm is None or not touch.is_generated:
         return np.zeros(touch.contact.shape, np.float32)
     return np.float32(_PREDICTED_STDS) * np.nan_to_num(touch.expected_error_mm)
@@ -94,14 +112,21 @@ def _allow_penetration_mm(touch: DepthMap) -> Floats:
 def _noise_mm(depth_mm: Doubles) -> float:
     """Return the pixel noise (mm): deviation from a surface that is straight over three pixels."""
     middle = depth_mm[1:-1, 1:-1]
-    bent = 4.0 * middle - depth_mm[:-2, 1:-1] - depth_mm[2:, 1:-1] - depth_mm[1:-1, :-2] - depth_mm[1:-1, 2:]
+    bent = (
+        4.0 * middle
+        - depth_mm[:-2, 1:-1]
+        - depth_mm[2:, 1:-1]
+        - depth_mm[1:-1, :-2]
+        - depth_mm[1:-1, 2:]
+    )
     bent = np.abs(bent[np.isfinite(bent)])
     return 1.4826 * float(np.median(bent)) / math.sqrt(20.0) if bent.size else 0.0
 
 
 def _box(mask: Mask) -> tuple[int, int, int, int]:
     """Return (top, left, rows, cols) of the mask's bounding box; at least one pixel."""
-    rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    rows = np.flatnonzero(mask.any(axis=1))
+    cols = np.flatnonzero(mask.any(axis=0))
     if not rows.size:
         return 0, 0, 1, 1
     return int(rows[0]), int(cols[0]), int(rows[-1] - rows[0]) + 1, int(cols[-1] - cols[0]) + 1
@@ -110,10 +135,15 @@ def _box(mask: Mask) -> tuple[int, int, int, int]:
 def select_in_reach(
     scene: ContactScene, model: ObjectModel, sensor_from_object: Doubles, reach_mm: float
 ) -> ObjectModel:
-    """Select the part of a placed object that can touch: near the scene and facing it; all if there is none."""
-    placed, toward = rigid.apply(sensor_from_object, model.points_mm), scene.normals.mean(axis=0)
+    """Select the part of a placed object that can touch: near the scene and facing it.
+
+    All if there is none.
+    """
+    placed = rigid.apply(sensor_from_object, model.points_mm)
+    toward = scene.normals.mean(axis=0)
     near = model.normals @ (toward @ sensor_from_object[:3, :3]) > MOST_TURNED_AWAY
-    low, high = scene.points_mm.min(axis=0) - reach_mm, scene.points_mm.max(axis=0) + reach_mm
+    low = scene.points_mm.min(axis=0) - reach_mm
+    high = scene.points_mm.max(axis=0) + reach_mm
     for along, least, most in zip(placed.T, low, high, strict=True):
         near &= (along >= least) & (along <= most)
     return model.select(near) if near.sum() >= _MIN_PART else model

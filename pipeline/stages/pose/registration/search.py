@@ -1,7 +1,7 @@
 """Search for the poses at which an object explains a touch.
 
-Many initial poses are ranked, the best registered, distinct minima kept. Ranking uses contact and free space; each step
-is more exact on fewer poses.
+Many initial poses are ranked, the best registered, distinct minima kept. Ranking uses contact and
+free space; each step is more exact on fewer poses.
 """
 
 import math
@@ -26,44 +26,79 @@ from pipeline.stages.pose.registration.gauss_newton import (
     trace_iterations,
 )
 from pipeline.stages.pose.registration.model import PreparedObject
-from pipeline.stages.pose.registration.observability import NORMAL_ERROR_DEG, Observability, Tolerances
+from pipeline.stages.pose.registration.observability import (
+    NORMAL_ERROR_DEG,
+    Observability,
+    Tolerances,
+)
 from pipeline.stages.pose.registration.point_matching import MatchedPoints, match_points
-from pipeline.stages.pose.registration.ranking import LEAST_SPREAD_MM, PoseJudge, align_to_outline, make_judge
+from pipeline.stages.pose.registration.ranking import (
+    LEAST_SPREAD_MM,
+    PoseJudge,
+    align_to_outline,
+    make_judge,
+)
 from pipeline.stages.pose.registration.scene import ContactScene, select_in_reach
 from pipeline.stages.pose.registration.starts import InitialPose
 
-# On gels, half or double of any count finds no more poses and saves little time: docs/experiments.md, search_counts.
-_COARSE_CONTACT, _COARSE_MODEL = 50, (500, 4000)  # points to rank initial poses: at least, at most
+# On gels, half or double of any count finds no more poses and saves little time:
+# docs/experiments.md, search_counts. points to rank initial poses: at least, at most
+_COARSE_CONTACT = 50
+_COARSE_MODEL = (500, 4000)
 _COARSE_MM2 = 1.0  # object surface per point
-_MIDDLE_CONTACT, _MIDDLE_MODEL = 150, 1500  # points to rank where these converge
-_FINE_CONTACT, _FINE_MODEL = 750, 15_000  # points to rank the results
-_OUTLINE_CONTACT, _OUTLINE_MODEL = 200, 1000  # points to place it by the outline
+# points to rank where these converge
+_MIDDLE_CONTACT = 150
+_MIDDLE_MODEL = 1500
+# points to rank the results
+_FINE_CONTACT = 750
+_FINE_MODEL = 15_000
+# points to place it by the outline
+_OUTLINE_CONTACT = 200
+_OUTLINE_MODEL = 1000
 _POLISH_POINTS = 500  # points to register it, before all points are used
-_DENSE_CONTACT, _DENSE_MODEL = 400, 4000  # the same for the best ones
-_PER_GROUP, _N_POLISHED, _N_DENSE = 2, 6, 2
-_N_REGISTERED = 144  # of all orientations: a wide contact that is nearly right fits no better than a wrong one
-_QUICK_POINTS, _QUICK_ITERATIONS, _QUICK_SETTLED_MM = 100, 10, 0.02
+# the same for the best ones
+_DENSE_CONTACT = 400
+_DENSE_MODEL = 4000
+_PER_GROUP = 2
+_N_POLISHED = 6
+_N_DENSE = 2
+# of all orientations: a wide contact that is nearly right fits no better than a wrong one
+_N_REGISTERED = 144
+_QUICK_POINTS = 100
+_QUICK_ITERATIONS = 10
+_QUICK_SETTLED_MM = 0.02
 _GAIN = 0.95  # ratio of misfits above which a registration has converged
 _POLISHED_SHARE = 4.0  # the last registration's search distance is this many times smaller
 _OUTLINE_REACH_MM = 4.0  # object this far around the contact may touch outside it
 _MIN_FITNESS = 0.8  # share of the contact on an object that explains it
 _FAR = 3.0  # standard deviations
 _NEAR = 2.0  # factor on the best misfit up to which a few points may show an equal pose
-_MAX_ITERATIONS, _MAX_EQUAL = 3, 23  # iterations and number of equal poses; all rotations of a cube but one
-_MAX_ROTATED, _MAX_ROTATED_DRAFT = 72, 12  # rotations tried for equal poses: a cube's; where nothing explains the touch
+# iterations and number of equal poses; all rotations of a cube but one
+_MAX_ITERATIONS = 3
+_MAX_EQUAL = 23
+# rotations tried for equal poses: a cube's; where nothing explains the touch
+_MAX_ROTATED = 72
+_MAX_ROTATED_DRAFT = 12
 _FACETS_REACH_MM = 0.5  # around the contact
 _BENT_SQ = 0.005  # squared sine of half an edge's angle; the grid errs by less on round surfaces
 _CORRELATED = 1.5  # facet errors are correlated over a contact: ratio of their mean to their rms
 _STRAIGHT_DEG = (
-    0.5  # error of the grid's gradients on a flat face (tests/pipeline/core/geometry/test_distance_grid.py: 0.3)
+    # error of the grid's gradients on a flat face
+    # (tests/pipeline/core/geometry/test_distance_grid.py: 0.3)
+    0.5
 )
-SAME_MM, SAME_DEG = 1.0, 5.0  # poses this close are one
+# poses this close are one
+SAME_MM = 1.0
+SAME_DEG = 5.0
 
 
 _TURNED_OVER = tuple(
-    turn for axes in permutations(range(3)) for signs in product((1.0, -1.0), repeat=3)
-    if np.linalg.det(turn := np.eye(3)[list(axes)] * signs) > 0 and not np.array_equal(turn, np.eye(3))
-)  # fmt: skip
+    turn
+    for axes in permutations(range(3))
+    for signs in product((1.0, -1.0), repeat=3)
+    if np.linalg.det(turn := np.eye(3)[list(axes)] * signs) > 0
+    and not np.array_equal(turn, np.eye(3))
+)
 """The 23 turns that take the axes of an object to themselves."""
 
 
@@ -99,7 +134,14 @@ class PoseSearch:
     def select_likeliest(self, tried: Sequence[InitialPose]) -> Doubles:
         """Return the best poses of each orientation (n, 4, 4), best first."""
         n_model = int(np.clip(self.object.model.area_mm2 / _COARSE_MM2, *_COARSE_MODEL))
-        by = make_judge(self.scene, self.object.grid, self.object.model, _COARSE_CONTACT, n_model, self.max_distance_mm)
+        by = make_judge(
+            self.scene,
+            self.object.grid,
+            self.object.model,
+            _COARSE_CONTACT,
+            n_model,
+            self.max_distance_mm,
+        )
         poses = np.array([s.sensor_from_object for s in tried])
         asked: dict[tuple[str, int], int] = {}
         chosen: list[int] = []
@@ -110,7 +152,9 @@ class PoseSearch:
         return poses[chosen[:_N_REGISTERED]]
 
     def track_previous_poses(self, starts: Sequence[Doubles]) -> list[PoseMinimum]:
-        """Return the minima reached from the previous touch's poses, best first; none where not even the best fits.
+        """Return the minima reached from the previous touch's poses, best first.
+
+        None where not even the best fits.
 
         From the whole search distance or, where that fails, from nearby.
         """
@@ -122,12 +166,16 @@ class PoseSearch:
 
     def register_roughly(self, poses: Doubles) -> Doubles:
         """Register poses (n, 4, 4) within the whole search distance, by a few of the points."""
-        return register_from_starts(self.points.thin(_QUICK_POINTS), self.object.grid, poses, self._quick)
+        return register_from_starts(
+            self.points.thin(_QUICK_POINTS), self.object.grid, poses, self._quick
+        )
 
     @property
     def _quick(self) -> FitOptions:
         return FitOptions(
-            max_distance_mm=self.max_distance_mm, n_iterations=_QUICK_ITERATIONS, convergence_mm=_QUICK_SETTLED_MM
+            max_distance_mm=self.max_distance_mm,
+            n_iterations=_QUICK_ITERATIONS,
+            convergence_mm=_QUICK_SETTLED_MM,
         )
 
     def prepend_history(self, starts: Doubles, steps: tuple[PoseStep, ...]) -> tuple[PoseStep, ...]:
@@ -137,36 +185,56 @@ class PoseSearch:
         first = steps[0].sensor_from_object
         off_mm = [self.measure_distance_mm(first, end) for end in self.register_roughly(starts)]
         begun = starts[int(np.argmin(off_mm))]
-        return (*trace_iterations(self.points.thin(_QUICK_POINTS), self.object.grid, begun, self._quick), *steps)
+        return (
+            *trace_iterations(
+                self.points.thin(_QUICK_POINTS), self.object.grid, begun, self._quick
+            ),
+            *steps,
+        )
 
     def _distinct(self, poses: Doubles) -> list[Doubles]:
         misfits_mm = self._middle().misfit_mm(poses)
         kept: list[Doubles] = []
         for k in np.argsort(misfits_mm, kind="stable"):
-            if all(rigid.poses_differ(poses[k], other, self.middle_mm, SAME_MM, SAME_DEG) for other in kept):
+            if all(
+                rigid.poses_differ(poses[k], other, self.middle_mm, SAME_MM, SAME_DEG)
+                for other in kept
+            ):
                 kept.append(poses[k])
             if len(kept) == _N_POLISHED:
                 break
         return kept
 
     def polish(self, pose: Doubles, *, dense: bool = False) -> PoseMinimum | None:
-        """Place by the outline where the surface is silent, then register on all points; None where that fails."""
+        """Place by the outline where the surface is silent, then register on all points.
+
+        None where that fails.
+        """
         known = self.assess_observability(pose)
         if len(known.weak_motions):
             pose = align_to_outline(
                 pose, known.weak_motions, self.middle_mm, self.make_outline_judge(pose, dense=dense)
             )
         how = FitOptions(
-            max_distance_mm=self.max_distance_mm / _POLISHED_SHARE, n_iterations=self.n_iterations,
-            keep_steps=self.keep_steps, systematic_error=known.systematic_error, tolerances=known.tolerances,
-        )  # fmt: skip
-        fit = fit_pose(self.points if dense else self.points.thin(_POLISH_POINTS), self.object.grid, pose, how)
+            max_distance_mm=self.max_distance_mm / _POLISHED_SHARE,
+            n_iterations=self.n_iterations,
+            keep_steps=self.keep_steps,
+            systematic_error=known.systematic_error,
+            tolerances=known.tolerances,
+        )
+        fit = fit_pose(
+            self.points if dense else self.points.thin(_POLISH_POINTS), self.object.grid, pose, how
+        )
         if isinstance(fit, NotDetermined):
             return None
-        return PoseMinimum(fit=fit, misfit_mm=float(self.make_fine_judge().misfit_mm([fit.sensor_from_object])[0]))
+        return PoseMinimum(
+            fit=fit, misfit_mm=float(self.make_fine_judge().misfit_mm([fit.sensor_from_object])[0])
+        )
 
     def explains(self, minimum: PoseMinimum) -> bool:
-        """Return whether the residual is within the depth's error and most of the contact is on the object."""
+        """Return whether the residual is within the depth's error and most of the contact is on
+        the object.
+        """
         return not self.describe_misfit(minimum.fit.fitness, minimum.fit.rmse_mm)
 
     def describe_misfit(self, fitness: float, rmse_mm: float) -> str:
@@ -174,7 +242,8 @@ class PoseSearch:
         if fitness >= _MIN_FITNESS and rmse_mm <= self.limit_mm:
             return ""
         return (
-            f"{fitness:.0%} of the contact lies on the object, {rmse_mm:.2g} mm off where the depth's error makes up "
+            f"{fitness:.0%} of the contact lies on the object, {rmse_mm:.2g} mm off where the "
+            "depth's error makes up "
             f"{self.limit_mm:.2g} mm"
         )
 
@@ -184,19 +253,28 @@ class PoseSearch:
         return _FAR * math.hypot(self.scene.noise_mm, self.scene.error.rms_mm, LEAST_SPREAD_MM)
 
     def find_equal_poses(
-        self, first: Doubles, found: Sequence[Doubles], free: Doubles, progress: Progress, *, explained: bool
+        self,
+        first: Doubles,
+        found: Sequence[Doubles],
+        free: Doubles,
+        progress: Progress,
+        *,
+        explained: bool,
     ) -> list[Doubles]:
-        """Return poses that the touch cannot distinguish from `first`: of those found, rotated, and by compositions.
+        """Return poses that the touch cannot distinguish from `first`: of those found, rotated, and
+        by compositions.
 
-        Poses that differ only by the motions `free` (k, 6) are one. Where not even the first explains the touch, many
-        fit equally badly: few are tried.
+        Poses that differ only by the motions `free` (k, 6) are one. Where not even the first
+        explains the touch, many fit equally badly: few are tried.
         """
         left = _MAX_ROTATED if explained else _MAX_ROTATED_DRAFT
-        fine, rough = self.make_fine_judge(), self._middle()
+        fine = self.make_fine_judge()
+        rough = self._middle()
         limit_mm = _NEAR * float(rough.misfit_mm([first])[0]) + LEAST_SPREAD_MM
         way = None if self.outward is None else np.array(self.outward)
         turns = [turn for turn in _TURNED_OVER if way is None or way @ turn @ way > 0]
-        equal, tried = list[Doubles](), [*found, *(first @ self._about_middle(turn) for turn in turns)]
+        equal = list[Doubles]()
+        tried = [*found, *(first @ self._about_middle(turn) for turn in turns)]
         for _round in range(_MAX_ITERATIONS):
             n_before = len(equal)
             for turned in (tried[k] for k in np.flatnonzero(rough.misfit_mm(tried) <= limit_mm)):
@@ -207,9 +285,12 @@ class PoseSearch:
                 new = all(self.poses_differ_beyond(pose, other, free) for other in (first, *equal))
                 if new and fine.distinguishes(first, pose):
                     left -= 1
-                    better = self.polish(pose, dense=True)  # after the rotation, a better fit may be nearby
+                    # after the rotation, a better fit may be nearby
+                    better = self.polish(pose, dense=True)
                     pose = pose if better is None else better.fit.sensor_from_object
-                    new = all(self.poses_differ_beyond(pose, other, free) for other in (first, *equal))
+                    new = all(
+                        self.poses_differ_beyond(pose, other, free) for other in (first, *equal)
+                    )
                 if new and not fine.distinguishes(first, pose):
                     equal.append(pose)
             if len(equal) == n_before:
@@ -220,19 +301,26 @@ class PoseSearch:
         return equal
 
     def measure_distance_mm(self, a: Doubles, b: Doubles) -> float:
-        """Return the distance (mm) of two poses at the contact: rotation about its centre, and translation."""
+        """Return the distance (mm) of two poses at the contact: rotation about its centre, and
+        translation.
+        """
         relative = b @ rigid.invert(a)
         shift_mm = np.linalg.norm(rigid.apply(relative, self.middle_mm) - self.middle_mm)
-        return math.radians(rigid.rotation_angle_deg(relative)) * self.points.radius_mm + float(shift_mm)
+        return math.radians(rigid.rotation_angle_deg(relative)) * self.points.radius_mm + float(
+            shift_mm
+        )
 
     def poses_differ_beyond(self, a: Doubles, b: Doubles, free: Doubles) -> bool:
         """Return whether two poses differ by more than the motions `free` (k, 6) at the centre."""
         turning_mm, sliding_mm = (np.linalg.norm(free[:, k : k + 3], axis=1) for k in (0, 3))
         straight = turning_mm * self.points.radius_mm <= SLIDE_ROTATION_LIMIT * sliding_mm
-        turns, slides = free[~straight], np.linalg.qr(free[straight, 3:].T)[0]
+        turns = free[~straight]
+        slides = np.linalg.qr(free[straight, 3:].T)[0]
         if len(turns):
             turn = rigid.rotation_vector_rad(b @ rigid.invert(a))
-            a = rigid.apply_screw(a, np.linalg.lstsq(turns[:, :3].T, turn, rcond=None)[0] @ turns, self.middle_mm)
+            a = rigid.apply_screw(
+                a, np.linalg.lstsq(turns[:, :3].T, turn, rcond=None)[0] @ turns, self.middle_mm
+            )
         left = rigid.apply(b @ rigid.invert(a), self.middle_mm) - self.middle_mm
         a = rigid.translation(*(slides @ (slides.T @ left))) @ a
         return rigid.poses_differ(a, b, self.middle_mm, SAME_MM, SAME_DEG)
@@ -240,15 +328,24 @@ class PoseSearch:
     def _about_middle(self, turn: Doubles) -> Doubles:
         """Return a rotation (3, 3) of the object about its bounding box's centre as (4, 4)."""
         out = np.eye(4)
-        out[:3, :3], out[:3, 3] = turn, self.object.middle_mm - turn @ self.object.middle_mm
+        out[:3, :3] = turn
+        out[:3, 3] = self.object.middle_mm - turn @ self.object.middle_mm
         return out
 
     def _middle(self) -> PoseJudge:
         model = self.object.model
-        return make_judge(self.scene, self.object.grid, model, _MIDDLE_CONTACT, _MIDDLE_MODEL, self.max_distance_mm)
+        return make_judge(
+            self.scene,
+            self.object.grid,
+            model,
+            _MIDDLE_CONTACT,
+            _MIDDLE_MODEL,
+            self.max_distance_mm,
+        )
 
     def _tolerances(self, pose: Doubles, slopes: Doubles) -> Tolerances:
-        """Return the tolerances with the error of normals here: of facets around the contact, and edges.
+        """Return the tolerances with the error of normals here: of facets around the contact, and
+        edges.
 
         Between nodes on both sides of an edge a gradient is the mean of two normals, and shorter.
         """
@@ -261,11 +358,21 @@ class PoseSearch:
     def make_fine_judge(self) -> PoseJudge:
         """Return a judge on the whole object."""
         return make_judge(
-            self.scene, self.object.grid, self.object.model, _FINE_CONTACT, _FINE_MODEL, self.max_distance_mm
+            self.scene,
+            self.object.grid,
+            self.object.model,
+            _FINE_CONTACT,
+            _FINE_MODEL,
+            self.max_distance_mm,
         )
 
-    def find_minima(self, starts: Sequence[Doubles], progress: Progress = SILENT) -> list[PoseMinimum]:
-        """Return the minima of the starts, best first; the best are placed and registered to convergence."""
+    def find_minima(
+        self, starts: Sequence[Doubles], progress: Progress = SILENT
+    ) -> list[PoseMinimum]:
+        """Return the minima of the starts, best first.
+
+        The best are placed and registered to convergence.
+        """
         found: list[PoseMinimum] = []
         for k, start in enumerate(starts):
             progress.step(k / len(starts), f"refining {k + 1} of {len(starts)}")
@@ -276,15 +383,21 @@ class PoseSearch:
             again = self.polish(found[k].fit.sensor_from_object, dense=True)
             while again is not None:
                 gains = again.misfit_mm < _GAIN * found[k].misfit_mm
-                found[k] = replace(again, fit=replace(again.fit, steps=(*found[k].fit.steps, *again.fit.steps)))
+                found[k] = replace(
+                    again, fit=replace(again.fit, steps=(*found[k].fit.steps, *again.fit.steps))
+                )
                 again = self.polish(again.fit.sensor_from_object, dense=True) if gains else None
         return sorted(found, key=lambda m: m.misfit_mm)
 
     def make_outline_judge(self, pose: Doubles, *, dense: bool = False) -> PoseJudge:
         """Return a judge on the part of the object around the contact, with dense points."""
         part = select_in_reach(self.scene, self.object.model, pose, _OUTLINE_REACH_MM)
-        n_contact, n_model = (_DENSE_CONTACT, _DENSE_MODEL) if dense else (_OUTLINE_CONTACT, _OUTLINE_MODEL)
-        return make_judge(self.scene, self.object.grid, part, n_contact, n_model, self.max_distance_mm)
+        n_contact, n_model = (
+            (_DENSE_CONTACT, _DENSE_MODEL) if dense else (_OUTLINE_CONTACT, _OUTLINE_MODEL)
+        )
+        return make_judge(
+            self.scene, self.object.grid, part, n_contact, n_model, self.max_distance_mm
+        )
 
     def match(self, pose: Doubles) -> MatchedPoints:
         """Match the scene to the object at `pose`."""

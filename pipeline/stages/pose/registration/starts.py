@@ -1,4 +1,6 @@
-"""Initial poses of a registration: faces, edges or corners of the object's box toward the sensor, at several angles."""
+"""Initial poses of a registration: faces, edges or corners of the object's box toward the
+sensor, at several angles.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,13 +14,25 @@ from pipeline.stages.pose.registration.model import ObjectModel
 from pipeline.stages.pose.registration.scene import ContactScene
 
 FACES: dict[str, tuple[float, float, float]] = {
-    "+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1),
-}  # fmt: skip
+    "+x": (1, 0, 0),
+    "-x": (-1, 0, 0),
+    "+y": (0, 1, 0),
+    "-y": (0, -1, 0),
+    "+z": (0, 0, 1),
+    "-z": (0, 0, -1),
+}
 EDGES: dict[str, tuple[float, float, float]] = {
-    "".join(f"{'+' if sign > 0 else '-'}{axis}" for sign, axis in zip((x, y, z), "xyz", strict=True) if sign): (x, y, z)
-    for x, y, z in product((1.0, 0.0, -1.0), repeat=3) if abs(x) + abs(y) + abs(z) > 1
-}  # fmt: skip
-"""The 12 directions between two faces and the 8 between three: no other one is 46 degrees from all of a box's."""
+    "".join(
+        f"{'+' if sign > 0 else '-'}{axis}"
+        for sign, axis in zip((x, y, z), "xyz", strict=True)
+        if sign
+    ): (x, y, z)
+    for x, y, z in product((1.0, 0.0, -1.0), repeat=3)
+    if abs(x) + abs(y) + abs(z) > 1
+}
+"""The 12 directions between two faces and the 8 between three: no other one is 46 degrees from
+all of a box's.
+"""
 _ANCHORS = 5  # points of a face tried at the contact's centre
 _MAX_ANCHORS = 24  # the same on a face larger than the contact
 _N_MODEL = 4000  # points that locate a face
@@ -34,21 +48,36 @@ class InitialPose:
     group: tuple[str, int]  # face, edge or corner; index of the angle
 
 
-def list_starts(scene: ContactScene, model: ObjectModel, face: str, n_starts: int) -> list[InitialPose]:
-    """Return `n_starts` orientations over the faces and angles in the contact plane, each at several points."""
+def list_starts(
+    scene: ContactScene, model: ObjectModel, face: str, n_starts: int
+) -> list[InitialPose]:
+    """Return `n_starts` orientations over the faces and angles in the contact plane, each at
+    several points.
+    """
     directions = FACES if face == "auto" else {face: FACES[face]}
     return _spread_over(scene, model, directions, max(1, n_starts // len(directions)))
 
 
-def list_edge_starts(scene: ContactScene, model: ObjectModel, face: str, n_starts: int) -> list[InitialPose]:
-    """Return as many angles as `list_starts` gives each face, for edges and corners (of the face) toward the sensor."""
-    directions = {n: way for n, way in EDGES.items() if face == "auto" or np.dot(way, FACES[face]) > 0}
-    return _spread_over(scene, model, directions, max(1, n_starts // (len(FACES) if face == "auto" else 1)))
+def list_edge_starts(
+    scene: ContactScene, model: ObjectModel, face: str, n_starts: int
+) -> list[InitialPose]:
+    """Return as many angles as `list_starts` gives each face, for edges and corners (of the
+    face) toward the sensor.
+    """
+    directions = {
+        n: way for n, way in EDGES.items() if face == "auto" or np.dot(way, FACES[face]) > 0
+    }
+    return _spread_over(
+        scene, model, directions, max(1, n_starts // (len(FACES) if face == "auto" else 1))
+    )
 
 
 def _spread_over(
-    scene: ContactScene, model: ObjectModel, directions: Mapping[str, tuple[float, float, float]], n_angles: int
-) -> list[InitialPose]:  # fmt: skip
+    scene: ContactScene,
+    model: ObjectModel,
+    directions: Mapping[str, tuple[float, float, float]],
+    n_angles: int,
+) -> list[InitialPose]:
     normal = scene.normals.mean(axis=0)
     normal /= np.linalg.norm(normal)
     middle = scene.points_mm.mean(axis=0)
@@ -69,10 +98,11 @@ def _spread_over(
 
 
 def _anchors(model: ObjectModel, outward: Doubles, layer_mm: float, extent_mm: float) -> Doubles:
-    """Return points (n, 3) of a face that may lie at the centre of a contact of rms radius `extent_mm`.
+    """Return points (n, 3) of a face that may lie at the centre of a contact of rms radius
+    `extent_mm`.
 
-    The centre of the outermost layer; points half the way to its far ends; where the layer exceeds the contact, the
-    centres of contact-sized pieces.
+    The centre of the outermost layer; points half the way to its far ends; where the layer exceeds
+    the contact, the centres of contact-sized pieces.
     """
     height = model.points_mm @ outward
     layer = model.points_mm[height > height.max() - layer_mm]
@@ -87,8 +117,12 @@ def _anchors(model: ObjectModel, outward: Doubles, layer_mm: float, extent_mm: f
     return np.array(places)
 
 
-def _spread(layer: Doubles, middle: Doubles, most: int, apart_mm: float, least: int) -> list[Doubles]:
-    """Return points far from the centre and from one another: at least `least`, then while `apart_mm` apart."""
+def _spread(
+    layer: Doubles, middle: Doubles, most: int, apart_mm: float, least: int
+) -> list[Doubles]:
+    """Return points far from the centre and from one another: at least `least`, then while
+    `apart_mm` apart.
+    """
     chosen: list[Doubles] = []
     distance = np.linalg.norm(layer - middle, axis=1)
     while len(chosen) < most:
@@ -103,7 +137,8 @@ def _spread(layer: Doubles, middle: Doubles, most: int, apart_mm: float, least: 
 def _rotate_onto(source: Doubles, target: Doubles) -> Doubles:
     """Return the smallest rotation that takes one unit vector to another."""
     axis = np.cross(source, target)
-    sine, cosine = float(np.linalg.norm(axis)), float(source @ target)
+    sine = float(np.linalg.norm(axis))
+    cosine = float(source @ target)
     if sine < 1e-9:
         if cosine > 0:
             return np.eye(4)

@@ -1,8 +1,9 @@
 # pyright: basic
-"""Compiled steps of the registration: the motion that solves the normal equations, and the pose after it.
+"""Compiled steps of the registration: the motion that solves the normal equations, and the pose
+after it.
 
-Nothing is allocated here: work arrays are arguments. Decompositions are written out: six by six, they take a third of
-the time of `np.linalg`'s and a tenth of its compilation.
+Nothing is allocated here: work arrays are arguments. Decompositions are written out: six by six,
+they take a third of the time of `np.linalg`'s and a tenth of its compilation.
 """
 
 from __future__ import annotations
@@ -13,12 +14,17 @@ from pipeline.core.cached_kernels import inner_kernel, kernel
 
 _MOST_TURN_RAD = 0.3  # largest rotation of one step, within which the linearisation holds
 _DAMPING = 1e-9  # share of the trace (methods 5.3)
-_SWEEPS, _ROUNDING = 30, 1e-30  # sweeps of Jacobi's method, and squared rounding that ends them, after six or seven
+# sweeps of Jacobi's method, and squared rounding that ends them, after six or seven
+_SWEEPS = 30
+_ROUNDING = 1e-30
 
 
 @inner_kernel()
 def factorise(low):
-    """Cholesky factorisation of the lower triangle in place; returns whether the matrix is positive definite."""
+    """Cholesky factorisation of the lower triangle in place.
+
+    Returns whether the matrix is positive definite.
+    """
     for i in range(low.shape[0]):
         for j in range(i + 1):
             left = low[i, j]
@@ -35,15 +41,16 @@ def factorise(low):
 
 @inner_kernel()
 def compute_eigenvectors(a, vectors):
-    """Compute eigenvectors (columns of `vectors`) and eigenvalues (diagonal) of the symmetric `a` by Jacobi
-    rotations.
+    """Compute eigenvectors (columns of `vectors`) and eigenvalues (diagonal) of the symmetric `a`
+    by Jacobi rotations.
     """
     n = a.shape[0]
     for p in range(n):
         for q in range(n):
             vectors[p, q] = 1.0 if p == q else 0.0
     for _sweep in range(_SWEEPS):
-        off, size = 0.0, 0.0
+        off = 0.0
+        size = 0.0
         for p in range(n):
             size += a[p, p] * a[p, p]
             for q in range(p):
@@ -59,24 +66,33 @@ def compute_eigenvectors(a, vectors):
                 c = 1.0 / math.sqrt(t * t + 1.0)
                 s = t * c
                 for k in range(n):
-                    x, y = a[k, p], a[k, q]
-                    a[k, p], a[k, q] = c * x - s * y, s * x + c * y
-                    x, y = vectors[k, p], vectors[k, q]
-                    vectors[k, p], vectors[k, q] = c * x - s * y, s * x + c * y
+                    x = a[k, p]
+                    y = a[k, q]
+                    a[k, p] = c * x - s * y
+                    a[k, q] = s * x + c * y
+                    x = vectors[k, p]
+                    y = vectors[k, q]
+                    vectors[k, p] = c * x - s * y
+                    vectors[k, q] = s * x + c * y
                 for k in range(n):
-                    x, y = a[p, k], a[q, k]
-                    a[p, k], a[q, k] = c * x - s * y, s * x + c * y
+                    x = a[p, k]
+                    y = a[q, k]
+                    a[p, k] = c * x - s * y
+                    a[q, k] = s * x + c * y
 
 
 @kernel()
 def solve_step(sums, asked, work, motion):
     """Return how many directions are held; `motion` (6,) becomes the step along the others.
 
-    A motion v is held where v^T H v / weight < v^T diag(asked) v (`pipeline.stages.pose.registration.observability`); the step is
-    orthogonal to it in that form, so that rotations need not be weighed against translations.
+    A motion v is held where v^T H v / weight < v^T diag(asked) v
+    (`pipeline.stages.pose.registration.observability`); the step is orthogonal to it in that form,
+    so that rotations need not be weighed against translations.
     """
     low, vectors = work
-    weight, total, at = sums[27], 0.0, 0
+    weight = sums[27]
+    total = 0.0
+    at = 0
     for i in range(6):
         for j in range(i, 6):
             low[j, i] = low[i, j] = sums[at] / weight
@@ -130,24 +146,47 @@ def _held_step(h, vectors, asked, motion):
 
 @inner_kernel()
 def apply_motion(poses, n, motion, radius, most):
-    """Apply a motion of the object's axes about the centroid to pose n of rows (rotation, translation); return its
-    size (mm).
+    """Apply a motion of the object's axes about the centroid to pose n of rows (rotation,
+    translation); return its size (mm).
     """
-    wx, wy, wz = motion[0] / radius, motion[1] / radius, motion[2] / radius
+    wx = motion[0] / radius
+    wy = motion[1] / radius
+    wz = motion[2] / radius
     angle = math.sqrt(wx * wx + wy * wy + wz * wz)
     slide = math.sqrt(motion[3] * motion[3] + motion[4] * motion[4] + motion[5] * motion[5])
     factor = min(1.0, _MOST_TURN_RAD / max(angle, 1e-300), most / max(slide, 1e-300))
-    wx, wy, wz, full = wx * factor, wy * factor, wz * factor, angle * factor
+    wx = wx * factor
+    wy = wy * factor
+    wz = wz * factor
+    full = angle * factor
     a = math.sin(full) / full if full > 1e-4 else 1.0 - full * full / 6.0
     b = (1.0 - math.cos(full)) / (full * full) if full > 1e-4 else 0.5 - full * full / 24.0
     # In the object's axes the centroid is at -R^T t; the points move to E^T (x - v), so R' = R E.
-    x = -factor * motion[3] - poses[n, 0] * poses[n, 9] - poses[n, 3] * poses[n, 10] - poses[n, 6] * poses[n, 11]
-    y = -factor * motion[4] - poses[n, 1] * poses[n, 9] - poses[n, 4] * poses[n, 10] - poses[n, 7] * poses[n, 11]
-    z = -factor * motion[5] - poses[n, 2] * poses[n, 9] - poses[n, 5] * poses[n, 10] - poses[n, 8] * poses[n, 11]
+    x = (
+        -factor * motion[3]
+        - poses[n, 0] * poses[n, 9]
+        - poses[n, 3] * poses[n, 10]
+        - poses[n, 6] * poses[n, 11]
+    )
+    y = (
+        -factor * motion[4]
+        - poses[n, 1] * poses[n, 9]
+        - poses[n, 4] * poses[n, 10]
+        - poses[n, 7] * poses[n, 11]
+    )
+    z = (
+        -factor * motion[5]
+        - poses[n, 2] * poses[n, 9]
+        - poses[n, 5] * poses[n, 10]
+        - poses[n, 8] * poses[n, 11]
+    )
     for i in range(3):
-        u, v, w = poses[n, 3 * i], poses[n, 3 * i + 1], poses[n, 3 * i + 2]
+        u = poses[n, 3 * i]
+        v = poses[n, 3 * i + 1]
+        w = poses[n, 3 * i + 2]
         # A row r of R times E = 1 + a [w] + b [w]^2 is r - a (w x r) + b (w (w . r) - r w^2).
-        dot, square = wx * u + wy * v + wz * w, wx * wx + wy * wy + wz * wz
+        dot = wx * u + wy * v + wz * w
+        square = wx * wx + wy * wy + wz * wz
         poses[n, 3 * i] = u - a * (wy * w - wz * v) + b * (wx * dot - u * square)
         poses[n, 3 * i + 1] = v - a * (wz * u - wx * w) + b * (wy * dot - v * square)
         poses[n, 3 * i + 2] = w - a * (wx * v - wy * u) + b * (wz * dot - w * square)

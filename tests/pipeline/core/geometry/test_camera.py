@@ -33,13 +33,24 @@ def test_projecting_a_back_projected_pixel_returns_the_pixel(camera, depth_mm):
 def test_back_projection_is_the_inverse_of_k(camera):
     points = camera.back_project(np.full(camera.shape, 7.0)).reshape(-1, 3)
     rows, cols = np.mgrid[: camera.rows, : camera.cols].reshape(2, -1)
-    expected = 7.0 * np.linalg.solve(camera.matrix, np.stack([cols, rows, np.ones_like(rows)]).astype(float)).T
+    expected = (
+        7.0
+        * np.linalg.solve(camera.matrix, np.stack([cols, rows, np.ones_like(rows)]).astype(float)).T
+    )
     np.testing.assert_allclose(points, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_what_lies_behind_or_aside_or_is_not_a_number_is_not_visible():
     camera = Camera(rows=4, cols=6, fx_px=10, fy_px=10, cx_px=2.5, cy_px=1.5)
-    points = [[0, 0, 5], [0, 0, -5], [0, 0, 0], [50, 0, 5], [np.nan, 0, 5], [0, 0, np.nan], [np.inf, 0, 5]]
+    points = [
+        [0, 0, 5],
+        [0, 0, -5],
+        [0, 0, 0],
+        [50, 0, 5],
+        [np.nan, 0, 5],
+        [0, 0, np.nan],
+        [np.inf, 0, 5],
+    ]
     assert camera.project(points)[2].tolist() == [True, False, False, False, False, False, False]
 
 
@@ -51,9 +62,14 @@ def test_scaling_keeps_the_field_of_view(rows, cols, factor):
         (camera.cx_px, other.cx_px, camera.cols, other.cols),
         (camera.cy_px, other.cy_px, camera.rows, other.rows),
     ):
-        f, g = (camera.fx_px, other.fx_px) if a == camera.cx_px and n == camera.cols else (camera.fy_px, other.fy_px)
+        f, g = (
+            (camera.fx_px, other.fx_px)
+            if a == camera.cx_px and n == camera.cols
+            else (camera.fy_px, other.fy_px)
+        )
         if n == camera.rows and a == camera.cy_px:
-            f, g = camera.fy_px, other.fy_px
+            f = camera.fy_px
+            g = other.fy_px
         np.testing.assert_allclose((-0.5 - a) / f, (-0.5 - b) / g, atol=1e-12)
         np.testing.assert_allclose((n - 0.5 - a) / f, (m - 0.5 - b) / g, atol=1e-12)
 
@@ -61,7 +77,9 @@ def test_scaling_keeps_the_field_of_view(rows, cols, factor):
 def test_a_crop_sees_the_same_points():
     camera = Camera(rows=20, cols=30, fx_px=40, fy_px=40, cx_px=14.5, cy_px=9.5)
     points = camera.back_project(np.full(camera.shape, 9.0))
-    np.testing.assert_array_equal(camera.crop(3, 5, 8, 10).back_project(np.full((8, 10), 9.0)), points[3:11, 5:15])
+    np.testing.assert_array_equal(
+        camera.crop(3, 5, 8, 10).back_project(np.full((8, 10), 9.0)), points[3:11, 5:15]
+    )
 
 
 def test_k_makes_the_camera_it_came_from():
@@ -86,8 +104,15 @@ def test_a_k_without_inverse_is_refused(k, words):
 
 
 @pytest.mark.parametrize(
-    ("fx", "fy", "cx", "cy"), [(1e-3, 1e-3, 1e9, 65.0), (2.9, 40, 15, 10), (40, 2e5, 15, 10), (40, 40, 200, 10), (40, 40, 15, -90)]
-)  # fmt: skip
+    ("fx", "fy", "cx", "cy"),
+    [
+        (1e-3, 1e-3, 1e9, 65.0),
+        (2.9, 40, 15, 10),
+        (40, 2e5, 15, 10),
+        (40, 40, 200, 10),
+        (40, 40, 15, -90),
+    ],
+)
 def test_a_k_that_no_camera_of_such_an_image_has_is_refused(fx, fy, cx, cy):
     """What is computed of it, such as a cloud's extent in pixels, would take petabytes."""
     with pytest.raises(CalibrationError, match="cannot be that of an image of 30 x 20 px"):

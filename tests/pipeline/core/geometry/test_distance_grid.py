@@ -34,12 +34,17 @@ def joined(a, b):
 
 
 def same(a, b):
-    return all(np.array_equal(getattr(a, n), getattr(b, n)) for n in ("origin_mm", "coarse_mm", "block", "fine"))
+    return all(
+        np.array_equal(getattr(a, n), getattr(b, n))
+        for n in ("origin_mm", "coarse_mm", "block", "fine")
+    )
 
 
 def test_above_a_face_distance_and_direction_are_exact(grid):
     rng = np.random.default_rng(0)
-    points = np.column_stack([rng.uniform(2, 6, 500), rng.uniform(2, 3, 500), 4.0 + rng.uniform(-0.9, 2.5, 500)])
+    points = np.column_stack(
+        [rng.uniform(2, 6, 500), rng.uniform(2, 3, 500), 4.0 + rng.uniform(-0.9, 2.5, 500)]
+    )
     distance, slope = grid.at(points)
     np.testing.assert_allclose(distance, points[:, 2] - 4.0, atol=QUANTUM_MM)
     np.testing.assert_allclose(slope, np.tile([0.0, 0.0, 1.0], (500, 1)), atol=5e-3)
@@ -58,15 +63,21 @@ def test_a_ball_of_fine_triangles_has_its_distances_and_a_bounded_size():
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     far = rng.uniform(-0.3, 2.0, 2000)
     distance, slope = grid.at((6.0 + far)[:, None] * way)
-    assert np.abs(distance - far).max() < 0.03, "sagitta of the ball's triangles and of the coarse lattice"
-    assert np.einsum("ij,ij->i", slope, way).min() > 0.9, "between coarse nodes, 0.8 mm apart, directions turn"
+    assert np.abs(distance - far).max() < 0.03, (
+        "sagitta of the ball's triangles and of the coarse lattice"
+    )
+    assert np.einsum("ij,ij->i", slope, way).min() > 0.9, (
+        "between coarse nodes, 0.8 mm apart, directions turn"
+    )
     assert sum(a.nbytes for a in (grid.coarse_mm, grid.block, grid.fine)) < 16e6
 
 
 def test_overlapping_bodies_are_their_union_and_far_points_are_told_the_way_back(block):
     other = solids.transform_mesh(block, rigid.translation(4.0, 1.0, 1.0))
     grid = build_grid(joined(block, other))
-    inside_both, inside_one, outside = grid.at(np.array([[6.0, 3.0, 2.5], [2.0, 2.5, 2.0], [2.0, 5.6, 2.0]]))[0]
+    inside_both, inside_one, outside = grid.at(
+        np.array([[6.0, 3.0, 2.5], [2.0, 2.5, 2.0], [2.0, 5.6, 2.0]])
+    )[0]
     assert inside_both < 0
     assert inside_one < 0
     assert outside == pytest.approx(0.6, abs=0.01)
@@ -79,17 +90,24 @@ def test_a_body_turned_inside_out_has_the_same_inside(block, grid):
     inverted = Mesh(vertices_mm=block.vertices_mm, triangles=block.triangles[:, ::-1].copy())
     found = build_grid(inverted)
     np.testing.assert_allclose(found.coarse_mm, grid.coarse_mm, atol=QUANTUM_MM)
-    assert np.abs(found.fine.astype(int) - grid.fine).max() <= 1, "its triangles are measured from another corner"
+    assert np.abs(found.fine.astype(int) - grid.fine).max() <= 1, (
+        "its triangles are measured from another corner"
+    )
 
 
 def test_an_open_sheet_is_told_apart_by_its_sides_and_says_so(block):
     normals = np.cross(
-        *(block.vertices_mm[block.triangles[:, k]] - block.vertices_mm[block.triangles[:, 0]] for k in (1, 2))
+        *(
+            block.vertices_mm[block.triangles[:, k]] - block.vertices_mm[block.triangles[:, 0]]
+            for k in (1, 2)
+        )
     )
     lidless = Mesh(vertices_mm=block.vertices_mm, triangles=block.triangles[normals[:, 2] < 0.5])
     grid = build_grid(lidless)
     assert grid.notes == (OPEN_MESH_NOTE,)
-    np.testing.assert_allclose(grid.at(np.array([[4.0, 2.5, -0.4], [4.0, 2.5, 0.4]]))[0], [0.4, -0.4], atol=QUANTUM_MM)
+    np.testing.assert_allclose(
+        grid.at(np.array([[4.0, 2.5, -0.4], [4.0, 2.5, 0.4]]))[0], [0.4, -0.4], atol=QUANTUM_MM
+    )
 
 
 def test_what_is_not_finite_has_no_distance(grid):
@@ -139,13 +157,17 @@ def test_a_folder_that_cannot_be_written_is_done_without(block, grid, tmp_path):
     assert same(load_distance_grid(block, folder=blocked / "grids"), grid)
 
 
-@pytest.mark.parametrize("turn_rad", [(0.0, 0.0, 0.0), (0.4, -0.7, 1.1)], ids=["along the lattice", "askew"])
+@pytest.mark.parametrize(
+    "turn_rad", [(0.0, 0.0, 0.0), (0.4, -0.7, 1.1)], ids=["along the lattice", "askew"]
+)
 def test_distances_far_and_near_are_those_to_the_nearest_of_many_points(block, turn_rad):
     from scipy.spatial import KDTree
 
     turned = solids.transform_mesh(block, rigid.rotation(turn_rad))
     grid = build_grid(turned)
-    nodes = np.stack(np.meshgrid(*(np.arange(n) for n in grid.coarse_mm.shape), indexing="ij"), axis=-1)
+    nodes = np.stack(
+        np.meshgrid(*(np.arange(n) for n in grid.coarse_mm.shape), indexing="ij"), axis=-1
+    )
     places = grid.origin_mm + grid.step_mm * nodes.reshape(-1, 3)
     to_points = KDTree(sample_surface(turned, 100_000, 0)[0]).query(places)[0]
     above_mm = to_points - np.abs(grid.coarse_mm.ravel())

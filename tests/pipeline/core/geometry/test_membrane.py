@@ -10,7 +10,8 @@ from pipeline.core.geometry.camera import Camera
 
 CAMERA = Camera(rows=35, cols=44, fx_px=46.0, fy_px=46.0, cx_px=21.5, cy_px=17.0)
 DOME = membrane.make_dome_membrane(60.0, 20.0, 60.0, 50.0)
-BILINEAR_MM = 1e-3  # 0.5 mm cells on a curvature of 2 * 20 / 50^2 per mm: h^2 / 8 * curvature, both ways
+# 0.5 mm cells on a curvature of 2 * 20 / 50^2 per mm: h^2 / 8 * curvature, both ways
+BILINEAR_MM = 1e-3
 
 
 def dome_mm(x, y):
@@ -32,13 +33,17 @@ def test_the_sign_says_which_side_a_point_is_on(x_mm, y_mm, above_mm):
 
 def test_distance_near_the_surface_is_that_of_a_sphere_to_first_order():
     pad = membrane.make_flat_membrane(20.0, 10.0, 8.0)
-    np.testing.assert_allclose(pad.signed_distance_mm([[0, 0, 19.5], [3, 4, 20.25], [99, 0, 20.0]]), [-0.5, 0.25, 0.0])
+    np.testing.assert_allclose(
+        pad.signed_distance_mm([[0, 0, 19.5], [3, 4, 20.25], [99, 0, 20.0]]), [-0.5, 0.25, 0.0]
+    )
     rays = np.random.default_rng(0).uniform(-20, 20, (200, 2))
     step = 0.05
     surface = np.column_stack([rays, dome_mm(*rays.T)])
     slope = np.column_stack([-40 * rays[:, 0] / 60**2, -40 * rays[:, 1] / 50**2])
     normal = np.column_stack([-slope, np.ones(200)]) / np.sqrt(1 + (slope**2).sum(1))[:, None]
-    np.testing.assert_allclose(DOME.signed_distance_mm(surface - step * normal), -step, atol=2 * BILINEAR_MM)
+    np.testing.assert_allclose(
+        DOME.signed_distance_mm(surface - step * normal), -step, atol=2 * BILINEAR_MM
+    )
 
 
 @settings(max_examples=20)
@@ -46,11 +51,15 @@ def test_distance_near_the_surface_is_that_of_a_sphere_to_first_order():
 def test_rest_depth_lies_on_the_surface_and_on_the_ray(height_mm, rim_mm):
     surface = membrane.make_dome_membrane(rim_mm, height_mm, 60.0, 50.0)
     points = CAMERA.back_project(surface.rest_depth_mm(CAMERA))
-    np.testing.assert_allclose(surface.depth_at(points[..., 0], points[..., 1]), points[..., 2], atol=1e-6)
+    np.testing.assert_allclose(
+        surface.depth_at(points[..., 0], points[..., 1]), points[..., 2], atol=1e-6
+    )
 
 
 def test_a_flat_pad_rests_at_one_depth():
-    np.testing.assert_allclose(membrane.make_flat_membrane(20.0, 10.0, 8.0).rest_depth_mm(CAMERA), 20.0, atol=1e-9)
+    np.testing.assert_allclose(
+        membrane.make_flat_membrane(20.0, 10.0, 8.0).rest_depth_mm(CAMERA), 20.0, atol=1e-9
+    )
 
 
 def test_the_mesh_has_the_vertices_of_the_lattice_and_looks_one_way():
@@ -58,7 +67,8 @@ def test_the_mesh_has_the_vertices_of_the_lattice_and_looks_one_way():
     a, b, c = (mesh.vertices_mm[mesh.triangles[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)
     assert (across[:, 2] > 0).all()
-    low, high = mesh.vertices_mm.min(axis=0), mesh.vertices_mm.max(axis=0)
+    low = mesh.vertices_mm.min(axis=0)
+    high = mesh.vertices_mm.max(axis=0)
     np.testing.assert_allclose(across[:, 2].sum() / 2, np.prod((high - low)[:2]), rtol=1e-12)
 
 
@@ -82,10 +92,13 @@ def test_a_level_pad_knows_that_it_is_level_and_measures_many_points_so():
     points = np.random.default_rng(3).uniform(-30, 30, (4000, 3))
     points[0, 0] = np.nan
     np.testing.assert_array_equal(
-        pad.signed_distance_mm(points), np.where(np.isnan(points[:, 0]), np.nan, points[:, 2] - 20.0)
+        pad.signed_distance_mm(points),
+        np.where(np.isnan(points[:, 0]), np.nan, points[:, 2] - 20.0),
     )
 
 
 def test_single_precision_points_are_measured_as_the_doubles_that_they_are():
     points = np.random.default_rng(4).uniform(-80, 80, (4000, 3)).astype(np.float32)
-    np.testing.assert_array_equal(DOME.signed_distance_mm(points), DOME.signed_distance_mm(points.astype(np.float64)))
+    np.testing.assert_array_equal(
+        DOME.signed_distance_mm(points), DOME.signed_distance_mm(points.astype(np.float64))
+    )

@@ -16,11 +16,16 @@ from pipeline.core.geometry.meshes import Mesh
 from pipeline.sensors.spec import load_sensor
 
 DOME = membrane.make_dome_membrane(60.0, 12.0, 30.0, 25.0)
-BILINEAR_MM = 2e-3  # a cell of 0.5 mm split into triangles against a bilinear one, and cells that straddle
+# a cell of 0.5 mm split into triangles against a bilinear one, and cells that straddle
+BILINEAR_MM = 2e-3
 
 
 def sheet(vertices, triangles):
-    return Mesh(vertices_mm=np.asarray(vertices, float), triangles=np.asarray(triangles, np.int32), name="sheet")
+    return Mesh(
+        vertices_mm=np.asarray(vertices, float),
+        triangles=np.asarray(triangles, np.int32),
+        name="sheet",
+    )
 
 
 def write_stl(path, mesh):
@@ -35,7 +40,8 @@ def test_the_mesh_of_a_dome_is_the_dome():
     np.testing.assert_allclose(found.z_mm, DOME.z_mm, atol=1e-9)
     assert compute_lattice_error_mm(rest_mesh(DOME), found) < BILINEAR_MM
     points = np.random.default_rng(0).uniform((-25, -20, 50), (25, 20, 80), (3000, 3))
-    one, two = found.signed_distance_mm(points), DOME.signed_distance_mm(points)
+    one = found.signed_distance_mm(points)
+    two = DOME.signed_distance_mm(points)
     np.testing.assert_allclose(one, two, atol=1e-9)
 
 
@@ -91,7 +97,8 @@ def test_a_description_may_name_a_mesh_beside_it(tmp_path):
     bubble = load_sensor("soft_bubble")
     write_stl(tmp_path / "rest.stl", rest_mesh(bubble.membrane))
     found = load_sensor(described(tmp_path, 'kind = "mesh"\nfile = "rest.stl"\nunit = "mm"'))
-    np.testing.assert_allclose(found.rest_depth_mm, bubble.rest_depth_mm, atol=1e-4)  # float32 of the file
+    # float32 of the file
+    np.testing.assert_allclose(found.rest_depth_mm, bubble.rest_depth_mm, atol=1e-4)
 
 
 @pytest.mark.parametrize(

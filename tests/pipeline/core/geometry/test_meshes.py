@@ -20,7 +20,9 @@ FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 FLOAT_ROUNDING_MM = 1e-5  # of float32 at 20 mm, with a margin
 
 
-def binary_stl(path: Path, corners: np.ndarray, faces: np.ndarray = FACES, header: bytes = b"") -> Path:
+def binary_stl(
+    path: Path, corners: np.ndarray, faces: np.ndarray = FACES, header: bytes = b""
+) -> Path:
     facets = b"".join(
         bytes(12) + corners[face].astype("<f4").tobytes() + bytes(2) for face in faces
     )  # no normal, no colour
@@ -40,7 +42,8 @@ def text_stl(path: Path, corners: np.ndarray) -> Path:
 
 def text_ply(path: Path, corners: np.ndarray) -> Path:
     head = (
-        f"ply\nformat ascii 1.0\nelement vertex {len(corners)}\nproperty float x\nproperty float y\nproperty float z\n"
+        f"ply\nformat ascii 1.0\nelement vertex {len(corners)}\nproperty float x\nproperty "
+        "float y\nproperty float z\n"
     )
     head += f"element face {len(FACES)}\nproperty list uchar int vertex_indices\nend_header\n"
     body = [" ".join(map(str, v)) for v in corners] + [f"3 {a} {b} {c}" for a, b, c in FACES]
@@ -49,13 +52,16 @@ def text_ply(path: Path, corners: np.ndarray) -> Path:
 
 
 def obj(path: Path, corners: np.ndarray) -> Path:
-    body = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES]
+    body = [f"v {x} {y} {z}" for x, y, z in corners] + [
+        f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES
+    ]
     path.write_text("\n".join(body) + "\n")
     return path
 
 
 @pytest.mark.parametrize(
-    ("write", "name"), [(binary_stl, "a.stl"), (text_stl, "a.STL"), (text_ply, "a.ply"), (obj, "a.obj")]
+    ("write", "name"),
+    [(binary_stl, "a.stl"), (text_stl, "a.STL"), (text_ply, "a.ply"), (obj, "a.obj")],
 )
 def test_every_format_gives_the_same_mesh_with_vertices_merged(tmp_path: Path, write, name: str):
     mesh = load_mesh(write(tmp_path / name, CORNERS))
@@ -73,15 +79,21 @@ def test_faces_of_an_obj_become_fans_however_their_corners_are_named(tmp_path: P
     sides = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)]
     head = "".join(f"v {x} {y} {z} 1.0\n" for x, y, z in vertices) + "vt 0 0\nvn 0 0 1\n"
     for name, corner in {
-        "plain": lambda k: f"{k}", "texture": lambda k: f"{k}/1", "both": lambda k: f"{k}/1/1",
-        "normal": lambda k: f"{k}//1", "backward": lambda k: f"{k - 9}",
-    }.items():  # fmt: skip
+        "plain": lambda k: f"{k}",
+        "texture": lambda k: f"{k}/1",
+        "both": lambda k: f"{k}/1/1",
+        "normal": lambda k: f"{k}//1",
+        "backward": lambda k: f"{k - 9}",
+    }.items():
         path = tmp_path / f"{name}.obj"
-        path.write_text(head + "".join(f"f {' '.join(corner(k) for k in side)}\n" for side in sides))
+        path.write_text(
+            head + "".join(f"f {' '.join(corner(k) for k in side)}\n" for side in sides)
+        )
         mesh = load_mesh(path)
         assert len(mesh.triangles) == 12, name
         a, b, c = (mesh.vertices_mm[mesh.triangles[:, k]] for k in range(3))
-        assert (a * np.cross(b, c)).sum() / 6.0 == pytest.approx(9.0**3), name  # closed, and every quad once
+        # closed, and every quad once
+        assert (a * np.cross(b, c)).sum() / 6.0 == pytest.approx(9.0**3), name
     mixed = tmp_path / "mixed.obj"
     mixed.write_text("v 0 0 0\nv 9 0 0\nv 12 5 0\nv 9 9 0\nv 0 9 0\nf 1 2 3 \\\n4 5\nf 1 3 2\n")
     assert len(load_mesh(mixed).triangles) == 4
@@ -105,21 +117,31 @@ def test_a_pipe_is_no_mesh(tmp_path: Path, name: str):
 
 
 def test_a_binary_file_that_begins_like_text_is_read_as_binary(tmp_path: Path):
-    assert len(load_mesh(binary_stl(tmp_path / "a.stl", CORNERS, header=b"solid trap")).triangles) == 4
+    assert (
+        len(load_mesh(binary_stl(tmp_path / "a.stl", CORNERS, header=b"solid trap")).triangles) == 4
+    )
 
 
 def test_metres_are_refused_with_what_to_try_and_read_when_said(tmp_path: Path):
     path = binary_stl(tmp_path / "a.stl", CORNERS / 1000.0)
-    with pytest.raises(MeshProblem, match=r"0\.02 mm large when read in mm; try --mesh-unit m: .*a\.stl"):
+    with pytest.raises(
+        MeshProblem, match=r"0\.02 mm large when read in mm; try --mesh-unit m: .*a\.stl"
+    ):
         load_mesh(path)
-    np.testing.assert_allclose(load_mesh(path, unit="m").vertices_mm.max(axis=0), 20.0, atol=FLOAT_ROUNDING_MM)
+    np.testing.assert_allclose(
+        load_mesh(path, unit="m").vertices_mm.max(axis=0), 20.0, atol=FLOAT_ROUNDING_MM
+    )
 
 
 @pytest.mark.parametrize("unit", ["in", "inch"])
 def test_inches_are_read_when_said_and_named_where_they_can_be_meant(tmp_path: Path, unit):
     path = binary_stl(tmp_path / "a.stl", CORNERS / 25.4)
-    np.testing.assert_allclose(load_mesh(path, unit=unit).vertices_mm.max(axis=0), 20.0, atol=FLOAT_ROUNDING_MM)
-    with pytest.raises(MeshProblem, match=r"787 mm large when read in m; try --mesh-unit cm or in: "):
+    np.testing.assert_allclose(
+        load_mesh(path, unit=unit).vertices_mm.max(axis=0), 20.0, atol=FLOAT_ROUNDING_MM
+    )
+    with pytest.raises(
+        MeshProblem, match=r"787 mm large when read in m; try --mesh-unit cm or in: "
+    ):
         load_mesh(path, unit="m")
 
 
@@ -142,7 +164,11 @@ def test_triangles_without_area_are_dropped(tmp_path: Path):
     [
         (b"", FileProblem, "cut short or damaged"),
         (b" " * 80 + bytes(4), MeshProblem, "has no triangles"),
-        (b" " * 80 + (7).to_bytes(4, "little") + bytes(60), FileProblem, "cut short or damaged: 7 triangles"),
+        (
+            b" " * 80 + (7).to_bytes(4, "little") + bytes(60),
+            FileProblem,
+            "cut short or damaged: 7 triangles",
+        ),
         (b"solid a\nfacet\nvertex 1 2 3\n", FileProblem, "text STL is cut short"),
         (b"solid a\nvertex 1 2 x\nendsolid", FileProblem, "not three numbers"),
     ],
@@ -175,24 +201,35 @@ def test_other_files_and_missing_ones_are_refused(tmp_path: Path):
 def measure(mesh: Mesh) -> tuple[float, float]:
     """(area, volume)."""
     a, b, c = (mesh.vertices_mm[mesh.triangles[:, k]] for k in range(3))
-    return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()), float((a * np.cross(b, c)).sum()) / 6.0
+    return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()), float(
+        (a * np.cross(b, c)).sum()
+    ) / 6.0
 
 
 def write_prism(path: Path, outline, height: float = 6.0) -> Path:
     """A prism whose ends are one face each."""
     n = len(outline)
     corners = [(x, y, z) for z in (0.0, height) for x, y in outline]
-    faces = [range(n)[::-1], range(n, 2 * n), *((i, (i + 1) % n, n + (i + 1) % n, n + i) for i in range(n))]
-    path.write_text("".join(f"v {x} {y} {z}\n" for x, y, z in corners)
-                    + "".join("f " + " ".join(str(i + 1) for i in face) + "\n" for face in faces))  # fmt: skip
+    faces = [
+        range(n)[::-1],
+        range(n, 2 * n),
+        *((i, (i + 1) % n, n + (i + 1) % n, n + i) for i in range(n)),
+    ]
+    path.write_text(
+        "".join(f"v {x} {y} {z}\n" for x, y, z in corners)
+        + "".join("f " + " ".join(str(i + 1) for i in face) + "\n" for face in faces)
+    )
     return path
 
 
 def test_a_concave_face_is_not_filled(tmp_path: Path):
     u = [(0, 0), (15, 0), (15, 12), (10, 12), (10, 4), (5, 4), (5, 12), (0, 12)]
     assert measure(load_mesh(write_prism(tmp_path / "u.obj", u))) == pytest.approx((700.0, 840.0))
-    ring = [(0, 0), (20, 0), (20, 20), (0, 20), (0, 0), (5, 5), (5, 15), (15, 15), (15, 5), (5, 5)]  # with a hole
-    assert measure(load_mesh(write_prism(tmp_path / "ring.obj", ring)))[1] == pytest.approx(300.0 * 6)
+    # with a hole
+    ring = [(0, 0), (20, 0), (20, 20), (0, 20), (0, 0), (5, 5), (5, 15), (15, 15), (15, 5), (5, 5)]
+    assert measure(load_mesh(write_prism(tmp_path / "ring.obj", ring)))[1] == pytest.approx(
+        300.0 * 6
+    )
     crossed = [(0, 0), (10, 10), (10, 0), (0, 8)]
     with pytest.raises(FileProblem, match="line 9 of the OBJ file has a face that crosses itself"):
         load_mesh(write_prism(tmp_path / "crossed.obj", crossed))
@@ -200,7 +237,9 @@ def test_a_concave_face_is_not_filled(tmp_path: Path):
 
 @given(n=st.integers(4, 40), seed=st.integers(0, 10_000), degenerate=st.booleans())
 def test_stars_are_cut_into_triangles_of_their_area(n, seed, degenerate):
-    """Outlines that are seen whole from one point, turned anyhow in space, some with corners on a line."""
+    """Outlines that are seen whole from one point, turned anyhow in space, some with corners on
+    a line.
+    """
     rng = np.random.default_rng(seed)
     angles = np.arange(n) * 2 * np.pi / n
     radii = rng.uniform(2.0, 10.0, n)
@@ -214,12 +253,18 @@ def test_stars_are_cut_into_triangles_of_their_area(n, seed, degenerate):
     a, b, c = (points[cuts[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
     assert 0.5 * np.linalg.norm(normals, axis=1).sum() == pytest.approx(area, rel=1e-6)
-    assert 0.5 * np.linalg.norm(normals.sum(axis=0)) == pytest.approx(area, rel=1e-6), "all turned alike"
+    assert 0.5 * np.linalg.norm(normals.sum(axis=0)) == pytest.approx(area, rel=1e-6), (
+        "all turned alike"
+    )
     assert len(cuts) == len(points) - 2
 
 
-@pytest.mark.parametrize(("extent", "is_certain"), [(3.75, False), (1.48, False), (1.0, False), (6.0, True)])
-def test_a_mesh_smaller_than_a_contact_asks_for_its_unit(tmp_path: Path, extent: float, is_certain: bool):
+@pytest.mark.parametrize(
+    ("extent", "is_certain"), [(3.75, False), (1.48, False), (1.0, False), (6.0, True)]
+)
+def test_a_mesh_smaller_than_a_contact_asks_for_its_unit(
+    tmp_path: Path, extent: float, is_certain: bool
+):
     path = binary_stl(tmp_path / "a.stl", CORNERS * (extent / 20.0))
     if is_certain:
         assert load_mesh(path).vertices_mm.max() == pytest.approx(extent)
@@ -231,7 +276,9 @@ def test_a_mesh_smaller_than_a_contact_asks_for_its_unit(tmp_path: Path, extent:
 
 def write_urdf(path: Path, name: str, scale: str, more: str = "") -> Path:
     geometry = f'<geometry><mesh filename="{name}" scale="{scale}"/></geometry>'
-    path.write_text(f'<robot name="x"><link name="a"><visual>{geometry}</visual>{more}</link></robot>')
+    path.write_text(
+        f'<robot name="x"><link name="a"><visual>{geometry}</visual>{more}</link></robot>'
+    )
     return path
 
 
@@ -247,9 +294,16 @@ def test_a_urdf_scales_its_mesh_and_is_in_metres(tmp_path: Path):
     for urdf, words in (
         (write_urdf(tmp_path / "b.urdf", "meshes/cube.obj", "1 1"), "no three numbers"),
         (write_urdf(tmp_path / "c.urdf", "../../etc/passwd", "1 1 1"), "is not in its folder"),
-        (write_urdf(tmp_path / "d.urdf", "meshes/cube.obj", "1 1 1", '<collision><geometry><mesh filename="b.stl"/></geometry></collision>'),
-         "must name one mesh"),
-    ):  # fmt: skip
+        (
+            write_urdf(
+                tmp_path / "d.urdf",
+                "meshes/cube.obj",
+                "1 1 1",
+                '<collision><geometry><mesh filename="b.stl"/></geometry></collision>',
+            ),
+            "must name one mesh",
+        ),
+    ):
         with pytest.raises(FileProblem, match=words):
             load_mesh(urdf)
 
@@ -266,19 +320,25 @@ def test_samples_lie_on_the_surface_and_follow_its_area():
     points, normals = sample_surface(mesh, 8000, seed=3)
     again, _ = sample_surface(mesh, 8000, seed=3)
     assert points.tobytes() == again.tobytes()
-    on_plane = np.isclose(points, 0.0, atol=1e-9).any(axis=1) | np.isclose(points.sum(axis=1), 20.0, atol=1e-9)
+    on_plane = np.isclose(points, 0.0, atol=1e-9).any(axis=1) | np.isclose(
+        points.sum(axis=1), 20.0, atol=1e-9
+    )
     assert on_plane.all()
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-12)
     slanted = np.isclose(normals, 3**-0.5).all(axis=1)
-    share = np.sqrt(3) / (np.sqrt(3) + 3)  # of the area: the slanted face against three right triangles
+    # of the area: the slanted face against three right triangles
+    share = np.sqrt(3) / (np.sqrt(3) + 3)
     four_sigma = 4 * np.sqrt(share * (1 - share) / 8000)
     assert abs(slanted.mean() - share) < four_sigma
     inside = points[slanted].mean(axis=0)
-    np.testing.assert_allclose(inside, 20 / 3, atol=0.5)  # mm; four standard errors of the mean of 2900 points are 0.35
+    # mm; four standard errors of the mean of 2900 points are 0.35
+    np.testing.assert_allclose(inside, 20 / 3, atol=0.5)
 
 
 def test_real_tools_are_read_in_their_units(real_data: Path):
-    assert np.ptp(load_mesh(real_data / "tools" / "peg1.stl").vertices_mm[:, 2]) == pytest.approx(80.0, abs=0.1)
+    assert np.ptp(load_mesh(real_data / "tools" / "peg1.stl").vertices_mm[:, 2]) == pytest.approx(
+        80.0, abs=0.1
+    )
     tool = real_data / "tools" / "pattern_01_2_lines_angle_1.stl"
     with pytest.raises(MeshProblem, match="try --mesh-unit m"):
         load_mesh(tool)

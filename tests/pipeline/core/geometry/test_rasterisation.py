@@ -21,9 +21,13 @@ def draw_soup(seed, n=40):
 
 
 def cast_rays(vertices, triangles):
-    """Depth (rows, cols) by the intersection of each ray with each triangle, and how near each ray is to any edge."""
+    """Depth (rows, cols) by the intersection of each ray with each triangle, and how near each
+    ray is to any edge.
+    """
     x, y = CAMERA.rays()
-    rays = np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.ones(CAMERA.shape)], axis=-1)[..., None, :]
+    rays = np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.ones(CAMERA.shape)], axis=-1)[
+        ..., None, :
+    ]
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     across = np.cross(rays, c - a)
     det = (across * (b - a)).sum(axis=-1)
@@ -33,7 +37,11 @@ def cast_rays(vertices, triangles):
     t = ((c - a) * other).sum(axis=-1) / det
     inside = np.minimum.reduce([u, v, 1.0 - u - v])
     z = np.where((inside >= 0) & (t > 0), t, np.inf)
-    return z.min(axis=-1), np.where(np.isfinite(z).any(axis=-1), z.argmin(axis=-1), -1), np.abs(inside).min(axis=-1)
+    return (
+        z.min(axis=-1),
+        np.where(np.isfinite(z).any(axis=-1), z.argmin(axis=-1), -1),
+        np.abs(inside).min(axis=-1),
+    )
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -52,7 +60,8 @@ def test_every_pixel_sees_what_its_ray_meets_first(seed):
 
 def test_a_sheet_has_no_cracks_along_its_edges():
     """Nodes that lie exactly on common edges and corners are drawn."""
-    rows, cols = 9, 12
+    rows = 9
+    cols = 12
     y, x = np.mgrid[:rows, :cols].astype(float)
     nodes = np.stack([x.ravel(), y.ravel(), (3.0 * x - 2.0 * y).ravel()], axis=-1)
     height, drawn = rasterise_triangles(nodes, make_grid_triangles(rows, cols), (rows, cols))

@@ -24,7 +24,9 @@ def test_a_quaternion_says_the_same_as_a_rotation_vector(direction, length_rad):
     xyzw = [*(axis * np.sin(length_rad / 2)), np.cos(length_rad / 2)]
     expected = rigid.rotation(axis * length_rad)
     np.testing.assert_allclose(rigid.from_quaternion([0, 0, 0], xyzw), expected, atol=COMPOSED)
-    np.testing.assert_allclose(rigid.from_quaternion([0, 0, 0], [-3 * q for q in xyzw]), expected, atol=COMPOSED)
+    np.testing.assert_allclose(
+        rigid.from_quaternion([0, 0, 0], [-3 * q for q in xyzw]), expected, atol=COMPOSED
+    )
 
 
 @given(vectors, st.floats(0.0, 180.0))
@@ -35,7 +37,9 @@ def test_the_angle_is_the_length_of_the_vector(direction, angle_deg):
 
 
 def test_a_quarter_turn_about_z_takes_x_to_y():
-    np.testing.assert_allclose(rigid.apply(rigid.rotation([0, 0, np.pi / 2]), [1, 0, 0]), [0, 1, 0], atol=COMPOSED)
+    np.testing.assert_allclose(
+        rigid.apply(rigid.rotation([0, 0, np.pi / 2]), [1, 0, 0]), [0, 1, 0], atol=COMPOSED
+    )
 
 
 @pytest.mark.parametrize(

@@ -7,13 +7,18 @@ import pytest
 
 from pipeline.core.geometry.screws import describe_motions
 
-# What the first sample's elbow leaves open on a bubble: columns of (rotation times 4.2 mm, translation in mm).
+# What the first sample's elbow leaves open on a bubble: columns of (rotation times 4.2 mm,
+# translation in mm).
 _SLIDE = np.array([-0.03, 0.04, 0.0, 0.08, 0.99, -0.02])
 _TURN = np.array([0.015, 0.007, 0.777, -0.5, 0.04, 0.0])
 
 
-@pytest.mark.parametrize(("slide_is_lost", "first"), [(True, "slides along (0.0"), (False, "turns about (-")])
-def test_a_slide_that_hardly_turns_is_called_a_slide_where_it_is_open_without_the_turn(slide_is_lost, first):
+@pytest.mark.parametrize(
+    ("slide_is_lost", "first"), [(True, "slides along (0.0"), (False, "turns about (-")]
+)
+def test_a_slide_that_hardly_turns_is_called_a_slide_where_it_is_open_without_the_turn(
+    slide_is_lost, first
+):
     lost, _ = np.linalg.qr(np.column_stack([_SLIDE, _TURN]))
 
     def is_lost(motion):

@@ -19,11 +19,17 @@ def stream(name: str, sensor: str) -> Stream:
         name=name,
         sensor=sensor,
         n_frames=1,
-        frame=lambda i: TactileFrame(sensor=sensor, image=np.zeros((2, 3, 3), np.uint8), reference=None, index=i),
+        frame=lambda i: TactileFrame(
+            sensor=sensor, image=np.zeros((2, 3, 3), np.uint8), reference=None, index=i
+        ),
     )
 
 
-PAIR = Pairing(source="left", target="bubble", target_from_source=rigid.from_parts((1.0, 2.0, 3.0), (0.0, 40.0, 0.0)))
+PAIR = Pairing(
+    source="left",
+    target="bubble",
+    target_from_source=rigid.from_parts((1.0, 2.0, 3.0), (0.0, 40.0, 0.0)),
+)
 RECORDING = Recording(
     path=Path("x"),
     format="made up",
@@ -41,20 +47,24 @@ def test_a_stream_is_found_by_name_or_sensor_and_the_first_without_either():
 def test_a_missing_stream_names_the_existing_ones():
     with pytest.raises(
         SettingProblem,
-        match=r"no stream 'nose' in this recording; it has 'bubble' of soft_bubble, 'left' of gelslim; choose",
+        match=r"no stream 'nose' in this recording; it has 'bubble' of soft_bubble, 'left' of "
+        r"gelslim; choose",
     ):
         RECORDING.stream("nose")
 
 
 def test_a_pairing_is_known_both_ways():
-    there, back = RECORDING.target_from_source("left", "bubble"), RECORDING.target_from_source("bubble", "left")
+    there = RECORDING.target_from_source("left", "bubble")
+    back = RECORDING.target_from_source("bubble", "left")
     np.testing.assert_allclose(there @ back, np.eye(4), atol=FLOAT64_MM)
     assert RECORDING.target_from_source("left", "digit") is None
 
 
 def test_depth_and_colour_are_distinguished_by_shape():
     assert not RECORDING.streams[0].frame(0).is_depth
-    assert TactileFrame(sensor="soft_bubble", image=np.zeros((2, 3), np.float32), reference=None).is_depth
+    assert TactileFrame(
+        sensor="soft_bubble", image=np.zeros((2, 3), np.float32), reference=None
+    ).is_depth
 
 
 def test_a_stream_has_no_truth_by_default():

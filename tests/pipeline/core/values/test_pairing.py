@@ -17,10 +17,15 @@ IMAGE = np.zeros((2, 2, 3), np.uint8)
 def make_stream(name, times_s, n=None):
     times = None if times_s is None else np.asarray(times_s, np.float64)
     return Stream(
-        name=name, sensor=name, n_frames=len(times) if n is None else n, times_s=times,
-        frame=lambda k: TactileFrame(sensor=name, image=IMAGE, reference=None, index=k, origin=f"{name} {k}"),
+        name=name,
+        sensor=name,
+        n_frames=len(times) if n is None else n,
+        times_s=times,
+        frame=lambda k: TactileFrame(
+            sensor=name, image=IMAGE, reference=None, index=k, origin=f"{name} {k}"
+        ),
         truth=lambda k: Truth(force_n=np.array([0.0, 0.0, float(k)])),
-    )  # fmt: skip
+    )
 
 
 @given(
@@ -30,8 +35,12 @@ def make_stream(name, times_s, n=None):
     seed=st.integers(0, 99),
 )
 def test_lost_frames_shift_no_other_pair(kept, rate_hz, shift, seed):
-    """Two cameras of one rate, out of phase and jittering by less than a fifth of an interval; one loses frames."""
-    rng, n = np.random.default_rng(seed), len(kept)
+    """Two cameras of one rate, out of phase and jittering by less than a fifth of an interval.
+
+    One loses frames.
+    """
+    rng = np.random.default_rng(seed)
+    n = len(kept)
     numbers = np.flatnonzero(kept)
     times = (np.arange(n) + rng.uniform(-0.04, 0.04, n)) / rate_hz
     other = ((np.arange(n) + shift + rng.uniform(-0.04, 0.04, n)) / rate_hz)[numbers]
@@ -55,7 +64,8 @@ def test_no_frame_is_the_partner_of_two(n, seed):
 
 
 def test_a_faster_stream_is_paired_with_every_frame_of_a_slower_one_and_the_rates_are_named():
-    fast, slow = make_stream("fast", np.arange(61) / 60.0), make_stream("slow", np.arange(21) / 20.0 + 0.004)
+    fast = make_stream("fast", np.arange(61) / 60.0)
+    slow = make_stream("slow", np.arange(21) / 20.0 + 0.004)
     pairs = pair_frames(slow, fast)
     assert pairs.partners.tolist() == list(range(0, 61, 3))
     assert "slow has 20 Hz and fast 60 Hz" in pairs.note
@@ -63,7 +73,9 @@ def test_a_faster_stream_is_paired_with_every_frame_of_a_slower_one_and_the_rate
 
 
 def test_streams_without_common_times_are_not_paired():
-    pairs = pair_frames(make_stream("a", np.arange(5) / 10), make_stream("b", 1e6 + np.arange(5) / 10))
+    pairs = pair_frames(
+        make_stream("a", np.arange(5) / 10), make_stream("b", 1e6 + np.arange(5) / 10)
+    )
     assert (pairs.partners == NO_PARTNER).all()
     assert isinstance(pairs.note, StageWarning)
 

@@ -9,7 +9,12 @@ import pytest
 
 from pipeline.core.errors import select_warnings
 from pipeline.io import open_recording
-from pipeline.io.inspection.synchrony import ContactSignature, compare_signatures, compare_streams, compute_signature
+from pipeline.io.inspection.synchrony import (
+    ContactSignature,
+    compare_signatures,
+    compare_streams,
+    compute_signature,
+)
 
 SAMPLE = Path(__file__).resolve().parents[4] / "sample_data" / "recordings" / "first_touch.h5"
 ORDERS = 8
@@ -18,8 +23,11 @@ ORDERS = 8
 def moments(n, seed, *, noise=0.005):
     """The same touches recorded by two sensors, one rotated, mirrored and larger."""
     rng = np.random.default_rng(seed)
-    strength, at = np.exp(rng.normal(0.0, 0.4, n)), rng.uniform(0.2, 0.8, (n, 2))
-    there = (at - 0.5) @ np.array([[0.3, 0.25], [0.25, -0.3]]) + 0.5 + rng.normal(0.0, noise, (n, 2))
+    strength = np.exp(rng.normal(0.0, 0.4, n))
+    at = rng.uniform(0.2, 0.8, (n, 2))
+    there = (
+        (at - 0.5) @ np.array([[0.3, 0.25], [0.25, -0.3]]) + 0.5 + rng.normal(0.0, noise, (n, 2))
+    )
     hard = 3.0 * strength ** rng.uniform(0.5, 1.0, n)
     return [ContactSignature(s, *p) for s, p in zip(strength, at, strict=True)], [
         ContactSignature(s, *p) for s, p in zip(hard, there, strict=True)
@@ -63,7 +71,8 @@ def test_the_place_of_a_change_is_its_strongest_region():
 
 def test_streams_of_the_sample_agree_and_in_random_order_do_not():
     with closing(open_recording(SAMPLE)) as recording:
-        one, other = recording.stream("gelslim"), recording.stream("soft_bubble")
+        one = recording.stream("gelslim")
+        other = recording.stream("soft_bubble")
         assert compare_streams(one, other).warning is None
         order = np.random.default_rng(2).permutation(other.n_frames)
         mixed = compare_streams(one, replace(other, frame=lambda k: other.frame(int(order[k]))))

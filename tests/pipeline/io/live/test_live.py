@@ -45,10 +45,15 @@ def wait_until(condition: Callable[[], bool]) -> None:
 class CountingSource:
     """A sensor whose images are their numbers; it can be unplugged."""
 
-    title, sensor, touching_object = "counting", "digit", None
+    title = "counting"
+    sensor = "digit"
+    touching_object = None
 
     def __init__(self, *, every_s: float = 0.002, skip: int = 0) -> None:
-        self.plugged, self._every_s, self._skip, self._n = True, every_s, skip, 0
+        self.plugged = True
+        self._every_s = every_s
+        self._skip = skip
+        self._n = 0
 
     def open(self) -> None:
         if not self.plugged:
@@ -58,7 +63,8 @@ class CountingSource:
         if not self.plugged:
             raise LiveSourceLost("it was unplugged")
         time.sleep(self._every_s)
-        number, self._n = self._n, self._n + 1 + self._skip
+        number = self._n
+        self._n = self._n + 1 + self._skip
         image = np.full((*DIGIT.camera.shape, 3), 100 + number % 2, np.uint8)
         return LiveFrame(image=image, time_s=time.monotonic(), sequence_number=number)
 
@@ -71,7 +77,8 @@ class FixedSource(CountingSource):
 
     def __init__(self, image) -> None:
         super().__init__()
-        self.image, self.opened = image, 0
+        self.image = image
+        self.opened = 0
 
     def open(self) -> None:
         self.opened += 1
@@ -100,7 +107,10 @@ def test_a_simulated_sensor_gives_touches_with_truth_and_a_reference_without_con
     status = watched.status()
     assert status.state == "running"
     assert status.rate_hz > 0
-    deepest = [float(watched.truth(i).indentation_mm.max()) for i in range(watched._first_index, watched.n_frames)]
+    deepest = [
+        float(watched.truth(i).indentation_mm.max())
+        for i in range(watched._first_index, watched.n_frames)
+    ]
     assert deepest[0] == 0.0
     assert max(deepest) > 0.1
     last = watched.frame(watched.n_frames - 1)
@@ -154,7 +164,10 @@ def test_memory_is_bounded_and_old_frames_are_refused(running):
 
 def test_the_reference_is_the_median_of_the_last_frames_and_warns_of_motion_and_drift():
     rng = np.random.default_rng(0)
-    still = [np.clip(rng.normal(120, 2, (*DIGIT.camera.shape, 3)), 0, 255).astype(np.uint8) for _ in range(15)]
+    still = [
+        np.clip(rng.normal(120, 2, (*DIGIT.camera.shape, 3)), 0, 255).astype(np.uint8)
+        for _ in range(15)
+    ]
     reference = reference_capture.compute_median_image(still)
     assert np.abs(reference.astype(float) - 119.5).mean() < 0.7  # of a single image: 1.6
     assert reference_capture.check_motion(still, DIGIT) == ""
@@ -242,7 +255,8 @@ def test_a_folder_gives_the_newest_complete_image_and_counts_the_others(tmp_path
 
 def test_a_folder_without_news_is_not_listed_again(tmp_path, monkeypatch):
     """Or 50,000 images would cost a quarter of a processor core while nothing comes."""
-    source, listed = FolderSource(tmp_path, sensor="digit"), []
+    source = FolderSource(tmp_path, sensor="digit")
+    listed = []
     scan = os.scandir
     monkeypatch.setattr(os, "scandir", lambda folder: listed.append(folder) or scan(folder))
     os.utime(tmp_path, (time.time() - 60.0,) * 2)
@@ -254,8 +268,12 @@ def test_a_folder_without_news_is_not_listed_again(tmp_path, monkeypatch):
 
 
 def test_a_camera_is_found_by_name_and_serial_number_and_never_by_its_metadata_node(tmp_path):
-    for name in ("usb-Facebook_DIGIT_D20123-video-index0", "usb-Facebook_DIGIT_D20123-video-index1",
-                 "usb-Arducam_GelSight_Mini_R0B_28WZ-video-index0", "usb-HD_Webcam-video-index0"):  # fmt: skip
+    for name in (
+        "usb-Facebook_DIGIT_D20123-video-index0",
+        "usb-Facebook_DIGIT_D20123-video-index1",
+        "usb-Arducam_GelSight_Mini_R0B_28WZ-video-index0",
+        "usb-HD_Webcam-video-index0",
+    ):
         (tmp_path / name).touch()
     cameras = list_usb_cameras(tmp_path)
     assert [camera.profile.sensor for camera in cameras] == ["gelsight_mini", "digit", ""]
@@ -305,7 +323,9 @@ def test_a_digit_image_is_rotated_as_by_its_driver_and_the_end_of_its_stream_is_
 
 def test_the_full_image_of_a_gelsight_mini_is_cropped_and_resized(tmp_path):
     stream = _Stream(np.full((2464, 3280, 3), 90, np.uint8))
-    source = UsbCameraSource("GelSight", by_id=_node(tmp_path, "GelSight_Mini_R0B"), opener=lambda node, kind: stream)
+    source = UsbCameraSource(
+        "GelSight", by_id=_node(tmp_path, "GelSight_Mini_R0B"), opener=lambda node, kind: stream
+    )
     source.open()
     assert source.read().image.shape == (*load_sensor("gelsight_mini").camera.shape, 3)
     assert source.sensor == "gelsight_mini"
@@ -318,18 +338,23 @@ def _node(folder: Path, name: str = "Facebook_DIGIT_D1") -> Path:
 
 def test_a_video_file_is_read_as_a_camera(tmp_path, running, monkeypatch):
     monkeypatch.setattr(reader, "RETRY_S", 0.01)
-    path, size = tmp_path / "stream.avi", (240, 320)
+    path = tmp_path / "stream.avi"
+    size = (240, 320)
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, size)
     for i in range(20):
         writer.write(np.full((320, 240, 3), 100 + i, np.uint8))
     writer.release()
     watched = running(UsbCameraSource(str(path), sensor="gelsight_mini"))
     wait_until(lambda: watched.n_frames > 30)  # the video ended once and was opened again
-    assert watched.frame(watched.n_frames - 1).image.shape == (*load_sensor("gelsight_mini").camera.shape, 3)
+    assert watched.frame(watched.n_frames - 1).image.shape == (
+        *load_sensor("gelsight_mini").camera.shape,
+        3,
+    )
 
 
 def test_a_live_sensor_opens_as_a_recording_that_grows(running):
-    watched, path = running(CountingSource()), Path("live:/counted")
+    watched = running(CountingSource())
+    path = Path("live:/counted")
     wait_until(lambda: watched.n_frames > 20)
     mounts.mount(path, lambda: watched.make_recording(path))
     try:
@@ -372,7 +397,8 @@ def test_a_recording_can_be_read_while_it_grows_and_equals_the_live_frames(tmp_p
 
 
 def test_a_recording_survives_a_kill_at_any_moment(tmp_path):
-    path, before = tmp_path / "killed.h5", 0
+    path = tmp_path / "killed.h5"
+    before = 0
     command = [SCRIPT, "live", "--sensor", "digit", "--rate", "60", "--record", path]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as other:
         for line in other.stdout:
@@ -436,12 +462,20 @@ def test_a_recording_without_frames_leaves_no_file(tmp_path):
 
 def test_the_live_command_prints_state_and_rate(capsys, tmp_path):
     for seconds in ("2.5", "20", "120"):  # a busy machine takes longer to begin
-        run_app(build_app(), ["live", "--source", "simulated", "--sensor", "digit", "--seconds", seconds])
+        run_app(
+            build_app(),
+            ["live", "--source", "simulated", "--sensor", "digit", "--seconds", seconds],
+        )
         if "running: " in (output := capsys.readouterr().out):
             break
     assert "running: " in output
     assert " Hz, " in output
-    assert run_app(build_app(), ["live", "--source", "folder", str(tmp_path / "none"), "--seconds", "1.2"]) == 1
+    assert (
+        run_app(
+            build_app(), ["live", "--source", "folder", str(tmp_path / "none"), "--seconds", "1.2"]
+        )
+        == 1
+    )
     assert "there is no folder" in capsys.readouterr().out
     assert run_app(build_app(), ["live", "--list"]) == 0
 
@@ -455,11 +489,24 @@ def test_words_that_are_no_source_are_refused(words):
 
 
 def test_the_leds_of_a_digit_have_full_intensity():
-    assert next(kind for kind in usb_camera.USB_CAMERA_PROFILES if kind.sensor == "digit").led_setting == 0xFFF
+    assert (
+        next(kind for kind in usb_camera.USB_CAMERA_PROFILES if kind.sensor == "digit").led_setting
+        == 0xFFF
+    )
 
 
 def test_too_few_frames_to_record_exit_with_one(tmp_path, capsys):
-    words = ["live", "--sensor", "digit", "--rate", "3", "--record", str(tmp_path / "a.h5"), "--seconds", "1.5"]
+    words = [
+        "live",
+        "--sensor",
+        "digit",
+        "--rate",
+        "3",
+        "--record",
+        str(tmp_path / "a.h5"),
+        "--seconds",
+        "1.5",
+    ]
     assert run_app(build_app(), words) == 1
     assert "first 7" in capsys.readouterr().out
     assert not (tmp_path / "a.h5").exists()
@@ -488,10 +535,12 @@ def test_the_result_says_how_many_frames_were_left_out(capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("numbers", "lost"), [((0, 1, 2), 0), ((0, 2, 3), 1), ((5, 6, 9), 2), ((3, 3, 4), 0), ((9, 0, 1), 0)]
+    ("numbers", "lost"),
+    [((0, 1, 2), 0), ((0, 2, 3), 1), ((5, 6, 9), 2), ((3, 3, 4), 0), ((9, 0, 1), 0)],
 )
 def test_every_lost_frame_is_counted_also_a_single_one(numbers, lost):
-    source, now_s = CountingSource(), time.monotonic()
+    source = CountingSource()
+    now_s = time.monotonic()
     watched = LiveReader(source)
     image = np.zeros((*DIGIT.camera.shape, 3), np.uint8)
     for number in numbers:

@@ -22,7 +22,8 @@ from pipeline.io.live.source_parsing import parse_source
 from pipeline.sensors.spec import load_sensor
 
 LIMIT_S = 30.0
-GELSLIM, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")
+GELSLIM = load_sensor("gelslim")
+BUBBLE = load_sensor("soft_bubble")
 ROS_IMAGE = """std_msgs/Header header
 uint32 height
 uint32 width
@@ -53,7 +54,9 @@ def read_frame(source, wanted=lambda frame: True) -> LiveFrame:
 def make_image(grey: int) -> np.ndarray:
     """A picture of a GelSlim's size whose red, green and blue differ."""
     image = np.zeros((*GELSLIM.camera.shape, 3), np.uint8)
-    image[:, :, 0], image[:, :, 1], image[:, :, 2] = grey, grey // 2, 200
+    image[:, :, 0] = grey
+    image[:, :, 1] = grey // 2
+    image[:, :, 2] = 200
     image[::7, ::5] = 90
     return image
 
@@ -70,8 +73,12 @@ def serve_mjpeg(images):
             self.end_headers()
             n = 0
             while not ended.is_set():
-                _, jpeg = cv2.imencode(".jpg", images[n % len(images)][:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 98])
-                head = b"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n" % len(jpeg)
+                _, jpeg = cv2.imencode(
+                    ".jpg", images[n % len(images)][:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 98]
+                )
+                head = b"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n" % len(
+                    jpeg
+                )
                 try:
                     self.wfile.write(head + jpeg.tobytes() + b"\r\n")
                 except OSError:
@@ -170,7 +177,12 @@ def make_raw(image, encoding, n=0):
     rows, cols = image.shape[:2]
     stamp = Timestamp(sec=100 + n)
     return RawImage(
-        timestamp=stamp, width=cols, height=rows, encoding=encoding, step=image.nbytes // rows, data=image.tobytes()
+        timestamp=stamp,
+        width=cols,
+        height=rows,
+        encoding=encoding,
+        step=image.nbytes // rows,
+        data=image.tobytes(),
     )
 
 
@@ -198,24 +210,36 @@ def test_raw_and_compressed_images_of_a_bridge_are_read(bridge):
 def test_images_of_ros_2_are_read_by_their_message_definition(bridge):
     address, context = bridge
     image = make_image(99)
-    schema = foxglove.Schema(name="sensor_msgs/msg/Image", encoding="ros2msg", data=ROS_IMAGE.encode())
+    schema = foxglove.Schema(
+        name="sensor_msgs/msg/Image", encoding="ros2msg", data=ROS_IMAGE.encode()
+    )
     channel = foxglove.Channel("/cam", schema=schema, message_encoding="cdr", context=context)
     encode = serialize_dynamic("sensor_msgs/msg/Image", ROS_IMAGE)["sensor_msgs/msg/Image"]
     rows, cols = image.shape[:2]
     bgr = np.ascontiguousarray(image[:, :, ::-1])
     told = {
-        "header": {"stamp": {"sec": 7, "nanosec": 500_000_000}, "frame_id": ""}, "height": rows, "width": cols,
-        "encoding": "bgr8", "is_bigendian": 0, "step": 3 * cols, "data": bgr.tobytes(),
-    }  # fmt: skip
+        "header": {"stamp": {"sec": 7, "nanosec": 500_000_000}, "frame_id": ""},
+        "height": rows,
+        "width": cols,
+        "encoding": "bgr8",
+        "is_bigendian": 0,
+        "step": 3 * cols,
+        "data": bgr.tobytes(),
+    }
     content = bytes(encode(told))
-    with publishing(lambda _: channel.log(content)), closing(parse_source([address], sensor="gelslim")) as source:
+    with (
+        publishing(lambda _: channel.log(content)),
+        closing(parse_source([address], sensor="gelslim")) as source,
+    ):
         source.open()
         frame = read_frame(source)
         np.testing.assert_array_equal(frame.image, image)
         assert frame.stamp_s == 7.5
 
 
-@pytest.mark.parametrize(("encoding", "kind", "per_mm"), [("16UC1", np.uint16, 1.0), ("32FC1", np.float32, 1e-3)])
+@pytest.mark.parametrize(
+    ("encoding", "kind", "per_mm"), [("16UC1", np.uint16, 1.0), ("32FC1", np.float32, 1e-3)]
+)
 def test_depth_topics_are_a_bubble_in_mm_with_the_published_camera(bridge, encoding, kind, per_mm):
     address, context = bridge
     spec = BUBBLE
@@ -244,7 +268,10 @@ def test_topics_are_listed_where_none_or_another_is_named(bridge):
     for name in ("/left/image", "/right/image"):
         RawImageChannel(name, context=context)
     for words in ([address], [address, "/middle"]):
-        with closing(parse_source(words)) as source, pytest.raises(LiveSourceLost, match=r"/left/image, /right/image"):
+        with (
+            closing(parse_source(words)) as source,
+            pytest.raises(LiveSourceLost, match=r"/left/image, /right/image"),
+        ):
             source.open()
 
 
@@ -256,7 +283,9 @@ def test_a_port_without_a_bridge_is_a_loss():
 class Scripted:
     """A sensor that gives these frames, then nothing."""
 
-    title, sensor, touching_object = "scripted", "digit", None
+    title = "scripted"
+    sensor = "digit"
+    touching_object = None
 
     def __init__(self, frames):
         self.frames = list(frames)
@@ -276,7 +305,8 @@ def test_frames_that_came_twice_and_jumps_of_the_sensors_clock_are_counted():
     image = np.zeros((*load_sensor("digit").camera.shape, 3), np.uint8)
     stamps_s = (5.0, 5.03, 5.03, 5.06, 3605.0, 3605.03, 10.0)
     source = Scripted(
-        LiveFrame(image=image, time_s=0.03 * k, sequence_number=k, stamp_s=s) for k, s in enumerate(stamps_s)
+        LiveFrame(image=image, time_s=0.03 * k, sequence_number=k, stamp_s=s)
+        for k, s in enumerate(stamps_s)
     )
     reader = LiveReader(source)
     reader.start()

@@ -7,7 +7,8 @@ import pytest
 
 from pipeline.lab.evaluation.grid_comparison import measure_spread
 
-SHAPE, COUNT = (60, 80), 16
+SHAPE = (60, 80)
+COUNT = 16
 RNG = np.random.default_rng(3)
 TRUE = RNG.random(SHAPE).astype(np.float32)
 CONTACT = np.zeros(SHAPE, np.bool_)
@@ -15,7 +16,10 @@ CONTACT[10:50, 10:70] = True
 
 
 def samples(spread_mm: np.ndarray | float, bias_mm: float) -> list[np.ndarray]:
-    return [(TRUE + bias_mm + spread_mm * RNG.standard_normal(SHAPE)).astype(np.float32) for _ in range(COUNT)]
+    return [
+        (TRUE + bias_mm + spread_mm * RNG.standard_normal(SHAPE)).astype(np.float32)
+        for _ in range(COUNT)
+    ]
 
 
 @pytest.mark.parametrize(("spread", "bias", "word"), [(0.2, 0.0, "variance"), (0.05, 0.3, "bias")])

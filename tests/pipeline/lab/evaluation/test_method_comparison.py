@@ -29,7 +29,9 @@ def no_weights(tmp_path, monkeypatch):
 
 @pytest.fixture
 def opened():
-    with closing(open_translation(Request(recording=SAMPLE, source="gelslim", target="soft_bubble"))) as translation:
+    with closing(
+        open_translation(Request(recording=SAMPLE, source="gelslim", target="soft_bubble"))
+    ) as translation:
         yield translation
 
 
@@ -53,7 +55,8 @@ def test_a_touch_is_compared_in_contact_and_overall_with_the_recorded_one(opened
     assert by_object.metrics["contact_error_mm"] < 0.8 * tile.metrics["contact_error_mm"]
     assert truth.title == "truth"
     recorded = opened.read_target_observation(FRAME)[0]
-    assert np.array_equal(truth.preview.distance_mm, recorded.image)  # as Demo shows it, with the camera's noise
+    # as Demo shows it, with the camera's noise
+    assert np.array_equal(truth.preview.distance_mm, recorded.image)
     target = opened.read_ground_truth(FRAME).target_truth
     membrane = physics_result(runner, opened).results["touch"].output.membrane
     error = abs(membrane.indentation_mm.astype(float) - target.indentation_mm)
@@ -65,11 +68,14 @@ def test_a_touch_is_compared_in_contact_and_overall_with_the_recorded_one(opened
 
 def test_results_are_shared_and_their_times_are_remembered(opened, no_weights):
     runner = VariantRunner()
-    first, again = physics_result(runner, opened), physics_result(runner, opened)
+    first = physics_result(runner, opened)
+    again = physics_result(runner, opened)
     assert again.results["touch"].output is first.results["touch"].output
     assert again.ms == pytest.approx(first.ms)
     physics = opened.catalogue.method("touch", "physics").params()
-    other = physics_result(runner, opened, **{"touch/physics": replace(physics, contact_gap_mm=1.0)})
+    other = physics_result(
+        runner, opened, **{"touch/physics": replace(physics, contact_gap_mm=1.0)}
+    )
     assert other.results["touch"].output is not first.results["touch"].output
     assert other.ms > 0.5 * first.ms  # as if the stages before it had been computed too
 
@@ -80,11 +86,17 @@ def test_a_comparison_can_be_cancelled(opened):
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        list(compare_methods(VariantRunner(), opened, FRAME, {}, DisplayParams(), "in order", Stopped()))
+        list(
+            compare_methods(
+                VariantRunner(), opened, FRAME, {}, DisplayParams(), "in order", Stopped()
+            )
+        )
 
 
 def test_a_recording_of_one_sensor_gives_no_metrics(opened, no_weights):
-    alone = replace(opened, recording=replace(opened.recording, streams=(opened.stream,)), mesh=None)
+    alone = replace(
+        opened, recording=replace(opened.recording, streams=(opened.stream,)), mesh=None
+    )
     *_, comparison = compare_methods(VariantRunner(), alone, FRAME, {}, DisplayParams(), "in order")
     (tile,) = comparison.tiles
     assert "Object: physics: no object mesh" in comparison.summary
@@ -93,15 +105,26 @@ def test_a_recording_of_one_sensor_gives_no_metrics(opened, no_weights):
 
 
 def test_tiles_without_error_come_last_in_any_order():
-    tiles = [Tile(title=name, metrics=metrics) for name, metrics in
-             (("a", {"contact_error_mm": 1.0}), ("b", {}), ("c", {"contact_error_mm": 3.0}), ("d", {"error_mm": 2.0}))]  # fmt: skip
+    tiles = [
+        Tile(title=name, metrics=metrics)
+        for name, metrics in (
+            ("a", {"contact_error_mm": 1.0}),
+            ("b", {}),
+            ("c", {"contact_error_mm": 3.0}),
+            ("d", {"error_mm": 2.0}),
+        )
+    ]
     for order, titles in (("worst first", "cdab"), ("best first", "adcb"), ("in order", "abcd")):
         assert "".join(tile.title for tile in sort_tiles(tiles, order)) == titles
 
 
-def test_a_method_that_cannot_run_has_no_tile_and_is_named_with_its_reason(opened, no_weights, monkeypatch):
+def test_a_method_that_cannot_run_has_no_tile_and_is_named_with_its_reason(
+    opened, no_weights, monkeypatch
+):
     runner = VariantRunner()
-    failed = replace(physics_result(runner, opened), problem="this sensor is unknown to it; train another")
+    failed = replace(
+        physics_result(runner, opened), problem="this sensor is unknown to it; train another"
+    )
     monkeypatch.setattr(runner, "evaluate_all", lambda *_: iter([failed]))
     *_, comparison = compare_methods(runner, opened, FRAME, {}, DisplayParams(), "in order")
     assert [tile.title for tile in comparison.tiles] == ["truth"]

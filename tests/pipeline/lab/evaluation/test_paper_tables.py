@@ -12,7 +12,12 @@ import pytest
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
 from pipeline.core.errors import SettingProblem
 from pipeline.lab.evaluation import held_out, time_error_sweep, touch_features
-from pipeline.lab.evaluation.held_out import SENSORS, HeldOutOptions, load_or_simulate, select_sensors
+from pipeline.lab.evaluation.held_out import (
+    SENSORS,
+    HeldOutOptions,
+    load_or_simulate,
+    select_sensors,
+)
 from pipeline.lab.evaluation.paper_tables import EvaluationRequest, evaluate_tables, parse_direction
 from pipeline.lab.evaluation.published_results import PAPER_DIRECTIONS, PAPER_ROWS, find_paper_row
 from pipeline.physics.simulation import shapes
@@ -30,14 +35,20 @@ def few_objects(monkeypatch):
     """One object per group instead of all."""
     names = shapes.list_shapes
     monkeypatch.setattr(
-        held_out.datasets.shapes, "list_shapes", lambda group="": names(group)[:1] if group else names()
+        held_out.datasets.shapes,
+        "list_shapes",
+        lambda group="": names(group)[:1] if group else names(),
     )
 
 
 def build_request(cache_folder, **more):
     small = HeldOutOptions(grasps=1, folder=cache_folder)
     return EvaluationRequest(
-        split="unseen_tools", held_out=small, directions=(("gelslim", "soft_bubble"),), pose_methods=(), **more
+        split="unseen_tools",
+        held_out=small,
+        directions=(("gelslim", "soft_bubble"),),
+        pose_methods=(),
+        **more,
     )
 
 
@@ -53,12 +64,17 @@ def test_the_papers_rows_are_all_there():
 def test_another_source_records_the_touches_with_both_targets():
     assert select_sensors("digit", "gelslim") == SENSORS
     assert select_sensors("gelsight_mini", "gelslim") == ("gelslim", "soft_bubble", "gelsight_mini")
-    assert select_sensors("gelsight_mini", "soft_bubble") == select_sensors("gelsight_mini", "gelslim")
+    assert select_sensors("gelsight_mini", "soft_bubble") == select_sensors(
+        "gelsight_mini", "gelslim"
+    )
 
 
-def test_the_sources_own_depth_is_a_row_of_poses_and_the_object_one_of_touches(cache_folder, few_objects):
+def test_the_sources_own_depth_is_a_row_of_poses_and_the_object_one_of_touches(
+    cache_folder, few_objects
+):
     request = replace(
-        build_request(cache_folder, candidates=("own", "object", "physics")), pose_methods=("signed_distances",)
+        build_request(cache_folder, candidates=("own", "object", "physics")),
+        pose_methods=("signed_distances",),
     )
     own, physics, by_object = evaluate_tables(request).rows
     assert [row.candidate for row in (own, physics, by_object)] == ["own", "physics", "object"]
@@ -70,12 +86,15 @@ def test_the_sources_own_depth_is_a_row_of_poses_and_the_object_one_of_touches(c
 
 def test_another_seed_gives_other_touches(cache_folder, few_objects):
     first, other = (
-        load_or_simulate("unseen_tools", HeldOutOptions(grasps=1, seed=seed, folder=cache_folder)) for seed in (0, 1)
+        load_or_simulate("unseen_tools", HeldOutOptions(grasps=1, seed=seed, folder=cache_folder))
+        for seed in (0, 1)
     )
     assert first[0].source != other[0].source
 
 
-def test_sources_are_varied_instances_and_targets_the_described_one_of_the_same_presses(cache_folder, few_objects):
+def test_sources_are_varied_instances_and_targets_the_described_one_of_the_same_presses(
+    cache_folder, few_objects
+):
     from pipeline.io import open_recording
 
     (pressed,) = load_or_simulate("unseen_tools", HeldOutOptions(grasps=1, folder=cache_folder))
@@ -85,16 +104,24 @@ def test_sources_are_varied_instances_and_targets_the_described_one_of_the_same_
     assert np.array_equal(truths[0].sensor_from_object, truths[1].sensor_from_object)
     assert np.abs(frames[0].reference.astype(float) - frames[1].reference).mean() > 2.0
     before = pressed.target.stat().st_mtime_ns
-    assert load_or_simulate("unseen_tools", HeldOutOptions(grasps=1, folder=cache_folder)) == (pressed,)
+    assert load_or_simulate("unseen_tools", HeldOutOptions(grasps=1, folder=cache_folder)) == (
+        pressed,
+    )
     assert pressed.target.stat().st_mtime_ns == before  # cached, not simulated again
 
 
-def test_a_row_for_each_baseline_and_method_and_physics_beats_the_baselines(cache_folder, few_objects):
-    table = evaluate_tables(build_request(cache_folder, candidates=("recorded", "no_contact", "mean", "physics")))
+def test_a_row_for_each_baseline_and_method_and_physics_beats_the_baselines(
+    cache_folder, few_objects
+):
+    table = evaluate_tables(
+        build_request(cache_folder, candidates=("recorded", "no_contact", "mean", "physics"))
+    )
     by = {row.candidate: row for row in table.rows}
     assert list(by) == ["recorded", "no_contact", "mean", "physics"]
     assert not by["recorded"].metrics
-    error = {name: by[name].metrics["error_mm"]["all"] for name in ("no_contact", "mean", "physics")}
+    error = {
+        name: by[name].metrics["error_mm"]["all"] for name in ("no_contact", "mean", "physics")
+    }
     assert error["physics"] < 0.7 * error["mean"] < error["no_contact"]
     assert set(by["physics"].metrics["ssim"]) == {"all", "contact", "visible", "outside"}
     assert by["physics"].metrics["correlation"]["all"] > 0.5
@@ -105,7 +132,10 @@ def test_a_row_for_each_baseline_and_method_and_physics_beats_the_baselines(cach
 
 
 def test_the_encoders_of_the_feature_distances_do_not_change():
-    bubble, gel = (touch_features.load_encoder_weights(load_sensor(name)) for name in ("soft_bubble", "gelslim"))
+    bubble, gel = (
+        touch_features.load_encoder_weights(load_sensor(name))
+        for name in ("soft_bubble", "gelslim")
+    )
     assert (bubble.name, bubble.content_digest[:12]) == ("encoder_soft_bubble", "29fb460ca3ef"), (
         "distances of earlier reports are not comparable"
     )
@@ -117,11 +147,16 @@ def test_the_encoders_of_the_feature_distances_do_not_change():
 def test_guidance_is_swept_at_eight_steps_unless_the_steps_are_set(cache_folder, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        time_error_sweep, "evaluate_tables", lambda one, *_: asked.append(one.settings) or sweep_of_nothing()
+        time_error_sweep,
+        "evaluate_tables",
+        lambda one, *_: asked.append(one.settings) or sweep_of_nothing(),
     )
-    time_error_sweep.sweep_parameters(build_request(cache_folder, candidates=("t2d2",)), ("guidance",))
     time_error_sweep.sweep_parameters(
-        build_request(cache_folder, candidates=("t2d2",), settings=("touch.steps=3",)), ("guidance",)
+        build_request(cache_folder, candidates=("t2d2",)), ("guidance",)
+    )
+    time_error_sweep.sweep_parameters(
+        build_request(cache_folder, candidates=("t2d2",), settings=("touch.steps=3",)),
+        ("guidance",),
     )
     steps = [dict(line.split("=") for line in settings).get("touch.steps") for settings in asked]
     n = len(time_error_sweep.SWEEP_VALUES["guidance"])
@@ -132,8 +167,12 @@ def sweep_of_nothing():
     return SimpleNamespace(rows=())
 
 
-def test_a_sweep_runs_only_methods_with_the_parameter_and_plots_each_direction(cache_folder, few_objects, tmp_path):
-    points = time_error_sweep.sweep_parameters(build_request(cache_folder, candidates=("mean", "physics")), ("steps",))
+def test_a_sweep_runs_only_methods_with_the_parameter_and_plots_each_direction(
+    cache_folder, few_objects, tmp_path
+):
+    points = time_error_sweep.sweep_parameters(
+        build_request(cache_folder, candidates=("mean", "physics")), ("steps",)
+    )
     assert {(p.parameter, p.row.candidate) for p in points} == {("", "mean"), ("", "physics")}
     (plot,) = time_error_sweep.draw_sweep_plots(points, tmp_path)
     assert plot.name == "gelslim_to_soft_bubble.png"
@@ -141,12 +180,32 @@ def test_a_sweep_runs_only_methods_with_the_parameter_and_plots_each_direction(c
         time_error_sweep.sweep_parameters(build_request(cache_folder), ("seed",))
 
 
-def test_the_command_prints_both_tables_and_writes_every_metric(cache_folder, few_objects, tmp_path, capsys):
+def test_the_command_prints_both_tables_and_writes_every_metric(
+    cache_folder, few_objects, tmp_path, capsys
+):
     out = tmp_path / "table.json"
-    code = run_app(build_app(), [
-        "evaluate", "--split", "unseen_tools", "--grasps", "1", "--folder", str(cache_folder), "--poses", "paper_2d",
-        "--direction", "gelslim:soft_bubble", "--only", "recorded", "--only", "physics", "--json", str(out),
-    ])  # fmt: skip
+    code = run_app(
+        build_app(),
+        [
+            "evaluate",
+            "--split",
+            "unseen_tools",
+            "--grasps",
+            "1",
+            "--folder",
+            str(cache_folder),
+            "--poses",
+            "paper_2d",
+            "--direction",
+            "gelslim:soft_bubble",
+            "--only",
+            "recorded",
+            "--only",
+            "physics",
+            "--json",
+            str(out),
+        ],
+    )
     said = capsys.readouterr()
     assert code == 0, said.err
     assert "(0.42 ± 0.26)" in said.out  # the paper's row of a bubble's recorded touches
@@ -169,7 +228,8 @@ def test_the_command_prints_both_tables_and_writes_every_metric(cache_folder, fe
 def test_mistakes_are_one_sentence(tokens, said, capsys, cache_folder, few_objects):
     grasps = () if "--grasps" in tokens else ("--grasps", "1")
     code = run_app(
-        build_app(), ["evaluate", "--split", "unseen_tools", "--folder", str(cache_folder), *grasps, *tokens]
+        build_app(),
+        ["evaluate", "--split", "unseen_tools", "--folder", str(cache_folder), *grasps, *tokens],
     )
     assert code == EXIT_USER_ERROR
     assert said in capsys.readouterr().err

@@ -8,12 +8,21 @@ from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.values.frames import TactileFrame
 from pipeline.io import open_recording
 from pipeline.lab.tasks.in_hand import FINGERS, PlanarPose, press_between_fingers, project_to_plane
-from pipeline.lab.tasks.insertion import FORCE_LIMIT_N, SHORT_MM, TASK, load_tool, make_tool, measure_miss_mm, run
+from pipeline.lab.tasks.insertion import (
+    FORCE_LIMIT_N,
+    SHORT_MM,
+    TASK,
+    load_tool,
+    make_tool,
+    measure_miss_mm,
+    run,
+)
 from pipeline.lab.tasks.rollout_file import read_summary, summarise, write_rollout
 from pipeline.lab.tasks.runner import make_jobs, run_job, run_jobs
 from pipeline.lab.tasks.task import Rollout, TrialPlan
 
-pytestmark = pytest.mark.timeout(600)  # the first grasp compiles kernels where `tactoscope prepare` has not
+# the first grasp compiles kernels where `tactoscope prepare` has not
+pytestmark = pytest.mark.timeout(600)
 PLAN = TrialPlan(
     task="insertion",
     case="hex_key",
@@ -61,7 +70,10 @@ def test_rollout_is_a_recording(rollouts, tmp_path):
     path = tmp_path / "rollout.h5"
     write_rollout(rollouts[0], path, "key", PLAN)
     recording = open_recording(path)
-    assert [stream.name for stream in recording.streams] == ["soft_bubble_left", "soft_bubble_right"]
+    assert [stream.name for stream in recording.streams] == [
+        "soft_bubble_left",
+        "soft_bubble_right",
+    ]
     assert recording.streams[0].truth(0) is not None
     recording.close()
     assert read_summary(path, "key") == summarise(rollouts[0])
@@ -70,9 +82,12 @@ def test_rollout_is_a_recording(rollouts, tmp_path):
 
 @pytest.mark.parametrize("finger", FINGERS)
 def test_both_fingers_press_the_same_grasp(finger):
-    tool, grasp = make_tool("spanner"), PlanarPose(x_mm=2.0, y_mm=-1.0, angle_rad=0.4)
+    tool = make_tool("spanner")
+    grasp = PlanarPose(x_mm=2.0, y_mm=-1.0, angle_rad=0.4)
     pose = press_between_fingers(tool.mesh, grasp, finger, 0.5)
-    lowest = (pose @ np.column_stack([tool.mesh.vertices_mm, np.ones(len(tool.mesh.vertices_mm))]).T)[2].min()
+    lowest = (
+        pose @ np.column_stack([tool.mesh.vertices_mm, np.ones(len(tool.mesh.vertices_mm))]).T
+    )[2].min()
     assert lowest == pytest.approx(-0.5, abs=0.2)
     mirrored = 1.0 if finger == "left" else -1.0
     seen = project_to_plane(pose)
@@ -101,10 +116,27 @@ def toy(monkeypatch):
 
     def run_toy(plan):
         runs.append(plan.index)
-        return (Rollout(case=plan.case, trial=plan.index, touch=plan.touches[0], tolerance_mm=plan.tolerances_mm[0],
-                        succeeds=True, cause="done", measures={"x": 1.0 / 3.0}, decisions=(),
-                        frames=(("gelslim_left", TactileFrame(sensor="gelslim", image=np.zeros((4, 5, 3), np.uint8),
-                                                              reference=None), None),)),)  # fmt: skip
+        return (
+            Rollout(
+                case=plan.case,
+                trial=plan.index,
+                touch=plan.touches[0],
+                tolerance_mm=plan.tolerances_mm[0],
+                succeeds=True,
+                cause="done",
+                measures={"x": 1.0 / 3.0},
+                decisions=(),
+                frames=(
+                    (
+                        "gelslim_left",
+                        TactileFrame(
+                            sensor="gelslim", image=np.zeros((4, 5, 3), np.uint8), reference=None
+                        ),
+                        None,
+                    ),
+                ),
+            ),
+        )
 
     task = replace(TASK, name="toy", cases=("toy",), run=run_toy)
     monkeypatch.setattr("pipeline.lab.tasks.runner.load_task", lambda _name: task)
@@ -116,7 +148,9 @@ def test_finished_rollouts_are_read_and_not_run_again(tmp_path, toy):
     first = run_job(job)
     assert run_job(job) == first
     assert toy == [0]
-    (other,) = make_jobs("toy", touches=("none",), n_trials=1, tolerances_mm=(1.0,), folder=tmp_path, seed=1)
+    (other,) = make_jobs(
+        "toy", touches=("none",), n_trials=1, tolerances_mm=(1.0,), folder=tmp_path, seed=1
+    )
     run_job(other)
     assert toy == [0, 0]
 

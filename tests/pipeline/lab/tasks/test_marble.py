@@ -7,7 +7,15 @@ from pipeline.core.errors import SettingProblem
 from pipeline.io import open_recording
 from pipeline.lab.tasks import marble
 from pipeline.lab.tasks.cloning import ClonedPolicyTask
-from pipeline.lab.tasks.marble import EXPERT, MAX_STEP_MM, is_held, limit_step, roll, run_trial, shrink_image
+from pipeline.lab.tasks.marble import (
+    EXPERT,
+    MAX_STEP_MM,
+    is_held,
+    limit_step,
+    roll,
+    run_trial,
+    shrink_image,
+)
 from pipeline.lab.tasks.marble_trial import N_TICKS, SOURCE, START_MM, TARGET, draw_trial
 from pipeline.lab.tasks.rolling import RADIUS_MM, make_ball
 from pipeline.lab.tasks.rollout_file import write_rollout
@@ -15,8 +23,11 @@ from pipeline.lab.tasks.runner import make_jobs, run_job, run_jobs
 from pipeline.lab.tasks.task import TrialPlan
 from pipeline.lab.tasks.touches import OWN
 
-pytestmark = pytest.mark.timeout(600)  # the first touch compiles kernels where `tactoscope prepare` has not
-PLAN = TrialPlan(task="marble", case="marble", index=0, touches=("true",), tolerances_mm=(1.0,), seed=3, vary=1.0)
+# the first touch compiles kernels where `tactoscope prepare` has not
+pytestmark = pytest.mark.timeout(600)
+PLAN = TrialPlan(
+    task="marble", case="marble", index=0, touches=("true",), tolerances_mm=(1.0,), seed=3, vary=1.0
+)
 
 
 @pytest.fixture
@@ -32,7 +43,9 @@ def test_the_expert_holds_the_ball_from_every_start_and_without_motion_it_stays(
     assert is_held(run, 0.05)
     assert len(run.decisions) == N_TICKS
     assert max(one.error_mm for one in run.decisions) == 0.0
-    assert roll(trial, "none").distances_mm[-1] == pytest.approx(np.hypot(*trial.start_mm), rel=0.01)
+    assert roll(trial, "none").distances_mm[-1] == pytest.approx(
+        np.hypot(*trial.start_mm), rel=0.01
+    )
 
 
 def test_both_sensors_see_the_whole_contact_where_it_is():
@@ -43,7 +56,8 @@ def test_both_sensors_see_the_whole_contact_where_it_is():
         assert frame.sensor == name
         place = trial.source if name == SOURCE else trial.target
         rows, cols = np.nonzero(truth.contact)
-        x, y = (cols.mean() - place.nominal.camera.cx_px), (rows.mean() - place.nominal.camera.cy_px)
+        x = cols.mean() - place.nominal.camera.cx_px
+        y = rows.mean() - place.nominal.camera.cy_px
         assert place.nominal.pixel_mm * np.array([x, y]) == pytest.approx(ball.contact_mm, abs=0.2)
         assert 0 < rows.min() < rows.max() < frame.image.shape[0] - 1
         assert 0 < cols.min() < cols.max() < frame.image.shape[1] - 1
@@ -78,9 +92,16 @@ def test_the_cloned_policy_holds_the_ball_by_the_true_touch():
 @pytest.mark.slow  # some eighty translated touches
 def test_a_failed_rollout_is_attributed_and_is_a_recording(few_ticks, tmp_path):
     plan = TrialPlan(
-        task="marble", case="marble", index=0, touches=("t2d2", OWN), tolerances_mm=(0.001,), seed=3, vary=1.0,
-        attribute=True, record_frames=True,
-    )  # fmt: skip
+        task="marble",
+        case="marble",
+        index=0,
+        touches=("t2d2", OWN),
+        tolerances_mm=(0.001,),
+        seed=3,
+        vary=1.0,
+        attribute=True,
+        record_frames=True,
+    )
     for rollout in run_trial(plan):
         (decision,) = [one for one in rollout.decisions if one.shares]
         assert [part.stage for part in decision.shares][-2:] == ["touch", "policy"]
@@ -111,7 +132,9 @@ def test_demonstrations_are_of_the_expert_and_the_same_on_every_call():
 def test_any_image_becomes_the_networks_input():
     for rows, cols in itertools.product((48, 320), (64, 240)):
         image = np.full((rows, cols, 3), (255, 0, 51), np.uint8)
-        assert shrink_image(image).reshape(3, -1).mean(axis=1) == pytest.approx((1.0, 0.0, 0.2), abs=1e-6)
+        assert shrink_image(image).reshape(3, -1).mean(axis=1) == pytest.approx(
+            (1.0, 0.0, 0.2), abs=1e-6
+        )
 
 
 def test_further_touches_are_of_this_task_alone():

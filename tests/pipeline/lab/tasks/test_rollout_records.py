@@ -19,7 +19,8 @@ from pipeline.lab.tasks.scene_view import build_scene, cut_dashes, find_edges
 from pipeline.lab.tasks.task import load_task
 from pipeline.lab.tasks.trial_rows import compute_error_deg, is_rollout_folder, list_trials
 
-pytestmark = pytest.mark.timeout(600)  # the first grasp compiles kernels where `tactoscope prepare` has not
+# the first grasp compiles kernels where `tactoscope prepare` has not
+pytestmark = pytest.mark.timeout(600)
 FAILS = "hex_key_t2t_0.1mm_003.h5"
 
 
@@ -31,7 +32,9 @@ def failed(rollout_folder):
 def test_rows_of_a_folder_hold_outcome_and_errors(rollout_folder):
     rows = {row.path.name: row for row in list_trials(rollout_folder)}
     assert [row.outcome for row in rows.values()] == ["fails", "fails", "fails", "succeeds"]
-    assert {(row.task, row.case, row.trial) for row in rows.values()} == {("insertion", "hex_key", 3)}
+    assert {(row.task, row.case, row.trial) for row in rows.values()} == {
+        ("insertion", "hex_key", 3)
+    }
     row = rows[FAILS]
     assert (row.touch, row.tolerance_mm) == ("t2t", 0.1)
     assert row.error_mm == pytest.approx(0.2977, abs=0.01)
@@ -43,7 +46,9 @@ def test_rows_of_a_folder_hold_outcome_and_errors(rollout_folder):
 def test_recorded_rollout_has_ticks_of_one_moment_each(failed):
     assert failed.n_ticks == len(failed.force_n) == len(failed.world_from_object) > 20
     assert (np.diff(failed.time_s) > 0).all()
-    assert np.linalg.norm(failed.force_n, axis=1).max() == pytest.approx(failed.summary.measures["largest_force_n"])
+    assert np.linalg.norm(failed.force_n, axis=1).max() == pytest.approx(
+        failed.summary.measures["largest_force_n"]
+    )
     assert [failed.find_decision(tick) for tick in (0, failed.n_ticks - 1)] == [0, 0]
 
 
@@ -54,7 +59,9 @@ def test_estimate_lies_off_the_object_as_the_decision_says(failed):
     off = scene.hand_from_estimate(decision)[:3, 3] - held[:3, 3]
     gaps = [decision.estimate[name] - decision.truth[name] for name in ("x_mm", "y_mm")]
     np.testing.assert_allclose(off, [*gaps, 0.0], atol=1e-5)
-    np.testing.assert_allclose(scene.hand_from_estimate(replace(decision, estimate=decision.truth)), held, atol=1e-5)
+    np.testing.assert_allclose(
+        scene.hand_from_estimate(replace(decision, estimate=decision.truth)), held, atol=1e-5
+    )
 
 
 def test_run_again_it_is_the_recorded_one_and_its_shares_add_up_and_flip(failed):
@@ -80,7 +87,9 @@ def test_run_again_it_is_the_recorded_one_and_its_shares_add_up_and_flip(failed)
 
 
 def test_stored_shares_are_not_computed_again(failed, monkeypatch):
-    monkeypatch.setattr("pipeline.lab.tasks.rerun.run_again", lambda *_, **__: pytest.fail("run again"))
+    monkeypatch.setattr(
+        "pipeline.lab.tasks.rerun.run_again", lambda *_, **__: pytest.fail("run again")
+    )
     known = replace(failed.summary.decisions[0], shares=(object(),))
     stored = replace(failed, summary=replace(failed.summary, decisions=(known,)))
     assert attribute_rollout(stored) == (known,)
@@ -130,7 +139,9 @@ def test_a_damaged_file_is_a_row_with_its_problem(rollout_folder, tmp_path):
 
 
 def test_a_case_of_ones_own_lies_in_the_folder_of_its_rollouts(tmp_path):
-    mesh, own, folder = make_tool("spanner").mesh, tmp_path / "own", tmp_path / "rollouts"
+    mesh = make_tool("spanner").mesh
+    own = tmp_path / "own"
+    folder = tmp_path / "rollouts"
     own.mkdir()
     folder.mkdir()
     (own / "mine.obj").write_text(
@@ -139,19 +150,26 @@ def test_a_case_of_ones_own_lies_in_the_folder_of_its_rollouts(tmp_path):
     )
     (own / "mine.toml").write_text("mesh = 'mine.obj'\ndepth_mm = 6.0\n")
     copy_case(own / "mine.toml", folder)
-    (job,) = make_jobs(str(own / "mine.toml"), touches=("none",), n_trials=1, tolerances_mm=(1.0,), folder=folder)
+    (job,) = make_jobs(
+        str(own / "mine.toml"), touches=("none",), n_trials=1, tolerances_mm=(1.0,), folder=folder
+    )
     run_job(job)
     shutil.rmtree(own)
     (row,) = list_trials(folder)
     rollout = read_rollout(row.path)
     assert rollout.plan.case == str(folder / "mine.toml")
-    assert [body.name for body in build_scene(rollout).bodies] == ["hole", "left finger", "right finger"]
+    assert [body.name for body in build_scene(rollout).bodies] == [
+        "hole",
+        "left finger",
+        "right finger",
+    ]
     write_rollout_bundle(row.path, tmp_path / "mine.bundle")
     assert replay_rollout(tmp_path / "mine.bundle").agreement.is_same
 
 
 def test_replay_finds_another_result(failed, tmp_path):
-    copy, bundle = tmp_path / FAILS, tmp_path / "b.bundle"
+    copy = tmp_path / FAILS
+    bundle = tmp_path / "b.bundle"
     shutil.copy(failed.path, copy)
     with h5py.File(copy, "r+") as file:
         plan = file["rollout"].attrs["plan"]
@@ -168,10 +186,14 @@ def test_dashes_lie_on_the_edges_and_leave_gaps():
     assert len(edges) == 12  # and no diagonal of a face
     dashes = cut_dashes(edges)
     lengths = np.linalg.norm(dashes[:, 1] - dashes[:, 0], axis=1).sum()
-    assert lengths == pytest.approx(0.6 * np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).sum(), rel=1e-5)
+    assert lengths == pytest.approx(
+        0.6 * np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).sum(), rel=1e-5
+    )
     assert (np.abs(dashes.reshape(-1, 3)) <= (3.0, 2.0, 1.0)).all()
 
 
 def test_angles_differ_by_at_most_half_a_turn(failed):
-    decision = replace(failed.summary.decisions[0], estimate={"angle_deg": 179.0}, truth={"angle_deg": -179.0})
+    decision = replace(
+        failed.summary.decisions[0], estimate={"angle_deg": 179.0}, truth={"angle_deg": -179.0}
+    )
     assert compute_error_deg(decision) == pytest.approx(2.0)

@@ -10,7 +10,9 @@ HELD = PlanarPose(x_mm=1.0, y_mm=-2.0, angle_rad=0.4)
 
 @pytest.mark.parametrize(("clearance_mm", "above_mm"), [(2.0, 3.40), (4.0, 3.76), (8.0, 4.21)])
 def test_a_known_grasp_nests_where_the_walls_touch(clearance_mm, above_mm):
-    """Sixteen flat walls bind earlier than round ones, by the same height for the same clearance."""
+    """Sixteen flat walls bind earlier than round ones, by the same height for the same
+    clearance.
+    """
     attempt = stack(HELD, HELD, clearance_mm)
     assert attempt.succeeds, attempt.cause
     assert attempt.measures["above_nested_mm"] == pytest.approx(above_mm, abs=0.05)

@@ -19,8 +19,12 @@ GELSLIM = load_sensor("gelslim_dotless")
 
 def pose(shape: str, x_mm=0.0, y_mm=0.0, angle_deg=0.0, depth_mm=0.5):
     mesh = shapes.make_shape(shape).mesh
-    placed = rigid.translation(x_mm, y_mm, 0.0) @ rigid.rotation((0.0, 0.0, math.radians(angle_deg)))
-    placed[2, 3] = -depth_mm - compute_lowest_mm(rigid.apply(placed, mesh.vertices_mm), mesh.triangles)
+    placed = rigid.translation(x_mm, y_mm, 0.0) @ rigid.rotation(
+        (0.0, 0.0, math.radians(angle_deg))
+    )
+    placed[2, 3] = -depth_mm - compute_lowest_mm(
+        rigid.apply(placed, mesh.vertices_mm), mesh.triangles
+    )
     return placed
 
 
@@ -28,7 +32,9 @@ def pose(shape: str, x_mm=0.0, y_mm=0.0, angle_deg=0.0, depth_mm=0.5):
 def press(shape: str, x_mm=0.0, y_mm=0.0, angle_deg=0.0, sensor=GELSLIM.name):
     """(membrane, sensor_from_object) of a press."""
     spec = load_sensor(sensor)
-    made = simulate_press(shapes.make_shape(shape).mesh, pose(shape, x_mm, y_mm, angle_deg), spec, seed=None)
+    made = simulate_press(
+        shapes.make_shape(shape).mesh, pose(shape, x_mm, y_mm, angle_deg), spec, seed=None
+    )
     membrane = DepthMap(
         indentation_mm=made.indentation_mm,
         depth_mm=(spec.rest_depth_mm - made.indentation_mm).astype(np.float32),
@@ -42,6 +48,9 @@ def press(shape: str, x_mm=0.0, y_mm=0.0, angle_deg=0.0, sensor=GELSLIM.name):
 def untouched():
     rest = GELSLIM.rest_depth_mm.astype(np.float32)
     return DepthMap(
-        indentation_mm=np.zeros_like(rest), depth_mm=rest, contact=np.zeros(rest.shape, bool), camera=GELSLIM.camera,
+        indentation_mm=np.zeros_like(rest),
+        depth_mm=rest,
+        contact=np.zeros(rest.shape, bool),
+        camera=GELSLIM.camera,
         source_index=make_pixel_index(rest.shape),
-    )  # fmt: skip
+    )

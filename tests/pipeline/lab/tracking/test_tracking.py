@@ -19,11 +19,19 @@ from pipeline.lab.tracking.mean_surface import average_surfaces
 from pipeline.lab.tracking.membrane_surface import make_surface
 from pipeline.lab.tracking.surface_registration import register_surfaces
 from pipeline.lab.tracking.track import compute_error, make_record, track_frames
-from pipeline.lab.tracking.track_record import format_patch, format_table, is_track_folder, read_record, write_record
+from pipeline.lab.tracking.track_record import (
+    format_patch,
+    format_table,
+    is_track_folder,
+    read_record,
+    write_record,
+)
 from pipeline.lab.tracking.tracker import GIVE_UP_AFTER, KeyFrame, TrackedFrame, Tracker
 from tests.pipeline.lab.tracking.presses import press, untouched
 
-POSITION_MM, ROTATION_DEG = 0.02, 0.1  # of perfect membranes: a fifth of a pixel's half
+# of perfect membranes: a fifth of a pixel's half
+POSITION_MM = 0.02
+ROTATION_DEG = 0.1
 
 
 def track(presses):
@@ -36,7 +44,14 @@ def error(result, presses):
 
 @pytest.mark.parametrize("shape", ["star", "letters"])
 def test_a_slide_and_a_turn_are_followed(shape):
-    steps = [(0.0, 0.0, 0.0), (0.5, 0.0, 0.0), (1.0, 0.2, 0.0), (1.5, 0.4, 0.0), (1.5, 0.4, 4.0), (1.5, 0.4, 9.0)]
+    steps = [
+        (0.0, 0.0, 0.0),
+        (0.5, 0.0, 0.0),
+        (1.0, 0.2, 0.0),
+        (1.5, 0.4, 0.0),
+        (1.5, 0.4, 4.0),
+        (1.5, 0.4, 9.0),
+    ]
     presses = [press(shape, *step) for step in steps]
     result = track(presses)
     assert [frame.state for frame in result.frames] == ["tracked"] * len(steps)
@@ -50,8 +65,10 @@ def test_a_slide_and_a_turn_are_followed(shape):
 @settings(max_examples=8)
 @given(x=st.floats(-0.4, 0.4), y=st.floats(-0.4, 0.4), angle=st.floats(-4, 4))
 def test_the_motion_back_is_the_inverse(x, y, angle):
-    one, two = make_surface(press("star")[0]), make_surface(press("star", round(x, 2), round(y, 2), round(angle, 1))[0])
-    there, back = register_surfaces(one, two, np.eye(4)), register_surfaces(two, one, np.eye(4))
+    one = make_surface(press("star")[0])
+    two = make_surface(press("star", round(x, 2), round(y, 2), round(angle, 1))[0])
+    there = register_surfaces(one, two, np.eye(4))
+    back = register_surfaces(two, one, np.eye(4))
     both = back.current_from_key @ there.current_from_key
     assert np.linalg.norm(rigid.apply(both, there.centre_mm) - there.centre_mm) < POSITION_MM
     assert rigid.rotation_angle_deg(both) < ROTATION_DEG
@@ -66,7 +83,11 @@ def test_a_turn_that_a_cone_does_not_show_is_named_and_not_measured():
 
 
 def test_another_object_is_lost_and_starts_a_part_of_its_own():
-    presses = [press("star"), press("star", 0.2), *[press("cross", 0.3, 0.5, 20.0)] * (GIVE_UP_AFTER + 2)]
+    presses = [
+        press("star"),
+        press("star", 0.2),
+        *[press("cross", 0.3, 0.5, 20.0)] * (GIVE_UP_AFTER + 2),
+    ]
     result = track(presses)
     states = [frame.state for frame in result.frames]
     assert states[:2] == ["tracked", "tracked"]
@@ -77,7 +98,12 @@ def test_another_object_is_lost_and_starts_a_part_of_its_own():
 
 
 def test_a_lost_object_is_found_again_where_it_was():
-    presses = [press("star"), press("star", 0.2), press("cross", 0.3, 0.5, 20.0), press("star", 0.3)]
+    presses = [
+        press("star"),
+        press("star", 0.2),
+        press("cross", 0.3, 0.5, 20.0),
+        press("star", 0.3),
+    ]
     result = track(presses)
     assert [frame.state for frame in result.frames] == ["tracked", "tracked", "lost", "tracked"]
     assert result.n_parts == 1
@@ -86,7 +112,12 @@ def test_a_lost_object_is_found_again_where_it_was():
 
 def test_without_contact_there_is_nothing_to_follow():
     result = track([(untouched(), None), press("star"), (untouched(), None), press("star", 1.0)])
-    assert [frame.state for frame in result.frames] == ["no contact", "tracked", "no contact", "tracked"]
+    assert [frame.state for frame in result.frames] == [
+        "no contact",
+        "tracked",
+        "no contact",
+        "tracked",
+    ]
     assert result.n_parts == 2
     assert track([(untouched(), None)]).patch is None
 
@@ -94,7 +125,9 @@ def test_without_contact_there_is_nothing_to_follow():
 def test_a_frame_without_any_depth_is_no_contact():
     membrane = press("star")[0]
     nothing = np.full_like(membrane.depth_mm, np.nan)
-    result = track([press("star"), (replace(membrane, depth_mm=nothing, indentation_mm=nothing), None)])
+    result = track(
+        [press("star"), (replace(membrane, depth_mm=nothing, indentation_mm=nothing), None)]
+    )
     assert [frame.state for frame in result.frames] == ["tracked", "no contact"]
 
 
@@ -112,26 +145,37 @@ def test_the_mean_of_one_place_is_that_place():
     mean = average_surfaces(surface, [surface] * 3, [np.eye(4)] * 3)
     inside = mean.moved > 0
     assert np.abs(mean.depth_mm - surface.depth_mm)[inside].max() < 1e-3
-    assert np.count_nonzero(mean.contact ^ surface.contact) < 0.02 * np.count_nonzero(surface.contact)
+    assert np.count_nonzero(mean.contact ^ surface.contact) < 0.02 * np.count_nonzero(
+        surface.contact
+    )
     assert mean.n_frames == 3
 
 
 def test_a_mean_is_less_noisy_than_its_frames():
     import cv2
 
-    rng, presses = np.random.default_rng(5), [press("star", 0.1 * step, 0.0) for step in range(9)]
+    rng = np.random.default_rng(5)
+    presses = [press("star", 0.1 * step, 0.0) for step in range(9)]
     surfaces = []
     for membrane, _ in presses:
-        noise = np.asarray(cv2.GaussianBlur(rng.normal(0.0, 1.0, membrane.depth_mm.shape), (0, 0), 4.0), np.float32)
-        surfaces.append(make_surface(replace(membrane, depth_mm=membrane.depth_mm + 0.02 * noise / noise.std())))
+        noise = np.asarray(
+            cv2.GaussianBlur(rng.normal(0.0, 1.0, membrane.depth_mm.shape), (0, 0), 4.0), np.float32
+        )
+        surfaces.append(
+            make_surface(replace(membrane, depth_mm=membrane.depth_mm + 0.02 * noise / noise.std()))
+        )
     poses = [pose @ rigid.invert(presses[0][1]) for _, pose in presses]
     mean = average_surfaces(surfaces[0], surfaces, poses)
-    errors_mm = [(surface.depth_mm - presses[0][0].depth_mm)[presses[0][0].contact] for surface in (mean, surfaces[0])]
+    errors_mm = [
+        (surface.depth_mm - presses[0][0].depth_mm)[presses[0][0].contact]
+        for surface in (mean, surfaces[0])
+    ]
     assert np.abs(errors_mm[0]).mean() < 0.5 * np.abs(errors_mm[1]).mean()
 
 
 def test_a_noisy_sensor_is_tracked_against_the_mean_of_what_follows_a_key_frame():
-    tracker, stated = Tracker(), DepthErrorModel(rms_mm=0.18, correlation_mm=1.6)
+    tracker = Tracker()
+    stated = DepthErrorModel(rms_mm=0.18, correlation_mm=1.6)
     presses = [press("star", 0.3 * step, 0.0, 2.0 * step, "soft_bubble") for step in range(6)]
     for index, (membrane, _) in enumerate(presses):
         tracker.add_frame(index, make_surface(replace(membrane, error=stated)))
@@ -156,10 +200,16 @@ def test_a_closed_loop_mends_the_pose_of_a_key_frame():
     true = [pose @ rigid.invert(presses[0][1]) for _, pose in presses]
     drifted = [true[0], true[1], rigid.translation(0.15, -0.1, 0.0) @ true[2]]
     keys = [
-        KeyFrame(index=i, part=0, surface=make_surface(presses[i][0]), sensor_from_start=drifted[i],
-                 covariance=np.zeros((6, 6)), parent=i - 1)
+        KeyFrame(
+            index=i,
+            part=0,
+            surface=make_surface(presses[i][0]),
+            sensor_from_start=drifted[i],
+            covariance=np.zeros((6, 6)),
+            parent=i - 1,
+        )
         for i in range(3)
-    ]  # fmt: skip
+    ]
     mended, n_loops = patch_map.close_loops(keys)
     assert n_loops == 1
     assert np.abs(mended[2].sensor_from_start[:3, 3] - true[2][:3, 3]).max() < POSITION_MM
@@ -183,7 +233,9 @@ def distance_to_star_mm(patch, pose):
     scene = o3d.t.geometry.RaycastingScene()
     corners = rigid.apply(pose, mesh.vertices_mm).astype(np.float32)
     scene.add_triangles(o3d.core.Tensor(corners), o3d.core.Tensor(mesh.triangles.astype(np.uint32)))
-    return float(scene.compute_distance(o3d.core.Tensor(patch.vertices_mm.astype(np.float32))).numpy().mean())
+    return float(
+        scene.compute_distance(o3d.core.Tensor(patch.vertices_mm.astype(np.float32))).numpy().mean()
+    )
 
 
 @pytest.mark.parametrize("side_px", [0, 1, 3])
@@ -198,9 +250,11 @@ def flat_view(contact_cols, depth_mm=None):
     contact[contact_cols, contact_cols] = True
     level_mm = float(np.nanmedian(membrane.depth_mm)) if depth_mm is None else depth_mm
     return patch_map.ContactView(
-        sensor_from_start=np.eye(4), camera=membrane.camera, depth_mm=np.full(contact.shape, level_mm, np.float32),
+        sensor_from_start=np.eye(4),
+        camera=membrane.camera,
+        depth_mm=np.full(contact.shape, level_mm, np.float32),
         contact=contact,
-    )  # fmt: skip
+    )
 
 
 def patch_width_mm(views):
@@ -208,12 +262,15 @@ def patch_width_mm(views):
 
 
 def test_a_contact_that_most_views_do_not_confirm_is_no_surface():
-    small, wide = flat_view(slice(80, 120)), flat_view(slice(40, 160))
+    small = flat_view(slice(80, 120))
+    wide = flat_view(slice(40, 160))
     narrow_mm = patch_width_mm([small])
     assert patch_width_mm([wide]) > 2.5 * narrow_mm
     assert patch_width_mm([small, wide, small]) == pytest.approx(narrow_mm, rel=0.1)
     # Two of five views are enough, one is not.
-    assert patch_width_mm([wide, small, wide, small, small]) == pytest.approx(patch_width_mm([wide]), rel=0.1)
+    assert patch_width_mm([wide, small, wide, small, small]) == pytest.approx(
+        patch_width_mm([wide]), rel=0.1
+    )
     assert patch_width_mm([wide, small, small, small]) == pytest.approx(narrow_mm, rel=0.1)
     # A membrane that is elsewhere says nothing of the place.
     away = flat_view(slice(0, 0), depth_mm=float(small.depth_mm[0, 0]) + 5.0)
@@ -226,14 +283,17 @@ def test_measured_depth_mends_what_the_stage_smoothed():
     exact, pose = press("star", sensor="soft_bubble")
     smooth = np.asarray(cv2.GaussianBlur(exact.depth_mm, (0, 0), 5.0), np.float32)
     rng = np.random.default_rng(3)
-    noisy = [exact.depth_mm + rng.normal(0.0, 0.4, smooth.shape).astype(np.float32) for _ in range(16)]
+    noisy = [
+        exact.depth_mm + rng.normal(0.0, 0.4, smooth.shape).astype(np.float32) for _ in range(16)
+    ]
     noisy[0][::9] += 20.0  # flying pixels
     noisy[1][::7] = np.nan
     frame = TrackedFrame(index=0, state="tracked", part=0, sensor_from_start=np.eye(4))
 
     def error_mm(measured):
         views = [
-            patch_map.make_view(frame, replace(exact, depth_mm=smooth, measured_depth_mm=image)) for image in measured
+            patch_map.make_view(frame, replace(exact, depth_mm=smooth, measured_depth_mm=image))
+            for image in measured
         ]
         return distance_to_star_mm(patch_map.fuse_views(views), pose)
 
@@ -251,17 +311,29 @@ def test_a_track_is_the_same_after_it_was_written_and_read(tmp_path):
     assert is_track_folder(tmp_path / "track")
     read = read_record(tmp_path / "track")
     assert format_table(read.rows) == format_table(record.rows)
-    assert (read.stage, read.key_frames, read.n_loops, read.error) == ("depth", record.key_frames, 0, record.error)
-    assert len(read.patch.triangles) == pytest.approx(len(record.patch.triangles), rel=0.01)  # none without an area
-    assert np.allclose(read.rows[2].sensor_from_start, result.frames[2].sensor_from_start, atol=1e-4)
+    assert (read.stage, read.key_frames, read.n_loops, read.error) == (
+        "depth",
+        record.key_frames,
+        0,
+        record.error,
+    )
+    # none without an area
+    assert len(read.patch.triangles) == pytest.approx(len(record.patch.triangles), rel=0.01)
+    assert np.allclose(
+        read.rows[2].sensor_from_start, result.frames[2].sensor_from_start, atol=1e-4
+    )
 
 
 @pytest.mark.parametrize(
     ("file", "text", "named"),
-    [("track.csv", "frame,state,part\n0,flying,0\n", "flying"), ("track.csv", "frame,state,part\nx,lost,0\n", "int"),
-     ("track.csv", "frame,state,part\n0,lost\n", "part"), ("track.json", "[]", "summary"),
-     ("track.json", '{"stage": "depth", "key_frames": [-1]}', "key_frames")],
-)  # fmt: skip
+    [
+        ("track.csv", "frame,state,part\n0,flying,0\n", "flying"),
+        ("track.csv", "frame,state,part\nx,lost,0\n", "int"),
+        ("track.csv", "frame,state,part\n0,lost\n", "part"),
+        ("track.json", "[]", "summary"),
+        ("track.json", '{"stage": "depth", "key_frames": [-1]}', "key_frames"),
+    ],
+)
 def test_a_damaged_track_is_one_sentence(tmp_path, file, text, named):
     (tmp_path / "track.csv").write_text("frame,state,part\n0,lost,0\n")
     (tmp_path / "track.json").write_text('{"stage": "depth"}')
@@ -272,7 +344,9 @@ def test_a_damaged_track_is_one_sentence(tmp_path, file, text, named):
 
 
 def test_the_stated_error_adds_up_along_the_chain_of_key_frames(monkeypatch):
-    """Each frame is registered with the same covariance, and each becomes the key frame of the next."""
+    """Each frame is registered with the same covariance, and each becomes the key frame of the
+    next.
+    """
     surface = make_surface(press("star")[0])
     monkeypatch.setattr(tracker, "NEW_KEY_OVERLAP", 2.0)
     monkeypatch.setattr(Tracker, "_rank_keys", lambda self, _: [len(self.keys) - 1])
@@ -280,26 +354,32 @@ def test_the_stated_error_adds_up_along_the_chain_of_key_frames(monkeypatch):
     assert fit is not None
     one = np.diag([1e-6, 1e-6, 1e-6, 4e-4, 9e-4, 36e-4])
     monkeypatch.setattr(tracker, "register_surfaces", lambda *_: replace(fit, covariance=one))
-    followed, frames = Tracker(), []
+    followed = Tracker()
+    frames = []
     for index in range(4):
         frames.append(followed.add_frame(index, surface))
     for k, frame in enumerate(frames):
         np.testing.assert_allclose(frame.covariance, k * one, atol=1e-15)
         assert frame.std_mm == pytest.approx(0.07 * k**0.5)
         assert frame.std_deg == pytest.approx(np.degrees((3e-6 * k) ** 0.5))
-        np.testing.assert_array_equal(followed.keys[k + 1].covariance, frame.covariance)  # after the first of the part
+        # after the first of the part
+        np.testing.assert_array_equal(followed.keys[k + 1].covariance, frame.covariance)
 
 
 def test_the_more_frames_a_mean_is_of_the_smaller_is_the_stated_error():
     surface = make_surface(press("star")[0])
-    one, four = (register_surfaces(replace(surface, n_frames=n), surface, np.eye(4)) for n in (1, 4))
+    one, four = (
+        register_surfaces(replace(surface, n_frames=n), surface, np.eye(4)) for n in (1, 4)
+    )
     assert one is not None
     assert four is not None
     np.testing.assert_allclose(four.covariance, 1.25 / 2.0 * one.covariance)
 
 
 @pytest.mark.parametrize(("weak", "step_mm"), [((), 0.06), (("slides along x",), 0.0)])
-def test_motion_along_a_direction_that_is_not_measured_is_not_extrapolated(monkeypatch, weak, step_mm):
+def test_motion_along_a_direction_that_is_not_measured_is_not_extrapolated(
+    monkeypatch, weak, step_mm
+):
     surface = make_surface(press("star")[0])
     fit = register_surfaces(surface, surface, np.eye(4))
     assert fit is not None
@@ -327,7 +407,8 @@ def test_only_the_first_part_is_fused(monkeypatch):
 def test_no_point_is_where_the_filter_mixes_in_missing_depth():
     depth = press("star")[0]
     rows, cols = np.nonzero(depth.contact)
-    hole, gaps = (int(np.median(rows)), int(np.median(cols))), depth.depth_mm.copy()
+    hole = (int(np.median(rows)), int(np.median(cols)))
+    gaps = depth.depth_mm.copy()
     gaps[hole[0] - 2 : hole[0] + 3, hole[1] - 2 : hole[1] + 3] = np.nan
     surface = make_surface(replace(depth, depth_mm=gaps))
     away_px = np.abs(surface.pixels - (hole[1], hole[0])).max(axis=1)
@@ -342,7 +423,8 @@ def test_an_edge_of_the_pose_graph_is_about_the_origin_of_the_frame():
     centre = np.array([2.0, -3.0, 11.0])
     one = np.diag([1e-4, 2e-4, 3e-4, 4e-2, 5e-2, 6e-2])
     by_motion = np.eye(6)
-    by_motion[3:, :3] = np.stack([np.cross(centre, axis) for axis in np.eye(3)], axis=1)  # t + c x w
+    # t + c x w
+    by_motion[3:, :3] = np.stack([np.cross(centre, axis) for axis in np.eye(3)], axis=1)
     expected = by_motion @ (one + 1e-6 * np.eye(6)) @ by_motion.T
     found = patch_map._to_information(replace(fit, covariance=one, centre_mm=centre))
     np.testing.assert_allclose(np.linalg.inv(found), expected, rtol=1e-6, atol=1e-12)
@@ -352,17 +434,32 @@ def test_frames_follow_the_key_frame_that_they_were_registered_to():
     surface = make_surface(press("star")[0])
     before = [
         KeyFrame(
-            index=k, part=0, surface=surface, sensor_from_start=rigid.translation(float(k), 0, 0), covariance=np.eye(6)
+            index=k,
+            part=0,
+            surface=surface,
+            sensor_from_start=rigid.translation(float(k), 0, 0),
+            covariance=np.eye(6),
         )
         for k in range(2)
     ]
-    after = [before[0], replace(before[1], sensor_from_start=rigid.from_parts((0.5, 2.0, 0.0), (0.0, 0.0, 30.0)))]
+    after = [
+        before[0],
+        replace(before[1], sensor_from_start=rigid.from_parts((0.5, 2.0, 0.0), (0.0, 0.0, 30.0))),
+    ]
     frames = [
-        TrackedFrame(index=k, state="tracked", part=0, key=key, sensor_from_start=rigid.translation(1.5, 0, 0))
+        TrackedFrame(
+            index=k,
+            state="tracked",
+            part=0,
+            key=key,
+            sensor_from_start=rigid.translation(1.5, 0, 0),
+        )
         for k, key in enumerate((0, 1))
     ]
     lost = TrackedFrame(index=2, state="lost", part=0)
     moved = patch_map.move_to_keys([*frames, lost], before, after)
     np.testing.assert_allclose(moved[0].sensor_from_start, frames[0].sensor_from_start)
-    np.testing.assert_allclose(moved[1].sensor_from_start, rigid.translation(0.5, 0, 0) @ after[1].sensor_from_start)
+    np.testing.assert_allclose(
+        moved[1].sensor_from_start, rigid.translation(0.5, 0, 0) @ after[1].sensor_from_start
+    )
     assert moved[2] is lost

@@ -50,7 +50,8 @@ def test_the_object_touches_the_membrane_in_contact_and_lies_behind_it_elsewhere
 
 
 def test_both_frames_have_noise_and_share_their_gaps(pressed):
-    rng, sensor = np.random.default_rng(0), pressed.sensor
+    rng = np.random.default_rng(0)
+    sensor = pressed.sensor
     for _ in range(8):
         rest, now = bubble_presses.simulate_noisy_depth_pair(pressed, rng)
         off = (rest - now) - pressed.indentation_mm
@@ -63,10 +64,18 @@ def test_a_network_learns_a_touch_in_a_few_steps(task):
     import torch
 
     torch.manual_seed(0)
-    batch = {k: torch.tensor(v)[None] for k, v in task.make_validation_example("unseen_tools", 0).items()}
+    batch = {
+        k: torch.tensor(v)[None] for k, v in task.make_validation_example("unseen_tools", 0).items()
+    }
     net = build_network(
         "compact_unet",
-        {"inputs": N_CHANNELS, "outputs": N_OUTPUTS, "base_channels": 8, "levels": 3, "max_channels": 16},
+        {
+            "inputs": N_CHANNELS,
+            "outputs": N_OUTPUTS,
+            "base_channels": 8,
+            "levels": 3,
+            "max_channels": 16,
+        },
     )
     optimiser = torch.optim.Adam(net.parameters(), lr=3e-3)
     losses = []
@@ -93,15 +102,29 @@ def test_loss_and_metrics_are_best_for_the_truth(task):
             self.fills = fills  # says that the membrane touches everywhere
 
         def forward(self, image):
-            logit = [20.0 * (2.0 * mask.float() - 1.0) for mask in (touched if not self.fills else gap > -1, observed)]
-            behind = torch.log(torch.expm1(torch.clamp(gap * (not self.fills), min=1e-3)))  # the inverse of softplus
-            return torch.stack([moved - torch.tensor(example["smooth"]), behind, torch.full_like(gap, -6.0), *logit], 1)
+            logit = [
+                20.0 * (2.0 * mask.float() - 1.0)
+                for mask in (touched if not self.fills else gap > -1, observed)
+            ]
+            # the inverse of softplus
+            behind = torch.log(torch.expm1(torch.clamp(gap * (not self.fills), min=1e-3)))
+            return torch.stack(
+                [
+                    moved - torch.tensor(example["smooth"]),
+                    behind,
+                    torch.full_like(gap, -6.0),
+                    *logit,
+                ],
+                1,
+            )
 
     found = task.evaluate(Knows(), [example])
     assert found["contact IoU"] == found["observed object IoU"] == 1.0
     assert found["object surface error, mm"] < 2e-3
     batch = {k: torch.tensor(v)[None] for k, v in example.items()}
-    terms, filled = (task.compute_loss(network, batch)[1] for network in (Knows(), Knows(fills=True)))
+    terms, filled = (
+        task.compute_loss(network, batch)[1] for network in (Knows(), Knows(fills=True))
+    )
     assert terms["surface"] < 1e-3
     assert terms["touch"] < 0.2 * filled["touch"]
 
@@ -116,6 +139,8 @@ def test_the_gap_is_not_negative_and_the_uncertainty_is_bounded():
 
 def test_the_shipped_recipe_fits_the_task():
     recipe = load_recipe("bubble", "depth")
-    net = build_network(str(recipe.network["kind"]), {k: v for k, v in recipe.network.items() if k != "kind"})
+    net = build_network(
+        str(recipe.network["kind"]), {k: v for k, v in recipe.network.items() if k != "kind"}
+    )
     assert sum(p.numel() for p in net.parameters()) < 1_050_000
     assert (recipe.network["inputs"], recipe.network["outputs"]) == (N_CHANNELS, N_OUTPUTS)

@@ -1,4 +1,7 @@
-"""Several processes train as one with the sum of their batches; networks in 16 bits give output in 32."""
+"""Several processes train as one with the sum of their batches.
+
+Networks in 16 bits give output in 32.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,8 @@ from pipeline.stages.networks.weights import load_weights
 from tests.pipeline.lab.training import toy
 from tests.pipeline.lab.training.test_loop import LONG_S, PROGRAM, ROOT
 
-ROUNDING = 2e-3  # relative: the order of sums, through twenty steps of an optimiser that divides by small numbers
+# relative: the order of sums, through twenty steps of an optimiser that divides by small numbers
+ROUNDING = 2e-3
 
 
 @pytest.mark.timeout(2 * LONG_S)
@@ -30,19 +34,39 @@ def test_two_processes_train_as_one_with_twice_the_batch(recipe_file, tmp_path):
     short = toy.RECIPE.replace("steps = 60", "steps = 25")
     recipe_file.write_text(short)
     out = tmp_path / "two"
-    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", program,
-               "--recipe", recipe_file, "--out", out, "--workers", "0"]  # fmt: skip
+    command = [
+        sys.executable,
+        "-m",
+        "torch.distributed.run",
+        "--standalone",
+        "--nproc-per-node",
+        "2",
+        program,
+        "--recipe",
+        recipe_file,
+        "--out",
+        out,
+        "--workers",
+        "0",
+    ]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=LONG_S, check=False)
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=LONG_S, check=False
+    )
     assert done.returncode == 0, done.stderr
     recipe_file.write_text(short.replace("batch = 4", "batch = 8"))
-    whole = train(TrainingRun(recipe=load_recipe(str(recipe_file)), folder=tmp_path / "one", n_workers=0))
+    whole = train(
+        TrainingRun(recipe=load_recipe(str(recipe_file)), folder=tmp_path / "one", n_workers=0)
+    )
     two = state.load_state(out)
     assert (two.step, two.n_examples) == (whole.step, whole.n_examples) == (25, 200)
     np.testing.assert_allclose(two.curve[0]["loss"], whole.curve[0]["loss"], rtol=ROUNDING)
     for name, tensor in whole.averaged_tensors.items():
         np.testing.assert_allclose(
-            two.averaged_tensors[name], tensor, rtol=ROUNDING, atol=ROUNDING * float(tensor.abs().max())
+            two.averaged_tensors[name],
+            tensor,
+            rtol=ROUNDING,
+            atol=ROUNDING * float(tensor.abs().max()),
         )
     assert Path(out / "weights.safetensors").is_file()
     assert load_weights(out / "weights.safetensors").card["examples seen"] == "200"
@@ -60,7 +84,8 @@ def test_a_network_in_16_bits_has_output_and_gradients_in_32():
             return {"a": y, "b": (y, y > 0)}
 
     seen = []
-    net, x = Two(), torch.randn(3, 4)
+    net = Two()
+    x = torch.randn(3, 4)
     exact = net(x)["a"]
     rough = wrap_precision(net, "bf16", torch.device("cpu"))(x)
     assert seen == [torch.float32, torch.bfloat16]

@@ -18,19 +18,27 @@ from pipeline.stages.networks.weights_registry import TARGET_KIND
 def test_weights_say_whether_guidance_can_act(dropout, guided):
     recipe = load_recipe("latent")
     recipe = replace(recipe, settings=replace(recipe.settings, condition_dropout=dropout))
-    run = TrainingState(recipe=serialise_recipe(recipe), averaged_tensors={"scale_factor": torch.tensor(1.0)})
+    run = TrainingState(
+        recipe=serialise_recipe(recipe), averaged_tensors={"scale_factor": torch.tensor(1.0)}
+    )
     assert make_weights(run, "made").trained_with_condition_dropout == guided
 
 
-@pytest.mark.parametrize(("name", "kind"), [("latent_t2d2", "bubble"), ("latent_t2d2_gelslim", "gel"), ("pose", None)])
+@pytest.mark.parametrize(
+    ("name", "kind"), [("latent_t2d2", "bubble"), ("latent_t2d2_gelslim", "gel"), ("pose", None)]
+)
 def test_the_card_names_the_kind_of_the_target(name, kind):
-    run = TrainingState(recipe=serialise_recipe(load_recipe(name)), averaged_tensors={"a": torch.tensor(1.0)})
+    run = TrainingState(
+        recipe=serialise_recipe(load_recipe(name)), averaged_tensors={"a": torch.tensor(1.0)}
+    )
     assert make_weights(run, "made").card.get(TARGET_KIND) == kind
 
 
 def test_the_onnx_file_holds_the_weights_as_they_are_rounded():
     recipe = load_recipe("bubble")
-    network = build_network(str(recipe.network["kind"]), {k: v for k, v in recipe.network.items() if k != "kind"})
+    network = build_network(
+        str(recipe.network["kind"]), {k: v for k, v in recipe.network.items() if k != "kind"}
+    )
     run = TrainingState(recipe=serialise_recipe(recipe), averaged_tensors=network.state_dict())
     rounded, exact = (make_weights(run, "made", half=half) for half in (True, False))
     assert rounded.read_onnx() == export_weights(rounded) != exact.read_onnx()

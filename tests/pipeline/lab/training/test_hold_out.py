@@ -1,4 +1,6 @@
-"""Which grasps are held out: by tool, by name, by published lists and by the data set's own splits."""
+"""Which grasps are held out: by tool, by name, by published lists and by the data set's own
+splits.
+"""
 
 import json
 
@@ -18,7 +20,9 @@ def collect_tools(grasps, roles, role):
 
 def test_a_quarter_of_the_tools_and_a_fifth_of_the_other_grasps_are_held_out():
     hold_out = assign_roles(GRASPS, "tool")
-    counts = {role: hold_out.roles.count(role) for role in ("training", "unseen_grasps", "unseen_tools")}
+    counts = {
+        role: hold_out.roles.count(role) for role in ("training", "unseen_grasps", "unseen_tools")
+    }
     assert counts == {"training": 72, "unseen_grasps": 18, "unseen_tools": 30}
     unseen = collect_tools(GRASPS, hold_out.roles, "unseen_tools")
     assert len(unseen) == 3
@@ -48,21 +52,34 @@ def test_splits_of_the_folder_count_without_a_request():
 
 def test_a_split_file_names_every_grasp_that_is_used(tmp_path):
     file = tmp_path / "split.json"
-    file.write_text(json.dumps({"train": [["tool_00", 1], ["tool_00", 2]], "test": [["tool_00", 3], ["tool_01", 1]]}))
+    file.write_text(
+        json.dumps(
+            {"train": [["tool_00", 1], ["tool_00", 2]], "test": [["tool_00", 3], ["tool_01", 1]]}
+        )
+    )
     roles = assign_roles(GRASPS, str(file)).roles
-    assert {(g.tool, g.number): r for g, r in zip(GRASPS, roles, strict=True) if r != "left_out"} == {
-        ("tool_00", 1): "training", ("tool_00", 2): "training", ("tool_00", 3): "unseen_grasps",
+    assert {
+        (g.tool, g.number): r for g, r in zip(GRASPS, roles, strict=True) if r != "left_out"
+    } == {
+        ("tool_00", 1): "training",
+        ("tool_00", 2): "training",
+        ("tool_00", 3): "unseen_grasps",
         ("tool_01", 1): "unseen_tools",
-    }  # fmt: skip
+    }
     with pytest.raises(FileProblem):
         assign_roles(GRASPS, str(tmp_path / "gone.json"))
 
 
 def test_published_lists_leave_other_tools_out():
     assert {name: (len(s.training), len(s.unseen)) for name, s in list_tool_splits().items()} == {
-        "lab": (9, 3), "paper": (12, 6),
-    }  # fmt: skip
-    grasps = [Grasp(tool=tool, number=k) for tool in ("pattern_33", "pattern_35", "other") for k in range(5)]
+        "lab": (9, 3),
+        "paper": (12, 6),
+    }
+    grasps = [
+        Grasp(tool=tool, number=k)
+        for tool in ("pattern_33", "pattern_35", "other")
+        for k in range(5)
+    ]
     roles = assign_roles(grasps, "lab").roles
     assert collect_tools(grasps, roles, "left_out") == {"other"}
     assert collect_tools(grasps, roles, "unseen_tools") == {"pattern_35"}
@@ -75,12 +92,18 @@ def test_nothing_left_to_train_on_is_refused():
 
 
 def test_a_share_thins_what_is_trained_on_and_nothing_else():
-    grasps = [Grasp(tool=tool, split="", number=k) for tool in ("hex", "peg", "rod") for k in range(20)]
+    grasps = [
+        Grasp(tool=tool, split="", number=k) for tool in ("hex", "peg", "rod") for k in range(20)
+    ]
     roles = {share: assign_roles(grasps, "rod", share).roles for share in (1.0, 0.5, 0.1)}
-    kept = {share: {k for k, role in enumerate(r) if role == "training"} for share, r in roles.items()}
+    kept = {
+        share: {k for k, role in enumerate(r) if role == "training"} for share, r in roles.items()
+    }
     assert [len(kept[share]) for share in (1.0, 0.5, 0.1)] == [32, 16, 3]
     assert kept[0.1] < kept[0.5] < kept[1.0], "more pairs are added to fewer"
     for share in (0.5, 0.1):
         assert all(a == b for a, b in zip(roles[1.0], roles[share], strict=True) if a != "training")
-    assert "of 32 grasps to train on a share of 0.1 is used" in assign_roles(grasps, "rod", 0.1).notes
+    assert (
+        "of 32 grasps to train on a share of 0.1 is used" in assign_roles(grasps, "rod", 0.1).notes
+    )
     assert assign_roles(grasps, "rod", 1e-3).roles.count("training") == 1

@@ -21,9 +21,18 @@ from pipeline.stages.networks.weights import Weights, save_weights
 from pipeline.stages.touch.image_condition import build_reprojected_square
 
 SMALL = {
-    "side": 32, "width": 8, "channel_multipliers": "1 2", "blocks": 1, "attention": "2", "heads": 2, "groups": 4,
-    "autoencoder_width": 8, "autoencoder_multipliers": "1 1 2 2", "autoencoder_blocks": 1, "condition_channels": 4,
-}  # fmt: skip
+    "side": 32,
+    "width": 8,
+    "channel_multipliers": "1 2",
+    "blocks": 1,
+    "attention": "2",
+    "heads": 2,
+    "groups": 4,
+    "autoencoder_width": 8,
+    "autoencoder_multipliers": "1 1 2 2",
+    "autoencoder_blocks": 1,
+    "condition_channels": 4,
+}
 
 
 @pytest.fixture(scope="module")
@@ -33,13 +42,20 @@ def folder(tmp_path_factory):
 
 def make_batch(task, n=2):
     examples = [task.sample(np.random.default_rng(k)) for k in range(n)]
-    return to_tensors({name: np.stack([one[name] for one in examples]) for name in examples[0]}, "cpu")
+    return to_tensors(
+        {name: np.stack([one[name] for one in examples]) for name in examples[0]}, "cpu"
+    )
 
 
 def make_network(condition, inputs=3):
     torch.manual_seed(0)
     encoder = "fold" if condition == "depth" else "resnet"
-    config = {**SMALL, "condition": condition, "condition_inputs": inputs, "condition_encoder": encoder}
+    config = {
+        **SMALL,
+        "condition": condition,
+        "condition_inputs": inputs,
+        "condition_encoder": encoder,
+    }
     return build_network("latent", config).train()
 
 
@@ -47,7 +63,14 @@ def make_network(condition, inputs=3):
     ("target", "condition", "inputs"), [("soft_bubble", "reprojected", 5), ("gelslim", "depth", 3)]
 )
 def test_latent_diffusion_overfits_one_touch(target, condition, inputs, folder):
-    task = LatentTask(target=target, condition=condition, n_presses=1, folder=folder, side=32, reconstruction_weight=16)
+    task = LatentTask(
+        target=target,
+        condition=condition,
+        n_presses=1,
+        folder=folder,
+        side=32,
+        reconstruction_weight=16,
+    )
     batch = make_batch(task)
     assert batch["target"].shape == (2, 3, 32, 32)
     assert batch["source"].shape == (2, inputs, 32, 32)
@@ -64,7 +87,10 @@ def test_latent_diffusion_overfits_one_touch(target, condition, inputs, folder):
     assert losses[-1][0] < 0.9 * losses[0][0]
     assert losses[-1][1] < 0.6 * losses[0][1]
     figures = task.evaluate(net.eval(), [task.make_validation_example("unseen_grasps", 0)])
-    assert set(figures) == {f"reconstruction error, {'mm' if target == 'soft_bubble' else 'grey'}", "noise error"}
+    assert set(figures) == {
+        f"reconstruction error, {'mm' if target == 'soft_bubble' else 'grey'}",
+        "noise error",
+    }
 
 
 def test_targets_encoded_once_are_the_latents_of_every_step(folder, tmp_path):
@@ -83,12 +109,20 @@ def test_targets_encoded_once_are_the_latents_of_every_step(folder, tmp_path):
         ),
     )
     task = LatentTask(target="gelslim", condition="depth", n_presses=1, folder=folder, side=32)
-    plain, encoded = make_batch(task), make_batch(replace(task, autoencoder=str(file)))
+    plain = make_batch(task)
+    encoded = make_batch(replace(task, autoencoder=str(file)))
     assert encoded["target"].shape == (2, 8, 4, 4)
-    given = {"source": plain["source"], "time": torch.tensor([9, 700]), "has_condition": torch.ones(2)}
+    given = {
+        "source": plain["source"],
+        "time": torch.tensor([9, 700]),
+        "has_condition": torch.ones(2),
+    }
     noises = torch.randn(2, 2, 4, 4, 4)
     with torch.no_grad():
-        outputs = [net(batch["target"], **given, noises=noises, part="denoiser") for batch in (plain, encoded)]
+        outputs = [
+            net(batch["target"], **given, noises=noises, part="denoiser")
+            for batch in (plain, encoded)
+        ]
     assert torch.allclose(outputs[0].mean, outputs[1].mean, atol=1e-5)
     assert torch.allclose(outputs[0].predicted_noise, outputs[1].predicted_noise, atol=1e-5)
 
@@ -102,16 +136,24 @@ def test_a_network_of_another_condition_is_refused(folder):
 def test_a_touch_from_depth_needs_no_pair(folder, monkeypatch):
     from pipeline.lab.training import condition_squares
 
-    monkeypatch.setattr(condition_squares, "simulate_touch_pair", lambda *_, **__: pytest.fail("a pair was simulated"))
-    example = LatentTask(target="gelslim", condition="depth", n_presses=1, folder=folder, side=32).sample(
-        np.random.default_rng(0)
+    monkeypatch.setattr(
+        condition_squares,
+        "simulate_touch_pair",
+        lambda *_, **__: pytest.fail("a pair was simulated"),
     )
+    example = LatentTask(
+        target="gelslim", condition="depth", n_presses=1, folder=folder, side=32
+    ).sample(np.random.default_rng(0))
     assert example["source"].shape == (3, 32, 32)
 
 
 def test_a_bubbles_surface_is_measured_from_the_gels_at_rest():
-    """A bubble 2 mm closer to the object has the same imprint 2 mm lower; 1 mm more imprint is 1 mm higher."""
-    gel, bubble = load_sensor("gelslim"), load_sensor("soft_bubble")
+    """A bubble 2 mm closer to the object has the same imprint 2 mm lower.
+
+    1 mm more imprint is 1 mm higher.
+    """
+    gel = load_sensor("gelslim")
+    bubble = load_sensor("soft_bubble")
 
     def measure_height(closer_mm, imprint_mm):
         moved = move_bubble_closer(bubble, closer_mm)

@@ -1,4 +1,7 @@
-"""Training loop: the same weights however a run is stopped, whichever process makes its examples; failures are reported."""
+"""Training loop: the same weights however a run is stopped, whichever process makes its examples.
+
+Failures are reported.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +54,9 @@ class StopAt:
 
 @pytest.fixture
 def run(recipe_file, tmp_path):
-    return TrainingRun(recipe=load_recipe(str(recipe_file), "discs"), folder=tmp_path / "run", n_workers=0)
+    return TrainingRun(
+        recipe=load_recipe(str(recipe_file), "discs"), folder=tmp_path / "run", n_workers=0
+    )
 
 
 def tensors(run_state):
@@ -84,7 +89,9 @@ def test_a_stopped_run_ends_with_the_weights_and_curves_of_an_uninterrupted_one(
 @pytest.mark.parametrize("n_cached", [0, 8])
 def test_a_run_stops_while_examples_are_made(run, n_cached):
     """An example takes five minutes; stopping takes as long as a worker process needs to start."""
-    recipe = override_training(replace(run.recipe, settings=toy.SlowDiscs()), n_cached_examples=n_cached)
+    recipe = override_training(
+        replace(run.recipe, settings=toy.SlowDiscs()), n_cached_examples=n_cached
+    )
     with pytest.raises(Cancelled):
         train(replace(run, recipe=recipe, n_workers=1), StopAt(2))
     assert state.load_for_resume(run.folder, recipe).trained_s < 120.0
@@ -92,7 +99,8 @@ def test_a_run_stops_while_examples_are_made(run, n_cached):
 
 def test_the_network_learns_and_its_average_is_evaluated(run):
     done = train(run)
-    first, last = done.metrics[0]["value"], done.metrics[-1]["value"]
+    first = done.metrics[0]["value"]
+    last = done.metrics[-1]["value"]
     assert last > max(0.8, first)
     assert done.curve[-1]["loss"] < 0.5 * done.curve[0]["loss"]
     assert (run.folder / "curve.png").stat().st_size > 1000
@@ -102,7 +110,11 @@ def test_the_network_learns_and_its_average_is_evaluated(run):
 def test_another_seed_gives_other_weights_and_the_same_seed_the_same(run, tmp_path):
     short = override_training(run.recipe, steps=4)
     made = [
-        tensors(train(replace(run, recipe=override_training(short, seed=seed), folder=tmp_path / str(k))))
+        tensors(
+            train(
+                replace(run, recipe=override_training(short, seed=seed), folder=tmp_path / str(k))
+            )
+        )
         for k, seed in enumerate((5, 5, 6))
     ]
     assert same(made[0], made[1])
@@ -111,10 +123,15 @@ def test_another_seed_gives_other_weights_and_the_same_seed_the_same(run, tmp_pa
 
 def test_an_example_depends_on_seed_and_index_alone():
     task = toy.Discs()
-    with examples.open_example_source(task, 7, 4, 0) as here, examples.open_example_source(task, 7, 4, 2) as there:
-        alone, shared = here.iterate_batches(8, 4), there.iterate_batches(8, 4)
+    with (
+        examples.open_example_source(task, 7, 4, 0) as here,
+        examples.open_example_source(task, 7, 4, 2) as there,
+    ):
+        alone = here.iterate_batches(8, 4)
+        shared = there.iterate_batches(8, 4)
         for _ in range(5):
-            one, other = next(alone), next(shared)
+            one = next(alone)
+            other = next(shared)
             assert all(np.array_equal(one[name], other[name]) for name in one)
         assert [e["disc"].sum() for e in here.make_validation_set(5)["unseen_tools"]] == [
             e["disc"].sum() for e in there.make_validation_set(5)["unseen_tools"]
@@ -193,7 +210,9 @@ def test_a_killed_run_resumes_and_its_workers_end(recipe_file, tmp_path):
     out = tmp_path / "run"
     command = [sys.executable, program, "--recipe", recipe_file, "--out", out, "--workers", "1"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    killed = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL, start_new_session=True)
+    killed = subprocess.Popen(
+        command, env=environment, stderr=subprocess.DEVNULL, start_new_session=True
+    )
     end_s = time.monotonic() + LONG_S
     while not (out / "state.pt").exists() and time.monotonic() < end_s:
         time.sleep(0.05)
@@ -202,12 +221,19 @@ def test_a_killed_run_resumes_and_its_workers_end(recipe_file, tmp_path):
     step = state.load_state(out).step
     assert 0 < step < 120
     done = subprocess.run(
-        [*command, "--resume"], env=environment, capture_output=True, text=True, timeout=LONG_S, check=False
+        [*command, "--resume"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=LONG_S,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     # In its own process too: the number of threads changes the last digits.
     whole = tmp_path / "whole"
-    subprocess.run([*command[:-3], whole, "--workers", "0"], env=environment, capture_output=True, check=True)
+    subprocess.run(
+        [*command[:-3], whole, "--workers", "0"], env=environment, capture_output=True, check=True
+    )
     assert same(tensors(state.load_state(out)), tensors(state.load_state(whole)))
     assert (out / "weights.safetensors").exists()
 
@@ -229,17 +255,22 @@ def test_cached_examples_are_made_once_and_survive_a_stop(run, tmp_path, monkeyp
 
 def test_a_full_disk_is_a_warning_during_training(run, monkeypatch, caplog):
     monkeypatch.setattr(loop, "SAVE_INTERVAL_S", 0.0)
-    save_state, tried = state.save_state, []
+    save_state = state.save_state
+    tried = []
 
     def full_at_first(folder, now):
         tried.append(now.step)
         if len(tried) < 3:
-            raise FileProblem("cannot write the training state (No space left on device)", folder / "state.pt")
+            raise FileProblem(
+                "cannot write the training state (No space left on device)", folder / "state.pt"
+            )
         save_state(folder, now)
 
     monkeypatch.setattr(state, "save_state", full_at_first)
     monkeypatch.setattr(
-        loop.curves, "draw_curves", lambda folder, now: (_ for _ in ()).throw(FileProblem("full", folder))
+        loop.curves,
+        "draw_curves",
+        lambda folder, now: (_ for _ in ()).throw(FileProblem("full", folder)),
     )
     done = train(run)
     assert state.load_state(run.folder).step == done.step == run.recipe.training.steps
@@ -248,7 +279,9 @@ def test_a_full_disk_is_a_warning_during_training(run, monkeypatch, caplog):
 
 def test_a_full_disk_at_the_end_is_an_error(run, monkeypatch):
     def full(folder, now):
-        raise FileProblem("cannot write the training state (No space left on device)", folder / "state.pt")
+        raise FileProblem(
+            "cannot write the training state (No space left on device)", folder / "state.pt"
+        )
 
     monkeypatch.setattr(state, "save_state", full)
     with pytest.raises(FileProblem, match="No space left"):

@@ -23,7 +23,9 @@ def test_the_rate_warms_up_and_falls_to_its_final_share(schedule):
 
 def test_the_longest_matching_prefix_gives_the_factor_of_a_parameter():
     net = nn.ModuleDict({"encoder": nn.Linear(2, 2), "head": nn.Linear(2, 1)})
-    made = optimising.make_optimiser(net, Optimiser(learning_rate=1.0), {"encoder": 0.1, "encoder.bias": 0.5})
+    made = optimising.make_optimiser(
+        net, Optimiser(learning_rate=1.0), {"encoder": 0.1, "encoder.bias": 0.5}
+    )
     optimising.set_learning_rate(made, 2.0)
     rates = {id(p): group["lr"] for group in made.param_groups for p in group["params"]}
     assert [rates[id(p)] for p in net.parameters()] == pytest.approx([0.2, 1.0, 2.0, 2.0])

@@ -12,7 +12,12 @@ from tests.pipeline.lab.training import toy
 def test_a_recipe_holds_all_values_of_its_file(recipe_file):
     made = recipe.load_recipe(str(recipe_file), "discs")
     assert made.settings == toy.Discs(noise=0.2)
-    assert (made.training.batch, made.training.steps, made.optimiser.warm_up_steps, made.validation.n_examples) == (
+    assert (
+        made.training.batch,
+        made.training.steps,
+        made.optimiser.warm_up_steps,
+        made.validation.n_examples,
+    ) == (
         4,
         60,
         5,
@@ -30,13 +35,21 @@ def test_a_recipe_holds_all_values_of_its_file(recipe_file):
         ("batch = 4", "batch = [4]", "batch must be a whole number"),
         ("noise = 0.2", "noise = 7.0", r"\[settings\] noise must lie within 0 and 1"),
         ("noise = 0.2", "nose = 0.2", r"\[settings\] no parameter 'nose'; there are noise"),
-        ("warm_up_steps = 5", 'schedule = "up"', r"\[optimiser\] schedule must be one of cosine, poly, constant"),
+        (
+            "warm_up_steps = 5",
+            'schedule = "up"',
+            r"\[optimiser\] schedule must be one of cosine, poly, constant",
+        ),
         ("n_evaluations = 2", "tims = 2", r"\[validation\] no parameter 'tims'"),
         ('task = "discs"', 'task = "dics"', "no task 'dics'; there are .*discs"),
         ('task = "discs"', "", "task: it is missing"),
         ('kind = "toy_net"', "", r"\[network\] must name its kind"),
         ("width = 4", "width = [4]", r"\[network\] width must be a plain value"),
-        ("warm_up_steps = 5", 'rate_factors = {"a" = "b"}', "optimiser.rate_factors.*: expected a number, got a text"),
+        (
+            "warm_up_steps = 5",
+            'rate_factors = {"a" = "b"}',
+            "optimiser.rate_factors.*: expected a number, got a text",
+        ),
         ("[settings]", "[[settings]]", "settings: expected a table, got a list"),
         ("steps = 60", "steps = ", "not valid TOML"),
     ],
@@ -50,7 +63,9 @@ def test_an_invalid_recipe_names_the_key(recipe_file, old, new, sentence):
 def test_a_recipe_of_another_subcommand_and_a_missing_one_are_refused(recipe_file, tmp_path):
     with pytest.raises(FileProblem, match="it trains discs, not depth"):
         recipe.load_recipe(str(recipe_file), "depth")
-    with pytest.raises(SettingProblem, match=r"no recipe 'unheard'; there are .*or give a \.toml file"):
+    with pytest.raises(
+        SettingProblem, match=r"no recipe 'unheard'; there are .*or give a \.toml file"
+    ):
         recipe.load_recipe("unheard", "depth")
     with pytest.raises(FileProblem, match="cannot read the recipe"):
         recipe.load_recipe(str(tmp_path / "missing.toml"))

@@ -1,4 +1,6 @@
-"""Recorded pairs as training examples: folders in the layout of the published set, and recordings."""
+"""Recorded pairs as training examples: folders in the layout of the published set, and
+recordings.
+"""
 
 from contextlib import closing
 from dataclasses import replace
@@ -22,7 +24,13 @@ from pipeline.lab.training.recipe import (
     override_pairs,
     override_training,
 )
-from pipeline.lab.training.recorded_pairs import PairFolder, PairTask, derive_contact, open_pairs, use_pairs
+from pipeline.lab.training.recorded_pairs import (
+    PairFolder,
+    PairTask,
+    derive_contact,
+    open_pairs,
+    use_pairs,
+)
 from pipeline.lab.training.touch_pose import TouchPoseTask
 from pipeline.lab.training.touch_to_touch import ConditionedTouch, TouchToTouchTask, jitter_touch
 from pipeline.lab.training.vqvae import VqVaeTask
@@ -55,20 +63,32 @@ def test_both_fingers_of_a_grasp_have_one_role(data):
     assert {name.split()[0] for name in names["unseen_tools"]} == {"rod"}
     for places in pairs.places.values():
         streams = [(p.source_stream.name, p.target_stream.name) for p in places]
-        assert set(streams) == {("gelslim right", "soft_bubble right"), ("gelslim left", "soft_bubble left")}
+        assert set(streams) == {
+            ("gelslim right", "soft_bubble right"),
+            ("gelslim left", "soft_bubble left"),
+        }
         assert len(places) == 2 * len({p.grasp.name for p in places})
 
 
-@pytest.mark.parametrize("task", [
-    TouchToTouchTask(), LatentTask(side=64), LatentTask(target="gelslim", condition="reprojected"),
-    VqVaeTask(reprojects_input=True), VqVaeTask(direction="bubble_to_gel", mirror_share=0.5),
-], ids=lambda task: f"{type(task).__name__} to {task.pair_sensors[1]}")  # fmt: skip
+@pytest.mark.parametrize(
+    "task",
+    [
+        TouchToTouchTask(),
+        LatentTask(side=64),
+        LatentTask(target="gelslim", condition="reprojected"),
+        VqVaeTask(reprojects_input=True),
+        VqVaeTask(direction="bubble_to_gel", mirror_share=0.5),
+    ],
+    ids=lambda task: f"{type(task).__name__} to {task.pair_sensors[1]}",
+)
 def test_examples_of_pairs_have_the_arrays_of_simulated_ones(task, data):
     pairs = use_pairs(task, PairFolder(path=str(data), hold_out="rod"))
     one, again = (pairs.make_validation_example("unseen_tools", 1) for _ in range(2))
     assert all(np.array_equal(one[key], again[key]) for key in one)
     simulated = task.make_validation_example("unseen_tools", 1)
-    assert {k: (a.shape, a.dtype) for k, a in one.items()} == {k: (a.shape, a.dtype) for k, a in simulated.items()}
+    assert {k: (a.shape, a.dtype) for k, a in one.items()} == {
+        k: (a.shape, a.dtype) for k, a in simulated.items()
+    }
     sampled = pairs.sample(np.random.default_rng(0))
     assert sampled.keys() <= one.keys()
     assert all(a.shape == one[key].shape for key, a in sampled.items())
@@ -84,7 +104,9 @@ def test_depth_trains_on_the_published_depth_files_with_contact_from_indentation
     )
     example = pairs.make_validation_example("unseen_tools", 0)
     simulated = DepthAnythingTask(side=28).make_validation_example("unseen_tools", 0)
-    assert {k: (a.shape, a.dtype) for k, a in example.items()} == {k: (a.shape, a.dtype) for k, a in simulated.items()}
+    assert {k: (a.shape, a.dtype) for k, a in example.items()} == {
+        k: (a.shape, a.dtype) for k, a in simulated.items()
+    }
     truth = Truth(indentation_mm=np.array([[0.0, 0.01, 1.5, np.nan]], np.float32))
     assert derive_contact(truth, load_sensor("gelslim")).tolist() == [[False, False, True, False]]
 
@@ -99,62 +121,114 @@ def test_truth_of_a_recording_is_what_is_trained_on():
     shape = make_working_sensor(load_sensor(target)).camera.shape
     assert example["condition"].shape == (13, *shape)
     touch = example["residual"][0] * 3.0
-    assert min(float(np.abs(touch - resample_to_grid(t.indentation_mm, shape)).max()) for t in truths) < 1e-4
+    assert (
+        min(float(np.abs(touch - resample_to_grid(t.indentation_mm, shape)).max()) for t in truths)
+        < 1e-4
+    )
     assert example["contact"][0].any()
 
 
 def test_lost_frames_are_paired_by_their_times(tmp_path):
-    """The gel lost two frames: each of its touches is trained and scored with the bubble's at the same time."""
-    path, kept = tmp_path / "lost.h5", [0, 1, 3, 4, 6, 7]
-    with closing(open_recording(SAMPLE)) as sample, RecordingWriter(path, depth_step_mm=0.05) as writer:
+    """The gel lost two frames: each of its touches is trained and scored with the bubble's at
+    the same time.
+    """
+    path = tmp_path / "lost.h5"
+    kept = [0, 1, 3, 4, 6, 7]
+    with (
+        closing(open_recording(SAMPLE)) as sample,
+        RecordingWriter(path, depth_step_mm=0.05) as writer,
+    ):
         for name, indices in {"gelslim": kept, "soft_bubble": range(8)}.items():
             stream = sample.stream(name)
             for index in indices:
                 writer.append(name, stream.frame(index), stream.truth(index))
         times = [sample.stream("gelslim").frame(index).time_s for index in range(8)]
     pairs = open_pairs(PairFolder(path=str(path)), "gelslim", "soft_bubble")
-    places = sorted((place for of_role in pairs.places.values() for place in of_role), key=lambda p: p.index)
+    places = sorted(
+        (place for of_role in pairs.places.values() for place in of_role), key=lambda p: p.index
+    )
     assert [(p.index, p.target_index) for p in places] == list(enumerate(kept))
     for place in places:
         pair = pairs.load(place)
         assert pair.source_frame.time_s == pair.target_frame.time_s == times[kept[place.index]]
-    assert any("6 frames of gelslim and soft_bubble are paired by their times" in note for note in pairs.notes)
+    assert any(
+        "6 frames of gelslim and soft_bubble are paired by their times" in note
+        for note in pairs.notes
+    )
     (selected,) = select_recorded(pairs, "training")
     assert [kept[k] for k in selected.frames] == list(selected.target_frames)
 
 
 def test_one_tool_has_no_unseen_tools_and_training_does_without(tmp_path):
     recipe = tmp_path / "few.toml"
-    recipe.write_text("\n".join([
-        'task = "touch_to_touch"', "batch = 2", "steps = 3", "[network]", 'kind = "residual_denoiser"', "inputs = 13",
-        "unit_mm = 3.0", "base_channels = 8", "levels = 2", "max_channels = 16", "sigma_max = 10.0",
-        "noise_correlation = 0.125", "[validation]", "n_evaluations = 1", "n_examples = 2",
-    ]))  # fmt: skip
+    recipe.write_text(
+        "\n".join(
+            [
+                'task = "touch_to_touch"',
+                "batch = 2",
+                "steps = 3",
+                "[network]",
+                'kind = "residual_denoiser"',
+                "inputs = 13",
+                "unit_mm = 3.0",
+                "base_channels = 8",
+                "levels = 2",
+                "max_channels = 16",
+                "sigma_max = 10.0",
+                "noise_correlation = 0.125",
+                "[validation]",
+                "n_evaluations = 1",
+                "n_examples = 2",
+            ]
+        )
+    )
     chosen = override_pairs(load_recipe(str(recipe), "t2t"), str(SAMPLE), "")
     state = train(TrainingRun(recipe=chosen, folder=tmp_path / "run", n_workers=0))
     assert state.step == 3
     assert {row["split"] for row in state.metrics} == {"unseen_grasps"}
     assert chosen.plain_values["data"] == {"pairs": str(SAMPLE), "hold_out": ""}
-    assert chosen.network["trained_on_recordings"], "physics at the described alignment would replace what was learned"
+    assert chosen.network["trained_on_recordings"], (
+        "physics at the described alignment would replace what was learned"
+    )
 
 
 def test_depth_of_a_gelslim_is_adapted_to_a_digit_by_a_tenth_of_its_touches(tmp_path):
-    text = (RECIPES_FOLDER / "depth_anything_digit.toml").read_text().replace("side = 224", "side = 28")
-    (tmp_path / "digit.toml").write_text(text.replace("batch = 4", "batch = 1") + "[validation]\nn_examples = 1\n")
+    text = (
+        (RECIPES_FOLDER / "depth_anything_digit.toml")
+        .read_text()
+        .replace("side = 224", "side = 28")
+    )
+    (tmp_path / "digit.toml").write_text(
+        text.replace("batch = 4", "batch = 1") + "[validation]\nn_examples = 1\n"
+    )
     gelslim = DepthAnything(encoder="vits", side=28)
-    save_weights(tmp_path / "gelslim.safetensors", Weights(
-        name="gelslim", kind="depth_anything", config={"encoder": "vits", "side": 28, "answer": "metric"},
-        tensors={name: tensor.numpy() for name, tensor in gelslim.state_dict().items()}, card={"task": "depth_anything"},
-    ))  # fmt: skip
-    started = load_recipe(str(tmp_path / "digit.toml"), "depth", str(tmp_path / "gelslim.safetensors"))
+    save_weights(
+        tmp_path / "gelslim.safetensors",
+        Weights(
+            name="gelslim",
+            kind="depth_anything",
+            config={"encoder": "vits", "side": 28, "answer": "metric"},
+            tensors={name: tensor.numpy() for name, tensor in gelslim.state_dict().items()},
+            card={"task": "depth_anything"},
+        ),
+    )
+    started = load_recipe(
+        str(tmp_path / "digit.toml"), "depth", str(tmp_path / "gelslim.safetensors")
+    )
     sample = SAMPLE.with_name("digit_gelslim.h5")
     chosen = override_training(override_pairs(started, str(sample), "", 0.1), steps=1)
     task = use_pairs(chosen.settings, chosen.pairs)
     whole = use_pairs(chosen.settings, PairFolder(path=str(sample)))
-    assert task.count_validation_examples("unseen_grasps") == whole.count_validation_examples("unseen_grasps") > 0
+    assert (
+        task.count_validation_examples("unseen_grasps")
+        == whole.count_validation_examples("unseen_grasps")
+        > 0
+    )
     assert "share of 0.1" in " ".join(task.collect_notes())
     state = train(TrainingRun(recipe=chosen, folder=tmp_path / "run", n_workers=0))
-    moved = max(float((t - gelslim.state_dict()[n]).abs().max()) for n, t in state.network_tensors.items())
+    moved = max(
+        float((t - gelslim.state_dict()[n]).abs().max()) for n, t in state.network_tensors.items()
+    )
     assert 0.0 < moved < 1e-3, "it starts from the weights of the GelSlim"
     assert {row["split"] for row in state.metrics} == {"unseen_grasps"}
 
@@ -190,16 +264,27 @@ def test_what_holds_no_pairs_and_tasks_without_pairs_are_refused():
 
 def test_notes_name_what_was_held_out_and_assumed(tmp_path):
     path = tmp_path / "odd.h5"
-    with closing(open_recording(SAMPLE)) as sample, RecordingWriter(path, depth_step_mm=0.05) as writer:
+    with (
+        closing(open_recording(SAMPLE)) as sample,
+        RecordingWriter(path, depth_step_mm=0.05) as writer,
+    ):
         for name, indices in {"gelslim": [0, 3], "soft_bubble": [0, 3, 4]}.items():
             stream = sample.stream(name)
             for index in indices:
                 frame = stream.frame(index)
-                writer.append(name, replace(frame, reference=None) if name == "gelslim" else frame, stream.truth(index))
-    notes = "; ".join(PairTask(task=TouchToTouchTask(), folder=PairFolder(path=str(path))).collect_notes())
+                writer.append(
+                    name,
+                    replace(frame, reference=None) if name == "gelslim" else frame,
+                    stream.truth(index),
+                )
+    notes = "; ".join(
+        PairTask(task=TouchToTouchTask(), folder=PairFolder(path=str(path))).collect_notes()
+    )
     for words in (
         "1 grasps are trained on, 1 validate as unseen grasps, 0 validate as unseen tools",
-        "2 frames of gelslim and soft_bubble are paired by their times; 1 of soft_bubble have no partner", "no target_from_source",
+        "2 frames of gelslim and soft_bubble are paired by their times; 1 of soft_bubble have no "
+        "partner",
+        "no target_from_source",
         "gelslim has no reference image",
-    ):  # fmt: skip
+    ):
         assert words in notes, notes

@@ -1,4 +1,6 @@
-"""The scale-invariant loss equals the paper's and has a gradient where the published form has none."""
+"""The scale-invariant loss equals the paper's and has a gradient where the published form has
+none.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ def published(found, truth, share):
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.85, 1.0])
 def test_the_loss_equals_the_published_one(share):
     torch.manual_seed(0)
-    found, truth = torch.rand(1, 6, 7) + 0.2, torch.rand(1, 6, 7) + 0.2
+    found = torch.rand(1, 6, 7) + 0.2
+    truth = torch.rand(1, 6, 7) + 0.2
     ours = compute_silog_loss(found, truth, torch.ones_like(truth), share=share, least=1e-3)
     assert float(ours) == pytest.approx(float(published(found, truth, share)), rel=1e-4)
 
@@ -49,7 +52,8 @@ def test_value_and_gradient_are_numbers_everywhere(case):
 
 def test_an_image_without_contact_does_not_count():
     torch.manual_seed(1)
-    found, truth = torch.rand(2, 4, 4) + 0.1, torch.rand(2, 4, 4) + 0.1
+    found = torch.rand(2, 4, 4) + 0.1
+    truth = torch.rand(2, 4, 4) + 0.1
     counted = torch.ones_like(truth)
     counted[1] = 0.0
     both = compute_silog_loss(found, truth, counted, share=0.5, least=0.01)

@@ -50,13 +50,17 @@ def test_a_damaged_file_is_simulated_again(folder, damaged):
     touch_squares._touches.clear()
     (file,) = (p for p in Path(folder).iterdir() if p.name == "squares_all_objects_3_0.npz")
     file.write_bytes(damaged)
-    assert np.array_equal(simulate_touch_squares("all_objects", 3, 0, folder).gel_change, first.gel_change)
+    assert np.array_equal(
+        simulate_touch_squares("all_objects", 3, 0, folder).gel_change, first.gel_change
+    )
 
 
 def test_nominal_and_other_gel_show_the_same_touch(folder):
     """Both images change at the same places, under other light and markers."""
     touch = simulate_touch_squares("all_objects", 3, 0, folder)
-    a, b = (np.abs(change).sum(0).ravel() for change in (touch.gel_change, touch.nominal_gel_change))
+    a, b = (
+        np.abs(change).sum(0).ravel() for change in (touch.gel_change, touch.nominal_gel_change)
+    )
     assert not np.array_equal(touch.gel_change, touch.nominal_gel_change)
     assert np.corrcoef(a, b)[0, 1] > 0.6
 
@@ -64,10 +68,14 @@ def test_nominal_and_other_gel_show_the_same_touch(folder):
 @pytest.mark.parametrize(("direction", "left"), [("gel_to_bubble", 0.7), ("bubble_to_gel", 0.96)])
 def test_a_vqvae_overfits_one_pair(direction, left, folder):
     task = VqVaeTask(direction=direction, n_presses=1, folder=folder)
-    batch = to_tensors({k: v[None] for k, v in task.sample(np.random.default_rng(0)).items()}, "cpu")
+    batch = to_tensors(
+        {k: v[None] for k, v in task.sample(np.random.default_rng(0)).items()}, "cpu"
+    )
     torch.manual_seed(0)
     inputs, outputs = (3, 1) if direction == "gel_to_bubble" else (1, 3)
-    net = build_network("vqvae", {"inputs": inputs, "outputs": outputs, "width": 12, "codes": 64}).train()
+    net = build_network(
+        "vqvae", {"inputs": inputs, "outputs": outputs, "width": 12, "codes": 64}
+    ).train()
     optimiser = torch.optim.Adam(net.parameters(), 5e-3)
     losses = []
     for _ in range(30):
@@ -86,15 +94,21 @@ def test_a_vqvae_overfits_one_pair(direction, left, folder):
 def test_reprojected_sources_equal_those_of_the_method(direction, folder):
     """Training and use share the squares; a network of the other kind is refused."""
     task = VqVaeTask(direction=direction, n_presses=1, folder=folder, reprojects_input=True)
-    touch, (gel, bubble) = simulate_touch_squares("training", 1, 0, folder), touch_squares.load_nominal_sensors()
+    touch, (gel, bubble) = (
+        simulate_touch_squares("training", 1, 0, folder),
+        touch_squares.load_nominal_sensors(),
+    )
     source, target = (gel, bubble) if direction == "gel_to_bubble" else (bubble, gel)
     square = touch.gel_change if direction == "gel_to_bubble" else touch.bubble_imprint_mm
     example = task.sample(np.random.default_rng(0))
     assert np.array_equal(
-        example["source"], reproject_square(square, source, target, alignment.resolve_alignment(source, target))
+        example["source"],
+        reproject_square(square, source, target, alignment.resolve_alignment(source, target)),
     )
     batch = to_tensors({name: np.stack([array]) for name, array in example.items()}, "cpu")
-    net = build_network("vqvae", {"inputs": len(square), "outputs": 4 - len(square), "width": 4, "codes": 8})
+    net = build_network(
+        "vqvae", {"inputs": len(square), "outputs": 4 - len(square), "width": 4, "codes": 8}
+    )
     with pytest.raises(SettingProblem, match="reprojects_input"):
         task.compute_loss(net, batch)
 
@@ -103,7 +117,9 @@ def test_source_and_target_are_mirrored_together(folder):
     plain = VqVaeTask(n_presses=1, folder=folder).sample(np.random.default_rng(0))
     seen = set()
     for seed in range(40):
-        made = VqVaeTask(n_presses=1, folder=folder, mirror_share=1.0).sample(np.random.default_rng(seed))
+        made = VqVaeTask(n_presses=1, folder=folder, mirror_share=1.0).sample(
+            np.random.default_rng(seed)
+        )
         flips = [
             axes
             for axes in ((), (-1,), (-2,), (-1, -2))

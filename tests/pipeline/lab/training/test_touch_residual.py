@@ -74,7 +74,10 @@ def test_a_stored_touch_equals_the_simulated_one(folder):
 
 
 def test_physics_plus_residual_is_the_target(task):
-    touches = {index: simulate_target_touch("gelslim", "unseen_tools", 7, index, task.folder) for index in range(4)}
+    touches = {
+        index: simulate_target_touch("gelslim", "unseen_tools", 7, index, task.folder)
+        for index in range(4)
+    }
     observed = {index: touch for index, touch in touches.items() if touch is not None}
     assert observed
     for index, touch in observed.items():
@@ -90,7 +93,9 @@ def test_physics_plus_residual_is_the_target(task):
 def test_an_example_depends_on_its_seed_alone(task):
     a, b = (task.sample(np.random.default_rng([1, 5])) for _ in range(2))
     assert all(np.array_equal(a[name], b[name]) for name in a)
-    assert {name: array.dtype for name, array in a.items()} == dict.fromkeys(a, np.dtype(np.float32))
+    assert {name: array.dtype for name, array in a.items()} == dict.fromkeys(
+        a, np.dtype(np.float32)
+    )
 
 
 def test_a_network_learns_a_touch_and_its_metrics_start_at_the_baseline(task):
@@ -98,13 +103,20 @@ def test_a_network_learns_a_touch_and_its_metrics_start_at_the_baseline(task):
 
     example = task.make_validation_example("unseen_tools", 0)
     batch = {k: torch.tensor(v)[None].repeat(4, 1, 1, 1) for k, v in example.items()}
-    config = {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "base_channels": 8, "levels": 2, "max_channels": 16}
+    config = {
+        "inputs": CONDITION_CHANNELS,
+        "unit_mm": 0.2,
+        "base_channels": 8,
+        "levels": 2,
+        "max_channels": 16,
+    }
     torch.manual_seed(0)
     net = build_network("residual_denoiser", config)
     before = task.evaluate(net.eval(), [example])
     for what in ("error in contact, mm", "error over all, mm", "contact IoU"):
         assert before[what] == pytest.approx(before[f"no-prediction {what}"])
-    optimiser, losses = torch.optim.Adam(net.train().parameters(), lr=5e-3), []
+    optimiser = torch.optim.Adam(net.train().parameters(), lr=5e-3)
+    losses = []
     for _ in range(25):
         optimiser.zero_grad()
         loss, parts = task.compute_loss(net, batch)
@@ -128,8 +140,11 @@ def test_a_pair_gives_the_source_change_and_the_target_touch(folder):
 def test_a_mirrored_pair_is_that_of_the_mirrored_object(monkeypatch):
     """Nominal sensors, so that only the mirroring differs; along both axes at once."""
     over = np.diag([-1.0, -1.0, 1.0])
-    monkeypatch.setattr(touch_pairs.variation, "vary_sensor", lambda sensor, seed, strength=1.0: sensor)
-    mesh, pose = shapes.make_shape("letters").mesh, rigid.translation(1.0, -2.0, -0.6)
+    monkeypatch.setattr(
+        touch_pairs.variation, "vary_sensor", lambda sensor, seed, strength=1.0: sensor
+    )
+    mesh = shapes.make_shape("letters").mesh
+    pose = rigid.translation(1.0, -2.0, -0.6)
     monkeypatch.setattr(touch_pairs, "sample_object", lambda *_, **__: ("", mesh))
     monkeypatch.setattr(touch_pairs.poses, "sample_press_pose", lambda *_, **__: pose)
     pair = touch_pairs._simulate_pair("unseen_tools", np.random.default_rng(0), 0)
@@ -146,7 +161,9 @@ def test_a_mirrored_pair_is_that_of_the_mirrored_object(monkeypatch):
 
     found = touch_pairs.mirror_pair(pair, Both())
     assert pair.gel_contact.any()
-    assert np.abs(true.bubble_mm - pair.bubble_mm).max() > 1.0, "the touch is symmetric: the test shows nothing"
+    assert np.abs(true.bubble_mm - pair.bubble_mm).max() > 1.0, (
+        "the touch is symmetric: the test shows nothing"
+    )
     assert np.abs(found.bubble_mm - true.bubble_mm).max() < MIRROR_MM
     assert np.abs(found.gel_mm - true.gel_mm).max() < MIRROR_MM
     assert np.abs(found.change_grey - true.change_grey).mean() < NOISE_GREY
@@ -154,15 +171,24 @@ def test_a_mirrored_pair_is_that_of_the_mirrored_object(monkeypatch):
 
 
 def test_uncertainty_alone_is_trained_on_the_error(task):
-    """With all but the last layer frozen, as in recipes, the predicted touch stays and its predicted error changes."""
+    """With all but the last layer frozen, as in recipes, the predicted touch stays and its
+    predicted error changes.
+    """
     example = task.make_validation_example("unseen_tools", 2)
     batch = {name: torch.from_numpy(np.stack([a, a])) for name, a in example.items()}
     net = build_network(
         "residual_denoiser",
-        {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "base_channels": 8, "levels": 2, "max_channels": 8},
+        {
+            "inputs": CONDITION_CHANNELS,
+            "unit_mm": 0.2,
+            "base_channels": 8,
+            "levels": 2,
+            "max_channels": 8,
+        },
     )
     alone = replace(task, uncertainty_only=True)
-    sigma, none = torch.full((2,), net.sigma_max), torch.zeros(2, 2, *example["residual"].shape[1:])
+    sigma = torch.full((2,), net.sigma_max)
+    none = torch.zeros(2, 2, *example["residual"].shape[1:])
     with torch.no_grad():
         before = net.eval()(none, sigma, batch["condition"])
     optimiser = torch.optim.Adam(net.finish.parameters(), lr=3e-2)
@@ -187,9 +213,16 @@ def test_the_slope_term_counts_differences_between_pixels():
     """A constant error has no slopes, an alternating one of the same size has."""
     net = build_network(
         "residual_denoiser",
-        {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "base_channels": 8, "levels": 2, "max_channels": 8},
+        {
+            "inputs": CONDITION_CHANNELS,
+            "unit_mm": 0.2,
+            "base_channels": 8,
+            "levels": 2,
+            "max_channels": 8,
+        },
     )
-    even, uneven = torch.full((1, 2, 16, 16), 0.1), torch.full((1, 2, 16, 16), 0.1)
+    even = torch.full((1, 2, 16, 16), 0.1)
+    uneven = torch.full((1, 2, 16, 16), 0.1)
     uneven[..., ::2] *= -1.0
     for clean, costs in ((even, 0.0), (uneven, 0.2**2)):
         batch = {
@@ -200,5 +233,9 @@ def test_the_slope_term_counts_differences_between_pixels():
         totals = []
         for slopes in (0.0, 10.0):
             torch.manual_seed(0)
-            totals.append(float(denoising.compute_denoising_loss(net, batch, 0.0, slopes)[0].detach()))
-        assert totals[1] - totals[0] == pytest.approx(10.0 * costs, abs=1e-5), "a new network predicts nothing"
+            totals.append(
+                float(denoising.compute_denoising_loss(net, batch, 0.0, slopes)[0].detach())
+            )
+        assert totals[1] - totals[0] == pytest.approx(10.0 * costs, abs=1e-5), (
+            "a new network predicts nothing"
+        )

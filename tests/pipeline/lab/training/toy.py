@@ -44,7 +44,8 @@ class Discs:
 
     def sample(self, rng):
         y, x = np.mgrid[:SIDE, :SIDE]
-        centre, radius = rng.uniform(4, 12, 2), rng.uniform(2, 5)
+        centre = rng.uniform(4, 12, 2)
+        radius = rng.uniform(2, 5)
         disc = ((x - centre[0]) ** 2 + (y - centre[1]) ** 2 < radius**2).astype(np.float32)[None]
         image = disc + self.noise * rng.standard_normal(disc.shape).astype(np.float32)
         if 0 <= self.bad_from <= 100 * rng.random():
@@ -52,7 +53,9 @@ class Discs:
         return {"image": image, "disc": disc}
 
     def make_validation_example(self, split, index):
-        return Discs(noise=self.noise).sample(np.random.default_rng([9, task.SPLITS.index(split), index]))
+        return Discs(noise=self.noise).sample(
+            np.random.default_rng([9, task.SPLITS.index(split), index])
+        )
 
     def compute_loss(self, network, batch):
         from torch.nn import functional
@@ -63,7 +66,9 @@ class Discs:
     def evaluate(self, network, held_out):
         import torch
 
-        predicted = network(torch.from_numpy(np.stack([one["image"] for one in held_out]))).numpy() > 0
+        predicted = (
+            network(torch.from_numpy(np.stack([one["image"] for one in held_out]))).numpy() > 0
+        )
         truth = np.stack([one["disc"] for one in held_out]) > 0.5
         return {"overlap, 1": float((predicted & truth).sum() / (predicted | truth).sum())}
 
@@ -79,9 +84,12 @@ def toy_net(width):
     from torch import nn
 
     return nn.Sequential(
-        nn.Conv2d(1, width, 5, padding=2), nn.GELU(), nn.Conv2d(width, width, 3, padding=1), nn.GELU(),
+        nn.Conv2d(1, width, 5, padding=2),
+        nn.GELU(),
+        nn.Conv2d(width, width, 3, padding=1),
+        nn.GELU(),
         nn.Conv2d(width, 1, 1),
-    )  # fmt: skip
+    )
 
 
 def register():

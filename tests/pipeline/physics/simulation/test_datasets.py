@@ -1,4 +1,6 @@
-"""Simulated data sets: what a frame depends on, and recordings that are interrupted, damaged or in the way."""
+"""Simulated data sets: what a frame depends on, and recordings that are interrupted, damaged or
+in the way.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,10 @@ def prints(path):
 
 
 def images(plan, index):
-    return {frame.sensor: frame.image.tobytes() for frame, _ in datasets.simulate_moment(plan, index).frames}
+    return {
+        frame.sensor: frame.image.tobytes()
+        for frame, _ in datasets.simulate_moment(plan, index).frames
+    }
 
 
 def test_the_same_seed_gives_the_same_frames_and_another_seed_others():
@@ -73,7 +78,11 @@ def test_a_frame_does_not_depend_on_the_other_sensors():
 
 def test_the_transform_of_a_pair_is_exactly_that_of_the_true_poses():
     (_, source), (_, target) = datasets.simulate_moment(PLAN, 0).frames
-    pair = next(p for p in datasets.compute_pairings(PLAN) if (p.source, p.target) == ("digit", "soft_bubble"))
+    pair = next(
+        p
+        for p in datasets.compute_pairings(PLAN)
+        if (p.source, p.target) == ("digit", "soft_bubble")
+    )
     expected = target.sensor_from_object @ rigid.invert(source.sensor_from_object)
     assert np.abs(pair.target_from_source - expected).max() < POSE_TOLERANCE_MM
 
@@ -82,12 +91,15 @@ def test_without_noise_only_the_touch_differs_from_the_reference():
     plan = replace(PLAN, noise=False, sensors=("soft_bubble",), n_poses=1)
     ((frame, truth),) = datasets.simulate_moment(plan, 0).frames
     assert truth.contact.any()
-    assert np.allclose(frame.reference - frame.image, truth.indentation_mm, atol=1e-4)  # float32 at 80 mm
+    # float32 at 80 mm
+    assert np.allclose(frame.reference - frame.image, truth.indentation_mm, atol=1e-4)
 
 
 def test_varied_instances_change_the_reference_and_keep_the_true_poses():
     plan = replace(PLAN, vary=1.0)
-    (plain, truth), (varied, varied_truth) = (datasets.simulate_moment(p, 0).frames[0] for p in (PLAN, plan))
+    (plain, truth), (varied, varied_truth) = (
+        datasets.simulate_moment(p, 0).frames[0] for p in (PLAN, plan)
+    )
     assert not np.array_equal(plain.reference, varied.reference)
     assert np.array_equal(truth.sensor_from_object, varied_truth.sensor_from_object)
     assert datasets.simulate_reference(plan, "digit", 0) is datasets.simulate_reference(
@@ -97,15 +109,19 @@ def test_varied_instances_change_the_reference_and_keep_the_true_poses():
 
 def test_a_drag_shears_gels_alone_and_the_truth_holds_its_force():
     plan = replace(PLAN, sensors=("digit", "gelslim", "soft_bubble"), n_poses=1, noise=False)
-    still, dragged = (datasets.simulate_moment(p, 0).frames for p in (plan, replace(plan, drag_mm=0.3)))
+    still, dragged = (
+        datasets.simulate_moment(p, 0).frames for p in (plan, replace(plan, drag_mm=0.3))
+    )
     for (frame, truth), (dragged_frame, dragged_truth) in zip(still, dragged, strict=True):
         gel = frame.sensor != "soft_bubble"
-        along, pressed = np.hypot(*dragged_truth.force_n[:2]), -dragged_truth.force_n[2]
+        along = np.hypot(*dragged_truth.force_n[:2])
+        pressed = -dragged_truth.force_n[2]
         assert not truth.force_n[:2].any()
         assert truth.force_n[2] == dragged_truth.force_n[2] < 0
         assert (0.0 < along <= 0.8 * pressed * FRICTION_ROUNDING) == gel
         assert np.array_equal(truth.indentation_mm, dragged_truth.indentation_mm)
-        assert np.array_equal(frame.image, dragged_frame.image) == (frame.sensor != "gelslim")  # it alone has markers
+        # it alone has markers
+        assert np.array_equal(frame.image, dragged_frame.image) == (frame.sensor != "gelslim")
     ways = [t.force_n[:2] / np.hypot(*t.force_n[:2]) for _, t in dragged[:2]]
     assert ways[0] @ ways[1] > 0.99  # both gels have the axes of the alignment frame
     assert "dragged by 0.3 mm" in datasets.describe_plan(replace(plan, drag_mm=0.3))
@@ -117,7 +133,8 @@ def test_a_recording_keeps_the_force(tmp_path):
     recording = hdf5.read(tmp_path / "dragged.h5")
     try:
         assert np.array_equal(
-            recording.streams[0].truth(0).force_n, datasets.simulate_moment(plan, 0).frames[0][1].force_n
+            recording.streams[0].truth(0).force_n,
+            datasets.simulate_moment(plan, 0).frames[0][1].force_n,
         )
     finally:
         recording.close()
@@ -149,7 +166,8 @@ def test_invalid_plans_name_the_option(change, tools, named):
 
 
 def test_an_interrupted_recording_continues_to_the_same_arrays(tmp_path):
-    whole, parts = tmp_path / "whole.h5", tmp_path / "parts.h5"
+    whole = tmp_path / "whole.h5"
+    parts = tmp_path / "parts.h5"
     assert recorder.record_plan(PLAN, whole).n_moments == 3
     with pytest.raises(Cancelled):
         recorder.record_plan(PLAN, parts, progress=StopsAfter(2))
@@ -160,7 +178,8 @@ def test_an_interrupted_recording_continues_to_the_same_arrays(tmp_path):
 
 
 def test_two_processes_write_what_one_writes(tmp_path):
-    one, two = tmp_path / "one.h5", tmp_path / "two.h5"
+    one = tmp_path / "one.h5"
+    two = tmp_path / "two.h5"
     plan = replace(PLAN, sensors=("digit",))
     recorder.record_plan(plan, one)
     with recorder.make_worker_pool(2) as pool:
@@ -170,7 +189,8 @@ def test_two_processes_write_what_one_writes(tmp_path):
 
 def test_finished_moments_are_in_place_before_the_rest(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder, "PUBLISH_INTERVAL_S", 0.0)
-    path, seen = tmp_path / "a.h5", []
+    path = tmp_path / "a.h5"
+    seen = []
 
     class Looks:
         def step(self, fraction, text):
@@ -187,7 +207,8 @@ def test_finished_moments_are_in_place_before_the_rest(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("damage", ["cut", "flipped", "one sensor short", "truth/known", "object"])
 def test_a_damaged_recording_is_repaired_by_the_next_run(tmp_path, damage):
-    whole, path = tmp_path / "whole.h5", tmp_path / "damaged.h5"
+    whole = tmp_path / "whole.h5"
+    path = tmp_path / "damaged.h5"
     recorder.record_plan(PLAN, whole)
     data = bytearray(whole.read_bytes())
     with h5py.File(whole, "r") as file:
@@ -219,7 +240,8 @@ def test_a_damaged_recording_is_repaired_by_the_next_run(tmp_path, damage):
 
 
 def test_other_files_in_the_way_are_kept(tmp_path):
-    mine, foreign = tmp_path / "mine.h5", tmp_path / "notes.h5"
+    mine = tmp_path / "mine.h5"
+    foreign = tmp_path / "notes.h5"
     recorder.record_plan(replace(PLAN, sensors=("digit",), n_poses=1), mine)
     foreign.write_text("lab notes")
     kept = mine.read_bytes()
@@ -231,6 +253,9 @@ def test_other_files_in_the_way_are_kept(tmp_path):
 
 
 def test_several_objects_need_a_folder(tmp_path):
-    assert recorder.resolve_recording_path(PLAN, tmp_path / "set", 2) == tmp_path / "set" / f"{TOOL}.h5"
+    assert (
+        recorder.resolve_recording_path(PLAN, tmp_path / "set", 2)
+        == tmp_path / "set" / f"{TOOL}.h5"
+    )
     with pytest.raises(FileProblem, match="folder"):
         recorder.resolve_recording_path(PLAN, tmp_path / "set.h5", 2)

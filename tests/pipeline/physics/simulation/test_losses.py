@@ -1,4 +1,6 @@
-"""Simulated recordings after a full disk and after a kill hold the finished moments and no partial ones."""
+"""Simulated recordings after a full disk and after a kill hold the finished moments and no
+partial ones.
+"""
 
 from __future__ import annotations
 
@@ -51,17 +53,38 @@ if __name__ == "__main__":
 
 
 def simulated(out: Path, limit: int) -> subprocess.CompletedProcess[str]:
-    """`tactoscope simulate` in a process whose files may not grow beyond `limit` bytes, as on a full disk."""
-    options = ["--sensors", "digit", "--tools", TOOL, "--poses", str(POSES), "--jobs", "1", "--out", str(out)]
-    return subprocess.run([sys.executable, "-c", SIMULATE, str(limit), *options], capture_output=True, text=True,
-                          timeout=LONG_S, check=False)  # fmt: skip
+    """`tactoscope simulate` in a process whose files may not grow beyond `limit` bytes, as on a
+    full disk.
+    """
+    options = [
+        "--sensors",
+        "digit",
+        "--tools",
+        TOOL,
+        "--poses",
+        str(POSES),
+        "--jobs",
+        "1",
+        "--out",
+        str(out),
+    ]
+    return subprocess.run(
+        [sys.executable, "-c", SIMULATE, str(limit), *options],
+        capture_output=True,
+        text=True,
+        timeout=LONG_S,
+        check=False,
+    )
 
 
 def readable(path: Path) -> int:
     recording = hdf5.read(path)
     try:
         stream = recording.streams[0]
-        assert all(stream.frame(k).image.any() and stream.truth(k) is not None for k in range(stream.n_frames))
+        assert all(
+            stream.frame(k).image.any() and stream.truth(k) is not None
+            for k in range(stream.n_frames)
+        )
         return stream.n_frames
     finally:
         recording.close()
@@ -73,7 +96,8 @@ def test_a_full_disk_is_an_error_and_the_next_run_continues(tmp_path):
     whole = (tmp_path / "whole.h5").stat().st_size
     out = tmp_path / "full.h5"
     rows, cols = load_sensor("digit").camera.shape
-    room = 2 * whole // 3 + 4 * 3 * rows * cols + (2 << 20)  # and what is allocated ahead of a frame
+    # and what is allocated ahead of a frame
+    room = 2 * whole // 3 + 4 * 3 * rows * cols + (2 << 20)
     done = simulated(out, room)
     assert done.returncode == 2, done
     assert done.stderr.count("tactoscope: cannot write the recording (File too large)") == 1
@@ -87,29 +111,38 @@ def test_a_full_disk_is_an_error_and_the_next_run_continues(tmp_path):
 def test_workers_end_when_their_parent_is_killed(tmp_path):
     script = tmp_path / "parent.py"
     script.write_text(WORKER)
-    parent = subprocess.Popen([sys.executable, script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    parent = subprocess.Popen(
+        [sys.executable, script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
     assert parent.stdout.readline() == "working\n"
     parent.kill()
-    parent.communicate(timeout=LONG_S)  # the end of its output: the worker, which has it too, is gone
+    # the end of its output: the worker, which has it too, is gone
+    parent.communicate(timeout=LONG_S)
 
 
 def test_a_kill_costs_no_more_than_a_minute(tmp_path, monkeypatch):
     """Every moment takes twenty seconds: those that are older than a minute are in their place."""
-    path, begun_s, now_s = tmp_path / "a.h5", [], [0.0]
+    path = tmp_path / "a.h5"
+    begun_s = []
+    now_s = [0.0]
     monkeypatch.setattr(recorder, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
 
     class Looks:
         def step(self, fraction, text):
             now_s[0] += 20.0
             begun_s.append(now_s[0])
-            assert recorder.count_finished_moments(PLAN, path) >= sum(done_s < now_s[0] - 60.0 for done_s in begun_s)
+            assert recorder.count_finished_moments(PLAN, path) >= sum(
+                done_s < now_s[0] - 60.0 for done_s in begun_s
+            )
 
     recorder.record_plan(PLAN, path, progress=Looks())
     assert len(begun_s) >= POSES
 
 
 def test_files_of_a_killed_process_are_removed_by_the_next(tmp_path):
-    killed = subprocess.run([sys.executable, "-c", KILLED, tmp_path / "a.h5"], check=False, timeout=LONG_S)
+    killed = subprocess.run(
+        [sys.executable, "-c", KILLED, tmp_path / "a.h5"], check=False, timeout=LONG_S
+    )
     assert killed.returncode == -9
     assert [p.suffix for p in tmp_path.iterdir()] == [".part"]
     recorder.record_plan(replace(PLAN, n_poses=1), tmp_path / "a.h5")

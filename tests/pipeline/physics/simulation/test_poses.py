@@ -26,7 +26,9 @@ def mesh_of(name):
 
 def turned_by(pose):
     """(turn in the plane, tilt out of it) in degrees."""
-    return np.rad2deg(np.arctan2(pose[1, 0], pose[0, 0])), np.rad2deg(np.arccos(min(1.0, pose[2, 2])))
+    return np.rad2deg(np.arctan2(pose[1, 0], pose[0, 0])), np.rad2deg(
+        np.arccos(min(1.0, pose[2, 2]))
+    )
 
 
 def depth_mm(mesh, pose):
@@ -46,9 +48,14 @@ def test_a_grid_covers_the_square_and_keeps_its_bounds(seed, name):
     for pose in grid:
         assert np.abs(pose - rigid.validate_rigid(pose, "a pose")).max() < ROUND_MM
         angle, tilt = turned_by(pose)
-        assert abs(angle) <= poses.MAX_ANGLE_DEG + 0.1  # a tilt of 3 degrees turns the x axis' shadow by up to 0.04
+        # a tilt of 3 degrees turns the x axis' shadow by up to 0.04
+        assert abs(angle) <= poses.MAX_ANGLE_DEG + 0.1
         assert tilt <= poses.MAX_TILT_DEG + ROUND_MM
-        assert poses.DEPTH_RANGE_MM[0] - ROUND_MM <= depth_mm(mesh, pose) <= poses.DEPTH_RANGE_MM[1] + ROUND_MM
+        assert (
+            poses.DEPTH_RANGE_MM[0] - ROUND_MM
+            <= depth_mm(mesh, pose)
+            <= poses.DEPTH_RANGE_MM[1] + ROUND_MM
+        )
         assert not pose.flags.writeable
 
 
@@ -89,7 +96,9 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not():
 @settings(max_examples=15)
 def test_the_deepest_point_is_that_of_a_fine_grid_over_the_gels(name, x, y, turn, lean):
     mesh = mesh_of(name)
-    pose = rigid.from_parts((x, y, 0.0), (lean, 0.0, 0.0)) @ rigid.from_parts((0, 0, 0), (0.0, 0.0, turn))
+    pose = rigid.from_parts((x, y, 0.0), (lean, 0.0, 0.0)) @ rigid.from_parts(
+        (0, 0, 0), (0.0, 0.0, turn)
+    )
     vertices = rigid.apply(pose, mesh.vertices_mm)
     seen = lattice.rasterise_mesh(vertices, mesh.triangles, WINDOW).min()
     if np.isfinite(seen):
@@ -97,10 +106,16 @@ def test_the_deepest_point_is_that_of_a_fine_grid_over_the_gels(name, x, y, turn
 
 
 def test_the_deepest_point_of_a_tilted_plane_is_at_a_corner_of_the_square():
-    corners = np.array([[-50.0, -50.0, 0.0], [50.0, -50.0, 0.0], [50.0, 50.0, 0.0], [-50.0, 50.0, 0.0]])
+    corners = np.array(
+        [[-50.0, -50.0, 0.0], [50.0, -50.0, 0.0], [50.0, 50.0, 0.0], [-50.0, 50.0, 0.0]]
+    )
     corners[:, 2] = 0.1 * corners[:, 0] + 0.02 * corners[:, 1]
-    plane = Mesh(vertices_mm=freeze(corners), triangles=freeze(np.array([[0, 2, 1], [0, 3, 2]], np.int32)))
-    assert compute_lowest_mm(plane.vertices_mm, plane.triangles) == pytest.approx(-0.12 * HALF_WINDOW_MM)
+    plane = Mesh(
+        vertices_mm=freeze(corners), triangles=freeze(np.array([[0, 2, 1], [0, 3, 2]], np.int32))
+    )
+    assert compute_lowest_mm(plane.vertices_mm, plane.triangles) == pytest.approx(
+        -0.12 * HALF_WINDOW_MM
+    )
     outside = corners + np.array([200.0, 0.0, 0.0])
     assert compute_lowest_mm(outside, plane.triangles) == pytest.approx(-6.0)
 
@@ -115,7 +130,8 @@ def test_every_gel_sees_the_square_that_depths_are_measured_over():
 @given(seed=st.integers(0, 2**31 - 1))
 @settings(max_examples=5)
 def test_a_motion_is_smooth(kind, seed):
-    mesh, n = mesh_of("letters"), 33
+    mesh = mesh_of("letters")
+    n = 33
     motion = poses.make_motion(mesh, kind, n=n, seed=seed)
     assert len(motion) == n
     depth = np.array([depth_mm(mesh, p) for p in motion])
@@ -123,8 +139,14 @@ def test_a_motion_is_smooth(kind, seed):
     phases = 4 if kind == "full" else 1
     steps = np.array([p[:2, 3] for p in motion])
     fastest = 1.875 * phases / (n - 1)  # of a least-jerk motion, in shares a frame
-    assert np.linalg.norm(np.diff(steps, axis=0), axis=1).max() <= fastest * poses.SLIDE_RANGE_MM[1] + ROUND_MM
-    assert np.abs(np.diff(depth)).max() <= fastest * (poses.CLEARANCE_MM + poses.DEPTH_RANGE_MM[1]) + ROUND_MM
+    assert (
+        np.linalg.norm(np.diff(steps, axis=0), axis=1).max()
+        <= fastest * poses.SLIDE_RANGE_MM[1] + ROUND_MM
+    )
+    assert (
+        np.abs(np.diff(depth)).max()
+        <= fastest * (poses.CLEARANCE_MM + poses.DEPTH_RANGE_MM[1]) + ROUND_MM
+    )
 
 
 def test_each_motion_does_what_its_name_says():

@@ -22,23 +22,33 @@ from pipeline.sensors.spec import load_sensor
 
 ELBOW = shapes.make_shape("notched_elbow").mesh
 SENSORS = ("digit", "gelsight_mini", "soft_bubble")
-SURFACE_MM = 0.005  # bilinear chords between pixels at a chamfer's edge; the solver itself is 50 times finer
-REACH_TOLERANCE_MM = 0.02  # the nearest pixel to the apex, and chords of the dome between lattice nodes
+# bilinear chords between pixels at a chamfer's edge; the solver itself is 50 times finer
+SURFACE_MM = 0.005
+# the nearest pixel to the apex, and chords of the dome between lattice nodes
+REACH_TOLERANCE_MM = 0.02
 SAMPLE = Path(__file__).resolve().parents[4] / "sample_data" / "recordings" / "first_touch.h5"
 
 
 def pressed_by(depth_mm, twist_deg=0.0, lean_deg=0.0, x_mm=-3.0, y_mm=-3.0):
-    turn = rigid.rotation(np.deg2rad([0.0, 0.0, twist_deg])) @ rigid.rotation(np.deg2rad([lean_deg, 0.0, 0.0]))
+    turn = rigid.rotation(np.deg2rad([0.0, 0.0, twist_deg])) @ rigid.rotation(
+        np.deg2rad([lean_deg, 0.0, 0.0])
+    )
     return rigid.translation(x_mm, y_mm, -depth_mm) @ turn
 
 
 def plane(z_mm=0.0):
-    corners = np.array([[-200.0, -200.0, z_mm], [200.0, -200.0, z_mm], [200.0, 200.0, z_mm], [-200.0, 200.0, z_mm]])
-    return Mesh(vertices_mm=freeze(corners), triangles=freeze(np.array([[0, 2, 1], [0, 3, 2]], np.int32)))
+    corners = np.array(
+        [[-200.0, -200.0, z_mm], [200.0, -200.0, z_mm], [200.0, 200.0, z_mm], [-200.0, 200.0, z_mm]]
+    )
+    return Mesh(
+        vertices_mm=freeze(corners), triangles=freeze(np.array([[0, 2, 1], [0, 3, 2]], np.int32))
+    )
 
 
 def test_the_elbow_is_a_closed_body_that_faces_outward():
-    edges = Counter((int(a), int(b)) for t in ELBOW.triangles for a, b in zip(t, np.roll(t, -1), strict=True))
+    edges = Counter(
+        (int(a), int(b)) for t in ELBOW.triangles for a, b in zip(t, np.roll(t, -1), strict=True)
+    )
     assert all(n == 1 and edges[b, a] == 1 for (a, b), n in edges.items())
     corners = ELBOW.vertices_mm[ELBOW.triangles]
     volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
@@ -50,7 +60,8 @@ def test_the_elbow_is_a_closed_body_that_faces_outward():
 def test_the_face_of_the_elbow_is_level_at_zero_and_its_chamfer_rises_one_to_one():
     on = Lattice(x0_mm=-2.0, y0_mm=-2.0, step_mm=0.05, shape=(480, 270))
     z = lattice.rasterise_mesh(ELBOW.vertices_mm, ELBOW.triangles, on)
-    x, y = on.x_mm()[None, :], on.y_mm()[:, None]
+    x = on.x_mm()[None, :]
+    y = on.y_mm()[:, None]
     upright = (np.abs(x) < 1.75) & (y > 5.0) & (y < 20.0)
     assert np.abs(z - np.maximum(0.0, 0.5 - (1.75 - np.abs(x))))[upright].max() < 1e-9
     assert np.isinf(z[(x > 2.0) & (y > 2.0)]).all()
@@ -65,7 +76,9 @@ def test_an_outline_that_crosses_itself_or_is_too_thin_for_its_chamfer_is_refuse
 
 @pytest.mark.parametrize("name", SENSORS)
 def test_in_contact_the_surface_is_that_of_the_object(name):
-    """Back-projected contact pixels lie on the mesh at its true pose: depth, mask, pose and camera agree."""
+    """Back-projected contact pixels lie on the mesh at its true pose: depth, mask, pose and
+    camera agree.
+    """
     spec = load_sensor(name)
     press = simulate_press(ELBOW, pressed_by(0.5, twist_deg=20.0), spec, seed=None)
     truth = press.truth
@@ -82,29 +95,40 @@ def test_in_contact_the_surface_is_that_of_the_object(name):
 
 
 def test_two_sensors_touch_the_same_point_of_the_object():
-    digit, mini = load_sensor("digit"), load_sensor("gelsight_mini")
+    digit = load_sensor("digit")
+    mini = load_sensor("gelsight_mini")
     pose = pressed_by(0.5, twist_deg=10.0)
     truths = {s.name: simulate_press(ELBOW, pose, s, seed=None).truth for s in (digit, mini)}
-    expected = alignment.resolve_alignment(digit, mini).target_from_source @ truths["digit"].sensor_from_object
+    expected = (
+        alignment.resolve_alignment(digit, mini).target_from_source
+        @ truths["digit"].sensor_from_object
+    )
     assert np.abs(expected - truths["gelsight_mini"].sensor_from_object).max() < 1e-9
 
 
 def reach_mm(spec):
-    """How far the middle of the sensor at rest stands out of the plane z = 0 of the alignment frame."""
+    """How far the middle of the sensor at rest stands out of the plane z = 0 of the alignment
+    frame.
+    """
     apex = np.array([[0.0, 0.0, float(spec.membrane.depth_at(0.0, 0.0))]])
     return float(rigid.apply(spec.alignment_from_sensor, apex)[0, 2])
 
 
 @pytest.mark.parametrize("name", ["gelslim", *SENSORS])
 def test_a_flat_object_presses_each_sensor_by_its_reach_more(name):
-    """The depth that makes up for softness is part of the alignment, so that it is in every pairing too."""
-    spec, depth_mm = load_sensor(name), 0.4
+    """The depth that makes up for softness is part of the alignment, so that it is in every
+    pairing too.
+    """
+    spec = load_sensor(name)
+    depth_mm = 0.4
     assert (reach_mm(spec) == 0.0) == (spec.kind == "gel")
     press = simulate_press(plane(), rigid.translation(0.0, 0.0, -depth_mm), spec, seed=None)
     deepest = float(press.truth.indentation_mm.max())
     assert deepest == pytest.approx(depth_mm + reach_mm(spec), abs=REACH_TOLERANCE_MM)
     of_gel = alignment.resolve_alignment(spec, load_sensor("gelslim")).target_from_source
-    apex = rigid.apply(of_gel, np.array([[0.0, 0.0, float(spec.membrane.depth_at(0.0, 0.0))]]))[0, 2]
+    apex = rigid.apply(of_gel, np.array([[0.0, 0.0, float(spec.membrane.depth_at(0.0, 0.0))]]))[
+        0, 2
+    ]
     assert apex - 20.0 == pytest.approx(reach_mm(spec), abs=1e-9)  # the GelSlim rests at 20 mm
 
 
@@ -118,7 +142,8 @@ def test_a_plane_pushes_the_whole_pad_by_its_depth():
 def test_a_bubble_bridges_the_inner_corner_that_a_gel_does_not_reach_either():
     press = simulate_press(ELBOW, pressed_by(0.6), load_sensor("soft_bubble"), seed=None)
     covered = press.truth.indentation_mm > 0.5
-    assert press.truth.contact.sum() < 0.5 * covered.sum()  # most of what has moved is not in contact
+    # most of what has moved is not in contact
+    assert press.truth.contact.sum() < 0.5 * covered.sum()
     assert press.truth.indentation_mm.min() < -0.1  # and the air makes the rest bulge
 
 
@@ -145,26 +170,35 @@ def test_any_pose_gives_finite_frames_that_converge_or_go_through_the_pad(depth,
         lowest_mm = rigid.apply(press.truth.sensor_from_object, ELBOW.vertices_mm)[
             :, 2
         ].min()  # perhaps outside the view
-        through = spec.gel is not None and lowest_mm < spec.rest_depth_mm.max() - spec.gel.thickness_mm
+        through = (
+            spec.gel is not None and lowest_mm < spec.rest_depth_mm.max() - spec.gel.thickness_mm
+        )
         assert press.converged or through
         assert np.isfinite(press.truth.indentation_mm).all()
         assert np.isfinite(press.image).all()
 
 
 def test_a_press_deeper_than_the_gel_has_not_converged():
-    assert not simulate_press(ELBOW, pressed_by(5.0), load_sensor("gelsight_mini"), seed=None).converged
+    assert not simulate_press(
+        ELBOW, pressed_by(5.0), load_sensor("gelsight_mini"), seed=None
+    ).converged
 
 
-@pytest.mark.parametrize("bad", [np.full((4, 4), np.nan), np.diag([1.0, 1.0, -1.0, 1.0]), np.eye(3)])
+@pytest.mark.parametrize(
+    "bad", [np.full((4, 4), np.nan), np.diag([1.0, 1.0, -1.0, 1.0]), np.eye(3)]
+)
 def test_an_invalid_pose_is_refused(bad):
     with pytest.raises(CalibrationError, match="the object's pose"):
         simulate_press(ELBOW, bad, load_sensor("digit"), seed=None)
 
 
 def test_a_load_drags_the_gel_and_its_markers_and_nothing_else():
-    spec, pose = load_sensor("gelslim"), pressed_by(0.4)
+    spec = load_sensor("gelslim")
+    pose = pressed_by(0.4)
     still = simulate_press(ELBOW, pose, spec, seed=None)
-    dragged = simulate_press(ELBOW, pose, spec, seed=None, load=TangentialLoad(displacement_mm=(0.2, 0.0)))
+    dragged = simulate_press(
+        ELBOW, pose, spec, seed=None, load=TangentialLoad(displacement_mm=(0.2, 0.0))
+    )
     assert still.shear_mm is None
     assert dragged.shear_mm is not None
     assert 0.02 < dragged.shear_mm[..., 0][still.truth.contact].mean() <= 0.2
@@ -174,7 +208,9 @@ def test_a_load_drags_the_gel_and_its_markers_and_nothing_else():
 
 def test_the_same_seed_gives_the_same_bytes():
     spec = load_sensor("soft_bubble")
-    one, again, other = (simulate_press(ELBOW, pressed_by(0.5), spec, seed=s).image.tobytes() for s in (2, 2, 3))
+    one, again, other = (
+        simulate_press(ELBOW, pressed_by(0.5), spec, seed=s).image.tobytes() for s in (2, 2, 3)
+    )
     assert one == again != other
 
 

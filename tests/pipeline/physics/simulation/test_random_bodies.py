@@ -44,9 +44,15 @@ def test_outlines_enclose_what_is_free():
     on = Lattice(x0_mm=-24.0, y0_mm=-24.0, step_mm=STEP_MM, shape=(161, 161))
     n_rings = []
     for share in (0.0, 1.0):
-        bodies = [make_random_body(np.random.default_rng([5, k]), unsupported_share=1.0, outline_share=share)
-                  for k in range(24)]  # fmt: skip
-        solid = [np.isfinite(rasterise_mesh(np.asarray(m.vertices_mm), m.triangles, on)) for m in bodies]
+        bodies = [
+            make_random_body(
+                np.random.default_rng([5, k]), unsupported_share=1.0, outline_share=share
+            )
+            for k in range(24)
+        ]
+        solid = [
+            np.isfinite(rasterise_mesh(np.asarray(m.vertices_mm), m.triangles, on)) for m in bodies
+        ]
         n_rings.append(sum(bool((ndimage.binary_fill_holes(a) & ~a).sum() > 100) for a in solid))
     assert n_rings[1] >= n_rings[0] + 3
 
@@ -56,7 +62,9 @@ def test_a_mesh_seen_through_a_camera_lies_where_its_rays_meet_it():
     camera = load_sensor("soft_bubble").camera
     tilt = rigid.rotation((0.1, -0.2, 0.0))
     tilt[2, 3] = 70.0
-    square = np.array([(-15.0, -15.0, 0.0), (15.0, -15.0, 0.0), (15.0, 15.0, 0.0), (-15.0, 15.0, 0.0)])
+    square = np.array(
+        [(-15.0, -15.0, 0.0), (15.0, -15.0, 0.0), (15.0, 15.0, 0.0), (-15.0, 15.0, 0.0)]
+    )
     corners = rigid.apply(tilt, square)
     seen = render_mesh(corners, np.array([(0, 1, 2), (0, 2, 3)], np.int32), camera)[0]
     x, y = camera.rays()

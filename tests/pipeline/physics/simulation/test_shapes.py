@@ -9,17 +9,34 @@ from pipeline.physics.simulation.shapes import make_shape as made_once
 from pipeline.physics.simulation.shapes import polygons
 
 CHORD_MM = 0.002  # what the shapes promise
-SYMMETRIC_MM = 0.005  # twice the chord error, once for each of the two surfaces, and a little for a ball's back
+# twice the chord error, once for each of the two surfaces, and a little for a ball's back
+SYMMETRIC_MM = 0.005
 DIFFERENT_MM = 0.1  # resolved by every sensor
 NEAR_MM = 0.15  # farther is far
 SMALLEST_TRIANGLE_SQ_MM = 1e-5  # 4 um wide: far above rounding
-CURVED = ("lines_45", "cylinder", "sphere", "ring", "curve", "ellipse", "cone", "wave", "hex_key", "cup_rim", "marble")
+CURVED = (
+    "lines_45",
+    "cylinder",
+    "sphere",
+    "ring",
+    "curve",
+    "ellipse",
+    "cone",
+    "wave",
+    "hex_key",
+    "cup_rim",
+    "marble",
+)
 
 
 def surface_distance_mm(mesh, points):
-    """Exact below `NEAR_MM`, infinite beyond; ray casters work in float32 and lose micrometres on slivers."""
+    """Exact below `NEAR_MM`, infinite beyond.
+
+    Ray casters work in float32 and lose micrometres on slivers.
+    """
     corners = mesh.vertices_mm[mesh.triangles]
-    low, high = corners.min(axis=1).T - NEAR_MM, corners.max(axis=1).T + NEAR_MM
+    low = corners.min(axis=1).T - NEAR_MM
+    high = corners.max(axis=1).T + NEAR_MM
     distance = np.full(len(points), np.inf)
     for k, point in enumerate(points):
         near = np.flatnonzero((low[0] < point[0]) & (point[0] < high[0]))
@@ -33,9 +50,11 @@ def surface_distance_mm(mesh, points):
 def triangle_distance_mm(corners, point):
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    over, outside = np.ones(len(corners), dtype=bool), np.full(len(corners), np.inf)
+    over = np.ones(len(corners), dtype=bool)
+    outside = np.full(len(corners), np.inf)
     for k in range(3):
-        to, edge = point - corners[:, k], corners[:, (k + 1) % 3] - corners[:, k]
+        to = point - corners[:, k]
+        edge = corners[:, (k + 1) % 3] - corners[:, k]
         over &= (np.cross(normal, edge) * to).sum(axis=1) >= 0
         share = np.clip((to * edge).sum(axis=1) / (edge**2).sum(axis=1), 0.0, 1.0)
         outside = np.minimum(outside, np.linalg.norm(to - share[:, None] * edge, axis=1))
@@ -61,7 +80,9 @@ def test_every_shape_is_one_closed_body_that_faces_outward(name):
     assert len(np.unique(there)) == len(there)
     assert np.array_equal(np.sort(there), np.sort(back))
     corners = mesh.vertices_mm[mesh.triangles]
-    volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0
+    volume = (
+        np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0
+    )
     assert 50.0 < volume < 25_000.0  # tools of up to 6 cm: neither metres nor inches were meant
     assert areas_sq_mm(mesh).min() > SMALLEST_TRIANGLE_SQ_MM
     assert np.array_equal(np.unique(mesh.triangles), np.arange(len(mesh.vertices_mm)))
@@ -70,7 +91,8 @@ def test_every_shape_is_one_closed_body_that_faces_outward(name):
 @pytest.mark.parametrize("name", shapes.list_shapes())
 def test_every_shape_has_the_size_of_a_fingertip_and_covers_its_origin(name):
     found = shapes.make_shape(name)
-    low, high = found.mesh.vertices_mm.min(axis=0), found.mesh.vertices_mm.max(axis=0)
+    low = found.mesh.vertices_mm.min(axis=0)
+    high = found.mesh.vertices_mm.max(axis=0)
     assert 6.0 <= (high - low).max() <= 60.1  # the lab's
     assert (low[:2] < 0).all()
     assert (high[:2] > 0).all()
@@ -149,7 +171,8 @@ def test_a_shape_without_symmetry_has_the_identity_alone():
 
 @pytest.mark.parametrize("face", ["-x", "+x", "-y", "+y", "-z", "+z"])
 def test_a_users_mesh_lies_on_the_chosen_face(tmp_path, face):
-    axis, sign = "xyz".index(face[1]), 1.0 if face[0] == "+" else -1.0
+    axis = "xyz".index(face[1])
+    sign = 1.0 if face[0] == "+" else -1.0
     corners = np.array([[0, 0, 0], [3, 0, 0], [0, 5, 0], [0, 0, 7]], dtype=float)
     path = tmp_path / "wedge.obj"
     lines = [f"v {x} {y} {z}" for x, y, z in corners] + ["f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4"]
@@ -162,12 +185,15 @@ def test_a_users_mesh_lies_on_the_chosen_face(tmp_path, face):
     heights = np.sort(-sign * corners[:, axis])
     assert np.allclose(np.sort(v[:, 2]), heights - heights[0])
     a, b, c = (v[found.mesh.triangles[:, k]] for k in range(3))
-    assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0 == pytest.approx(3 * 5 * 7 / 6.0)  # not mirrored
+    # not mirrored
+    assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0 == pytest.approx(3 * 5 * 7 / 6.0)
 
 
 def test_a_users_mesh_in_another_unit_or_with_an_unknown_face_is_refused(tmp_path):
     path = tmp_path / "small.obj"
-    path.write_text("v 0 0 0\nv 0.02 0 0\nv 0 0.02 0\nv 0 0 0.02\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    path.write_text(
+        "v 0 0 0\nv 0.02 0 0\nv 0 0.02 0\nv 0 0 0.02\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    )
     with pytest.raises(MeshProblem, match="--mesh-unit m"):
         shapes.load_mesh_shape(path)
     assert np.ptp(shapes.load_mesh_shape(path, "m").mesh.vertices_mm[:, 0]) == pytest.approx(20.0)

@@ -16,8 +16,11 @@ def test_the_same_seed_gives_the_same_instance_and_strength_zero_the_sensor_itse
     spec = load_sensor(name)
     first, again, other = (vary_sensor(spec, s) for s in (5, 5, 6))
     assert (first.optics, first.gel, first.markers, first.bubble) == (
-        again.optics, again.gel, again.markers, again.bubble,
-    )  # fmt: skip
+        again.optics,
+        again.gel,
+        again.markers,
+        again.bubble,
+    )
     assert (first.optics, first.bubble) != (other.optics, other.bubble)
     assert vary_sensor(spec, 5, 0.0) is spec
 
@@ -46,7 +49,10 @@ def test_every_instance_is_within_the_limits_of_a_description(seed, strength, na
 def test_instances_differ_moderately(name):
     spec = load_sensor(name)
     plain = optics.render_reference(spec).astype(float)
-    away = [np.abs(optics.render_reference(vary_sensor(spec, s)).astype(float) - plain).mean() for s in range(6)]
+    away = [
+        np.abs(optics.render_reference(vary_sensor(spec, s)).astype(float) - plain).mean()
+        for s in range(6)
+    ]
     assert min(away) > 1.0  # grey levels
     assert max(away) < 45.0
 
@@ -56,7 +62,12 @@ def test_a_stronger_variation_goes_farther():
     plain = optics.render_reference(spec).astype(float)
     weak, strong = (
         np.mean(
-            [np.abs(optics.render_reference(vary_sensor(spec, s, k)).astype(float) - plain).mean() for s in range(4)]
+            [
+                np.abs(
+                    optics.render_reference(vary_sensor(spec, s, k)).astype(float) - plain
+                ).mean()
+                for s in range(4)
+            ]
         )
         for k in (0.2, 1.0)
     )
@@ -66,7 +77,9 @@ def test_a_stronger_variation_goes_farther():
 def test_an_instance_at_rest_renders_as_its_reference():
     instance = vary_sensor(load_sensor("gelslim"), 3)
     level = np.zeros(instance.camera.shape, np.float32)
-    assert np.array_equal(optics.render(instance, level, seed=None), optics.render_reference(instance))
+    assert np.array_equal(
+        optics.render(instance, level, seed=None), optics.render_reference(instance)
+    )
 
 
 @pytest.mark.parametrize("strength", [-0.1, float("nan"), MAX_STRENGTH + 1])

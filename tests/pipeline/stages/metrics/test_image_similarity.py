@@ -10,7 +10,9 @@ from pipeline.lab.evaluation.touch_metrics import BORDER_PX, compute_similarity_
 
 def similarity(a, b, data_range):
     """The mean, the border left out."""
-    return compute_similarity_map(a, b, data_range)[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX].mean()
+    return compute_similarity_map(a, b, data_range)[
+        BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX
+    ].mean()
 
 
 def textbook(a, b, data_range):
@@ -18,16 +20,25 @@ def textbook(a, b, data_range):
     at = np.arange(-BORDER_PX, BORDER_PX + 1)
     row = np.exp(-(at**2) / (2 * 1.5**2))
     window = np.outer(row, row) / row.sum() ** 2
-    c1, c2 = (0.01 * data_range) ** 2, (0.03 * data_range) ** 2
+    c1 = (0.01 * data_range) ** 2
+    c2 = (0.03 * data_range) ** 2
     found = []
     for r in range(BORDER_PX, a.shape[0] - BORDER_PX):
         for c in range(BORDER_PX, a.shape[1] - BORDER_PX):
-            here = (slice(r - BORDER_PX, r + BORDER_PX + 1), slice(c - BORDER_PX, c + BORDER_PX + 1))
-            x, y = a[here], b[here]
-            mx, my = (window * x).sum(), (window * y).sum()
-            vx, vy = (window * (x - mx) ** 2).sum(), (window * (y - my) ** 2).sum()
+            here = (
+                slice(r - BORDER_PX, r + BORDER_PX + 1),
+                slice(c - BORDER_PX, c + BORDER_PX + 1),
+            )
+            x = a[here]
+            y = b[here]
+            mx = (window * x).sum()
+            my = (window * y).sum()
+            vx = (window * (x - mx) ** 2).sum()
+            vy = (window * (y - my) ** 2).sum()
             cov = (window * (x - mx) * (y - my)).sum()
-            found.append((2 * mx * my + c1) * (2 * cov + c2) / ((mx**2 + my**2 + c1) * (vx + vy + c2)))
+            found.append(
+                (2 * mx * my + c1) * (2 * cov + c2) / ((mx**2 + my**2 + c1) * (vx + vy + c2))
+            )
     return float(np.mean(found))
 
 
@@ -46,7 +57,13 @@ def test_similarity_is_that_of_scikit_image():
     a = rng.integers(0, 256, (60, 70, 3)).astype(np.uint8)
     b = np.clip(a + rng.normal(0, 20, a.shape), 0, 255).astype(np.uint8)
     theirs = skimage.structural_similarity(
-        a, b, data_range=255, channel_axis=2, gaussian_weights=True, sigma=1.5, use_sample_covariance=False
+        a,
+        b,
+        data_range=255,
+        channel_axis=2,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
     )
     assert similarity(a, b, 255.0) == pytest.approx(theirs, abs=1e-10)
 

@@ -24,7 +24,8 @@ def sets(n=60, d=6, shift=0.0, seed=0):
 def test_frechet_is_the_textbook_distance():
     a, b = sets(shift=0.3)
     gap = a.mean(0) - b.mean(0)
-    s, t = np.cov(a.T), np.cov(b.T)
+    s = np.cov(a.T)
+    t = np.cov(b.T)
     expected = gap @ gap + np.trace(s + t - 2 * np.real(sqrtm(s @ t)))
     assert frechet_distance(a, b) == pytest.approx(expected, rel=1e-8)
 
@@ -36,12 +37,19 @@ def test_frechet_of_fewer_touches_than_features_is_a_number_and_0_for_the_same_s
 
 
 def test_the_kernel_distance_is_the_u_statistic_of_paired_rows():
-    """Against the definition written as loops; scaled features give torchmetrics' kernel with gamma = 1 / scale."""
+    """Against the definition written as loops.
+
+    Scaled features give torchmetrics' kernel with gamma = 1 / scale.
+    """
     a, b = sets(n=9, d=4, shift=0.4)
-    a, b = a[:9], b[:9]
+    a = a[:9]
+    b = b[:9]
     scale = sum(row @ row for row in b) / 9
     terms = [
-        (x @ y / scale + 1) ** 3 + (u @ v / scale + 1) ** 3 - (x @ v / scale + 1) ** 3 - (y @ u / scale + 1) ** 3
+        (x @ y / scale + 1) ** 3
+        + (u @ v / scale + 1) ** 3
+        - (x @ v / scale + 1) ** 3
+        - (y @ u / scale + 1) ** 3
         for i, (x, u) in enumerate(zip(a, b, strict=True))
         for j, (y, v) in enumerate(zip(a, b, strict=True))
         if i != j
@@ -73,4 +81,6 @@ def test_what_is_made_perfectly_is_as_far_as_two_halves_of_the_truth():
     assert compare_halves(frechet_distance, true, true) == pytest.approx(
         compute_floor(frechet_distance, true), rel=1e-9
     )
-    assert compare_halves(frechet_distance, true + 3.0, true) > 10 * compute_floor(frechet_distance, true)
+    assert compare_halves(frechet_distance, true + 3.0, true) > 10 * compute_floor(
+        frechet_distance, true
+    )

@@ -69,7 +69,8 @@ def test_pose_error_is_stated_at_the_contact_not_at_a_far_away_origin():
 
 def test_pose_errors_after_symmetry_stand_beside_the_plain_ones_once_the_mesh_is_known():
     scene = np.array([[0.0, 0, 20], [1, 0, 20], [0, 1, 20], [-1, -1, 20]], np.float32)
-    truth, slide = rigid.translation(0, 0, 22), np.diag([1.0, 1, 1, 0, 1, 1])
+    truth = rigid.translation(0, 0, 22)
+    slide = np.diag([1.0, 1, 1, 0, 1, 1])
     pose = ObjectPose(
         sensor_from_object=rigid.translation(2, 0.1, 0) @ truth @ rigid.rotation([0, 0, math.pi]),
         covariance=None,
@@ -80,7 +81,10 @@ def test_pose_errors_after_symmetry_stand_beside_the_plain_ones_once_the_mesh_is
         scene_mm=scene,
         source_index=np.arange(4, dtype=np.int32),
     )
-    bar = Mesh(vertices_mm=np.array([[-9.0, 0, 0], [9, 0, 0], [0, 0, 3]]), triangles=np.array([[0, 1, 2]], np.int32))
+    bar = Mesh(
+        vertices_mm=np.array([[-9.0, 0, 0], [9, 0, 0], [0, 0, 3]]),
+        triangles=np.array([[0, 1, 2]], np.int32),
+    )
     known = Truth(sensor_from_object=truth)
     figures = compute_pose_metrics(pose, known, bar, cyclic(2))
     assert figures["rotation_deg"] == pytest.approx(180.0)

@@ -62,7 +62,11 @@ def pose(turn, shift=(1.0, -2.0, 20.0)):
 @settings(max_examples=25)
 def test_a_rod_rolled_or_turned_end_for_end_is_where_it_was(turn, roll, flip):
     truth = pose(turn)
-    same = truth @ rigid.rotation([roll, 0, 0]) @ (rigid.rotation([0, 0, math.pi]) if flip else np.eye(4))
+    same = (
+        truth
+        @ rigid.rotation([roll, 0, 0])
+        @ (rigid.rotation([0, 0, math.pi]) if flip else np.eye(4))
+    )
     error = compute_symmetric_error(same, truth, rod(), ROD_TURNS, AT_MM, np.eye(6))
     assert error.mssd_mm < SEARCHED_MM
     assert error.se2_mm < SEARCHED_MM
@@ -71,10 +75,15 @@ def test_a_rod_rolled_or_turned_end_for_end_is_where_it_was(turn, roll, flip):
     assert error.observable_deg < 1e-5
 
 
-@given(turn=TURNS, moved=st.tuples(*[st.floats(-2.0, 2.0)] * 3), by=st.tuples(*[st.floats(-0.3, 0.3)] * 3))
+@given(
+    turn=TURNS,
+    moved=st.tuples(*[st.floats(-2.0, 2.0)] * 3),
+    by=st.tuples(*[st.floats(-0.3, 0.3)] * 3),
+)
 @settings(max_examples=25)
 def test_mssd_is_that_of_a_search_by_brute_force(turn, moved, by):
-    truth, mesh = pose(turn), rod(sides=12)
+    truth = pose(turn)
+    mesh = rod(sides=12)
     estimate = rigid.translation(*moved) @ truth @ rigid.rotation(by)
     group = ROD_TURNS.sample_rotations(0.0005)
     apart = (
@@ -90,14 +99,17 @@ def test_mssd_is_that_of_a_search_by_brute_force(turn, moved, by):
 
 @given(turn=TURNS, axis=TURNS.filter(lambda v: np.linalg.norm(v) > 0.1), roll=st.floats(-3.1, 3.1))
 def test_a_roll_about_the_axis_is_taken_back_whatever_the_axis(turn, axis, roll):
-    symmetry, truth = revolution(np.divide(axis, np.linalg.norm(axis))), pose(turn)
+    symmetry = revolution(np.divide(axis, np.linalg.norm(axis)))
+    truth = pose(turn)
     rolled = truth @ rigid.rotation(roll * symmetry.axis)
     np.testing.assert_allclose(remove_axis_rotation(rolled, truth, symmetry), rolled, atol=1e-9)
 
 
 def test_a_slide_along_a_rod_counts_in_mssd_and_not_between_the_axes():
     truth = pose([0.0, 0.0, 0.4])
-    error = compute_symmetric_error(truth @ rigid.translation(3.0, 0, 0), truth, rod(), ROD_TURNS, AT_MM)
+    error = compute_symmetric_error(
+        truth @ rigid.translation(3.0, 0, 0), truth, rod(), ROD_TURNS, AT_MM
+    )
     assert error.mssd_mm == pytest.approx(3.0, abs=SEARCHED_MM)
     assert error.se2_mm == pytest.approx(0.0, abs=ROUNDING_MM)
     assert math.isnan(error.observable_mm), "nothing was said about what is observable"
@@ -105,7 +117,11 @@ def test_a_slide_along_a_rod_counts_in_mssd_and_not_between_the_axes():
 
 def test_axes_of_a_rod_are_compared_by_distance_and_angle():
     truth = pose([0.0, 0.0, 0.4])
-    turned = rigid.translation(*AT_MM) @ rigid.rotation([0, 0, math.radians(5.0)]) @ rigid.translation(*-AT_MM)
+    turned = (
+        rigid.translation(*AT_MM)
+        @ rigid.rotation([0, 0, math.radians(5.0)])
+        @ rigid.translation(*-AT_MM)
+    )
     aside = rigid.translation(*(truth[:3, 1] * 0.7))
     estimate = aside @ turned @ truth @ rigid.rotation([2.0, 0, 0])
     error = compute_symmetric_error(estimate, truth, rod(), ROD_TURNS, AT_MM)
@@ -138,9 +154,12 @@ def test_vertices_inside_the_hull_change_nothing():
     rng = np.random.default_rng(0)
     inner = rng.uniform(-0.9, 0.9, (2000, 3)) * (4.0, 2.0, 3.0) + (0.0, 0.0, 3.0)
     filled = Mesh(vertices_mm=np.concatenate([BOX.vertices_mm, inner]), triangles=BOX.triangles)
-    estimate, truth = pose([0.1, 0.2, 0.3]), pose([0.3, -0.1, 0.2], (1.4, -2.2, 20.5))
+    estimate = pose([0.1, 0.2, 0.3])
+    truth = pose([0.3, -0.1, 0.2], (1.4, -2.2, 20.5))
     group = cyclic(4, (1.0, 0.0, 0.0))
-    assert mssd_mm(estimate, truth, filled, group) == pytest.approx(mssd_mm(estimate, truth, BOX, group), abs=1e-12)
+    assert mssd_mm(estimate, truth, filled, group) == pytest.approx(
+        mssd_mm(estimate, truth, BOX, group), abs=1e-12
+    )
     flat = Mesh(vertices_mm=filled.vertices_mm * (1.0, 1.0, 0.0), triangles=BOX.triangles)
     assert mssd_mm(truth, truth, flat, None) == 0.0
 
@@ -148,7 +167,9 @@ def test_vertices_inside_the_hull_change_nothing():
 @given(slide=st.floats(-8.0, 8.0), roll=st.floats(-3.0, 3.0), off_mm=st.floats(-0.05, 0.05))
 @settings(max_examples=40)
 def test_a_hex_keys_shaft_is_a_rod_while_its_elbow_is_out_of_sight(slide, roll, off_mm):
-    """The whole object has no symmetry, and still a long slide and a full roll are no observable error."""
+    """The whole object has no symmetry, and still a long slide and a full roll are no observable
+    error.
+    """
     rng = np.random.default_rng(1)
     angle = rng.uniform(-0.8, 0.8, 800)
     normals = np.stack([np.zeros(800), np.sin(angle), -np.cos(angle)], axis=1)
@@ -163,9 +184,9 @@ def test_a_hex_keys_shaft_is_a_rod_while_its_elbow_is_out_of_sight(slide, roll, 
     assert deg < 1e-5
     assert mssd_mm(estimate_along, truth, rod(), None) >= abs(slide) - ROUNDING_MM
     if abs(roll) < 0.1:
-        assert compute_observable_error(estimate, truth, result.observable, at_mm)[0] == pytest.approx(
-            abs(off_mm), abs=0.01
-        )
+        assert compute_observable_error(estimate, truth, result.observable, at_mm)[
+            0
+        ] == pytest.approx(abs(off_mm), abs=0.01)
 
 
 @given(TURNS, st.tuples(*[st.floats(-5.0, 5.0)] * 3))
@@ -180,14 +201,15 @@ def test_with_everything_observable_the_error_is_the_whole_motion(turn, shift):
 
 def test_in_plane_errors_leave_out_what_lies_along_the_optical_axis():
     truth = pose([0.0, 0.0, 0.2])
-    assert compute_in_plane_error(rigid.translation(0.0, 0.0, 0.8) @ truth, truth, None, AT_MM) == pytest.approx(
-        (0.0, 0.0)
-    )
+    assert compute_in_plane_error(
+        rigid.translation(0.0, 0.0, 0.8) @ truth, truth, None, AT_MM
+    ) == pytest.approx((0.0, 0.0))
 
 
 def test_minima_that_are_the_same_pose_count_once():
     truth = pose([0.0, 0.0, 0.3])
-    half, aside = truth @ rigid.rotation([0, 0, math.pi]), rigid.translation(2.0, 0, 0) @ truth
+    half = truth @ rigid.rotation([0, 0, math.pi])
+    aside = rigid.translation(2.0, 0, 0) @ truth
     assert compute_ambiguity([truth, half, aside], BOX, cyclic(2), 0.1).n_distinct == 2
     result = compute_ambiguity([truth, half, aside], BOX, None, 0.1)
     assert result.n_distinct == 3
@@ -198,7 +220,9 @@ def test_minima_that_are_the_same_pose_count_once():
 @pytest.mark.parametrize("name", ["square", "cylinder", "peg", "hex_key"])
 def test_a_recording_brings_the_symmetry_of_its_object(tmp_path, name):
     made = shapes.make_shape(name)
-    with RecordingWriter(tmp_path / "a.h5", object_mesh=made.mesh, symmetry=made.symmetry) as writer:
+    with RecordingWriter(
+        tmp_path / "a.h5", object_mesh=made.mesh, symmetry=made.symmetry
+    ) as writer:
         writer.append("gelslim", _frame())
     recording = open_recording(tmp_path / "a.h5")
     np.testing.assert_array_equal(recording.symmetry.rotations, made.symmetry.rotations)
@@ -210,7 +234,8 @@ def test_a_body_of_revolution_keeps_its_axis_and_an_older_recording_says_nothing
     for name, symmetry in (("new.h5", ROD_TURNS), ("old.h5", None)):
         with RecordingWriter(tmp_path / name, object_mesh=BOX, symmetry=symmetry) as writer:
             writer.append("gelslim", _frame())
-    new, old = open_recording(tmp_path / "new.h5"), open_recording(tmp_path / "old.h5")
+    new = open_recording(tmp_path / "new.h5")
+    old = open_recording(tmp_path / "old.h5")
     np.testing.assert_array_equal(new.symmetry.axis, ROD_TURNS.axis)
     assert not new.symmetry.axis.flags.writeable
     assert old.symmetry is None
@@ -218,7 +243,9 @@ def test_a_body_of_revolution_keeps_its_axis_and_an_older_recording_says_nothing
     old.close()
 
 
-@pytest.mark.parametrize("spoil", [lambda r: r * 2.0, lambda r: r[:0], lambda r: r[1:], lambda r: -r])
+@pytest.mark.parametrize(
+    "spoil", [lambda r: r * 2.0, lambda r: r[:0], lambda r: r[1:], lambda r: -r]
+)
 def test_turns_that_are_none_are_refused(tmp_path, spoil):
     path = tmp_path / "a.h5"
     with RecordingWriter(path, object_mesh=BOX, symmetry=cyclic(3)) as writer:
@@ -233,11 +260,16 @@ def test_turns_that_are_none_are_refused(tmp_path, spoil):
 
 
 def test_the_simulator_writes_what_it_knows_and_claims_nothing_of_a_users_mesh():
-    like = datasets.SimulationPlan(sensors=("gelslim",), object_source="cylinder", n_poses=1, seed=0)
-    np.testing.assert_array_equal(
-        datasets.load_object_symmetry(like).rotations, shapes.make_shape("cylinder").symmetry.rotations
+    like = datasets.SimulationPlan(
+        sensors=("gelslim",), object_source="cylinder", n_poses=1, seed=0
     )
-    mesh_file = datasets.SimulationPlan(sensors=("gelslim",), object_source="part.stl", n_poses=1, seed=0)
+    np.testing.assert_array_equal(
+        datasets.load_object_symmetry(like).rotations,
+        shapes.make_shape("cylinder").symmetry.rotations,
+    )
+    mesh_file = datasets.SimulationPlan(
+        sensors=("gelslim",), object_source="part.stl", n_poses=1, seed=0
+    )
     assert datasets.load_object_symmetry(mesh_file) is None
 
 
@@ -245,7 +277,9 @@ def test_a_simulated_recording_has_the_symmetry(tmp_path):
     plan = datasets.SimulationPlan(sensors=("gelslim",), object_source="hexagon", n_poses=1, seed=0)
     recorder.record_plan(plan, tmp_path / "a.h5")
     recording = open_recording(tmp_path / "a.h5")
-    np.testing.assert_array_equal(recording.symmetry.rotations, datasets.load_object_symmetry(plan).rotations)
+    np.testing.assert_array_equal(
+        recording.symmetry.rotations, datasets.load_object_symmetry(plan).rotations
+    )
     recording.close()
 
 

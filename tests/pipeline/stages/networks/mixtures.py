@@ -1,10 +1,14 @@
-"""Data with a known exact denoiser: normal distributions around points, some of them selected by a condition."""
+"""Data with a known exact denoiser: normal distributions around points, some of them selected by
+a condition.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-MODES, SIZE, PICKED = 24, 32, 3
+MODES = 24
+SIZE = 32
+PICKED = 3
 
 
 def modes(scale: float = 1.0, seed: int = 0):
@@ -13,7 +17,9 @@ def modes(scale: float = 1.0, seed: int = 0):
 
 
 def denoiser(centres, spread: float):
-    """The expected clean points (n, size) behind noisy ones, for equally likely centres with a normal spread."""
+    """The expected clean points (n, size) behind noisy ones, for equally likely centres with a
+    normal spread.
+    """
 
     def denoise(noisy, sigma):
         variance = spread**2 + sigma**2

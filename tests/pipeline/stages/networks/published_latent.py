@@ -1,7 +1,9 @@
-"""Touch to touch's network by its definition, from a checkpoint's tensors: the parts that the tests compare with.
+"""Touch to touch's network by its definition, from a checkpoint's tensors: the parts that the tests
+compare with.
 
-Written from Rombach et al. 2022 (kl-f8), Dhariwal and Nichol 2021 (denoiser) and He et al. 2016 (ResNet-18) with plain
-sums and products, for the configuration `gelslim2bubble.yaml` of touch2touch at any width.
+Written from Rombach et al. 2022 (kl-f8), Dhariwal and Nichol 2021 (denoiser) and He et al. 2016
+(ResNet-18) with plain sums and products, for the configuration `gelslim2bubble.yaml` of touch2touch
+at any width.
 """
 
 from __future__ import annotations
@@ -11,14 +13,17 @@ import math
 import torch
 from torch.nn import functional
 
-GROUPS, HEADS, LEVELS = 32, 8, 5
+GROUPS = 32
+HEADS = 8
+LEVELS = 5
 
 
 class Published:
     """A checkpoint's tensors under one prefix."""
 
     def __init__(self, tensors, prefix=""):
-        self.tensors, self.prefix = tensors, prefix
+        self.tensors = tensors
+        self.prefix = prefix
 
     def __getitem__(self, name):
         return self.tensors[self.prefix + name]
@@ -32,7 +37,9 @@ class Published:
     def norm(self, name, x, eps):
         flat = x.reshape(x.shape[0], GROUPS, -1)
         mean = flat.mean(-1, keepdim=True)
-        scaled = ((flat - mean) / ((flat - mean).pow(2).mean(-1, keepdim=True) + eps).sqrt()).reshape(x.shape)
+        scaled = (
+            (flat - mean) / ((flat - mean).pow(2).mean(-1, keepdim=True) + eps).sqrt()
+        ).reshape(x.shape)
         shape = (-1, *[1] * (x.ndim - 2))
         return scaled * self[f"{name}.weight"].reshape(shape) + self[f"{name}.bias"].reshape(shape)
 
@@ -47,7 +54,9 @@ def swish(x):
 def residual(net, name, x):
     inner = net.conv(f"{name}.conv1", swish(net.norm(f"{name}.norm1", x, 1e-6)), padding=1)
     inner = net.conv(f"{name}.conv2", swish(net.norm(f"{name}.norm2", inner, 1e-6)), padding=1)
-    return inner + (net.conv(f"{name}.nin_shortcut", x) if net.has(f"{name}.nin_shortcut.weight") else x)
+    return inner + (
+        net.conv(f"{name}.nin_shortcut", x) if net.has(f"{name}.nin_shortcut.weight") else x
+    )
 
 
 def middle(net, name, x):
@@ -66,7 +75,9 @@ def encode(net, image):
         for k in range(2):
             x = residual(net, f"encoder.down.{level}.block.{k}", x)
         if level < 3:
-            x = net.conv(f"encoder.down.{level}.downsample.conv", functional.pad(x, (0, 1, 0, 1)), stride=2)
+            x = net.conv(
+                f"encoder.down.{level}.downsample.conv", functional.pad(x, (0, 1, 0, 1)), stride=2
+            )
     x = swish(net.norm("encoder.norm_out", middle(net, "encoder.mid", x), 1e-6))
     return net.conv("quant_conv", net.conv("encoder.conv_out", x, padding=1))[:, :4]
 
@@ -94,18 +105,27 @@ def half_size(x):
 
 
 def timed(net, name, x, embedding, resample=lambda x: x):
-    inner = net.conv(f"{name}.in_layers.2", resample(swish(net.norm(f"{name}.in_layers.0", x, 1e-5))), padding=1)
-    both = swish(embedding) @ net[f"{name}.emb_layers.1.weight"].T + net[f"{name}.emb_layers.1.bias"]
+    inner = net.conv(
+        f"{name}.in_layers.2", resample(swish(net.norm(f"{name}.in_layers.0", x, 1e-5))), padding=1
+    )
+    both = (
+        swish(embedding) @ net[f"{name}.emb_layers.1.weight"].T + net[f"{name}.emb_layers.1.bias"]
+    )
     scale, shift = both[:, :, None, None].chunk(2, dim=1)
     inner = swish(net.norm(f"{name}.out_layers.0", inner, 1e-5) * (1 + scale) + shift)
-    inner, x = net.conv(f"{name}.out_layers.3", inner, padding=1), resample(x)
-    return inner + (net.conv(f"{name}.skip_connection", x) if net.has(f"{name}.skip_connection.weight") else x)
+    inner = net.conv(f"{name}.out_layers.3", inner, padding=1)
+    x = resample(x)
+    return inner + (
+        net.conv(f"{name}.skip_connection", x) if net.has(f"{name}.skip_connection.weight") else x
+    )
 
 
 def attend(net, name, x):
     n, width = x.shape[:2]
     flat = x.reshape(n, width, -1)
-    qkv = torch.einsum("oc,bcl->bol", net[f"{name}.qkv.weight"][..., 0], net.norm(f"{name}.norm", flat, 1e-5))
+    qkv = torch.einsum(
+        "oc,bcl->bol", net[f"{name}.qkv.weight"][..., 0], net.norm(f"{name}.norm", flat, 1e-5)
+    )
     qkv = (qkv + net[f"{name}.qkv.bias"][:, None]).reshape(n * HEADS, 3 * width // HEADS, -1)
     q, k, v = qkv.split(width // HEADS, dim=1)
     likeness = torch.softmax(torch.einsum("bct,bcs->bts", q, k) / math.sqrt(width // HEADS), dim=-1)
@@ -115,7 +135,9 @@ def attend(net, name, x):
 
 
 def predict_noise(net, noisy, time, condition):
-    """Five levels of two blocks, attention on all but the coarsest, blocks that halve and double."""
+    """Five levels of two blocks, attention on all but the coarsest, blocks that halve and
+    double.
+    """
     width = net["time_embed.0.weight"].shape[1]
     angles = time[:, None] * 10_000.0 ** (-torch.arange(width // 2) / (width // 2))
     waves = torch.cat([angles.cos(), angles.sin()], dim=1)
@@ -123,7 +145,8 @@ def predict_noise(net, noisy, time, condition):
     embedding = embedding @ net["time_embed.2.weight"].T + net["time_embed.2.bias"]
 
     x = net.conv("input_blocks.0.0", torch.cat([noisy, condition], 1), padding=1)
-    skips, index = [x], 1
+    skips = [x]
+    index = 1
     for level in range(LEVELS):
         for _ in range(2):
             x = timed(net, f"input_blocks.{index}.0", x, embedding)
@@ -143,7 +166,13 @@ def predict_noise(net, noisy, time, condition):
         if level < LEVELS - 1:
             x = attend(net, f"output_blocks.{index}.1", x)
         if index % 3 == 2 and level:
-            x = timed(net, f"output_blocks.{index}.{1 if level == LEVELS - 1 else 2}", x, embedding, double_size)
+            x = timed(
+                net,
+                f"output_blocks.{index}.{1 if level == LEVELS - 1 else 2}",
+                x,
+                embedding,
+                double_size,
+            )
     return net.conv("out.2", swish(net.norm("out.0", x, 1e-5)), padding=1)
 
 
@@ -152,13 +181,16 @@ def predict_noise(net, noisy, time, condition):
 
 def normalise(net, name, x):
     mean, variance, gain, offset = (
-        net[f"{name}.{part}"][:, None, None] for part in ("running_mean", "running_var", "weight", "bias")
+        net[f"{name}.{part}"][:, None, None]
+        for part in ("running_mean", "running_var", "weight", "bias")
     )
     return (x - mean) / (variance + 1e-5).sqrt() * gain + offset
 
 
 def encode_condition(net, image):
-    x = normalise(net, "features.1", functional.conv2d(image, net["features.0.weight"], stride=2, padding=3))
+    x = normalise(
+        net, "features.1", functional.conv2d(image, net["features.0.weight"], stride=2, padding=3)
+    )
     x = functional.max_pool2d(x.clamp(min=0), 3, 2, 1)
     for layer in range(4, 8):
         for k in range(2):
@@ -166,12 +198,18 @@ def encode_condition(net, image):
             stride = 2 if layer > 4 and k == 0 else 1
             inner = functional.conv2d(x, net[f"{name}.conv1.weight"], stride=stride, padding=1)
             inner = normalise(net, f"{name}.bn1", inner).clamp(min=0)
-            inner = normalise(net, f"{name}.bn2", functional.conv2d(inner, net[f"{name}.conv2.weight"], padding=1))
+            inner = normalise(
+                net, f"{name}.bn2", functional.conv2d(inner, net[f"{name}.conv2.weight"], padding=1)
+            )
             if stride == 2:
                 x = normalise(
-                    net, f"{name}.downsample.1", functional.conv2d(x, net[f"{name}.downsample.0.weight"], stride=2)
+                    net,
+                    f"{name}.downsample.1",
+                    functional.conv2d(x, net[f"{name}.downsample.0.weight"], stride=2),
                 )
             x = (inner + x).clamp(min=0)
     for name in ("deconv1", "deconv2"):
-        x = functional.conv_transpose2d(x.clamp(min=0), net[f"{name}.weight"], net[f"{name}.bias"], stride=2, padding=1)
+        x = functional.conv_transpose2d(
+            x.clamp(min=0), net[f"{name}.weight"], net[f"{name}.bias"], stride=2, padding=1
+        )
     return x

@@ -1,4 +1,6 @@
-"""Weights of other packages as trainings save them: wrapped, prefixed, in 16 bits, on a GPU, by an old torch."""
+"""Weights of other packages as trainings save them: wrapped, prefixed, in 16 bits, on a GPU, by
+an old torch.
+"""
 
 from __future__ import annotations
 
@@ -19,14 +21,20 @@ from tests.pipeline.stages.networks.test_vqvae import small
 KINDS = {
     "latent": (released_state, published_weights.read_latent_diffusion),
     "depth_unet": (lambda: unet_state(inputs=3, outputs=1), published_weights.read_unet),
-    "contact_unet": (lambda: milesial(unet_state(inputs=1, outputs=2)), published_weights.read_unet),
+    "contact_unet": (
+        lambda: milesial(unet_state(inputs=1, outputs=2)),
+        published_weights.read_unet,
+    ),
     "depth_anything": (
         lambda: DepthAnything(encoder="vits", side=42).state_dict(),
         published_weights.read_depth_anything,
     ),
     "vqvae": (lambda: small(codes=33).state_dict(), published_weights.read_vqvae),
 }
-OPTIMISER = {"state": {0: {"step": torch.tensor(3.0), "exp_avg": torch.full((9,), torch.nan)}}, "param_groups": [{}]}
+OPTIMISER = {
+    "state": {0: {"step": torch.tensor(3.0), "exp_avg": torch.full((9,), torch.nan)}},
+    "param_groups": [{}],
+}
 
 
 def prefixed(state, prefix):
@@ -34,14 +42,28 @@ def prefixed(state, prefix):
 
 
 def to(state, number):
-    return {n: t.to(number) if torch.is_tensor(t) and t.is_floating_point() else t for n, t in state.items()}
+    return {
+        n: t.to(number) if torch.is_tensor(t) and t.is_floating_point() else t
+        for n, t in state.items()
+    }
 
 
 LAYOUTS = {
-    "in a checkpoint": lambda state: {"epoch": 3, "state_dict": state, "optimizer_states": [OPTIMISER]},
-    "under another key": lambda state: {"network": state, "optim": OPTIMISER, "loss": np.float64(0.1)},
+    "in a checkpoint": lambda state: {
+        "epoch": 3,
+        "state_dict": state,
+        "optimizer_states": [OPTIMISER],
+    },
+    "under another key": lambda state: {
+        "network": state,
+        "optim": OPTIMISER,
+        "loss": np.float64(0.1),
+    },
     "distributed": lambda state: prefixed(state, "module."),
-    "distributed checkpoint": lambda state: {"model_state_dict": prefixed(state, "module."), "optim": OPTIMISER},
+    "distributed checkpoint": lambda state: {
+        "model_state_dict": prefixed(state, "module."),
+        "optim": OPTIMISER,
+    },
     "compiled": lambda state: prefixed(state, "_orig_mod.module."),
     "averaged": lambda state: {"n_averaged": torch.tensor(5), **prefixed(state, "module.")},
     "float16": lambda state: to(state, torch.float16),
@@ -90,7 +112,11 @@ def test_tensors_saved_on_a_gpu_are_read_without_one(kind, tmp_path, monkeypatch
 def test_a_file_is_read_by_its_content_whatever_its_name(kind, tmp_path):
     state, read, bare = kind
     torch.save(state, tmp_path / "weights.safetensors")
-    tensors = {name: tensor.clone().contiguous() for name, tensor in state.items() if torch.is_tensor(tensor)}
+    tensors = {
+        name: tensor.clone().contiguous()
+        for name, tensor in state.items()
+        if torch.is_tensor(tensor)
+    }
     save_file(tensors, tmp_path / "weights.pth")
     for name in ("weights.safetensors", "weights.pth"):
         check_equal(read(tmp_path / name), bare)

@@ -1,4 +1,6 @@
-"""The compact U-Net: output of the input's size, at most a million parameters, a global receptive field."""
+"""The compact U-Net: output of the input's size, at most a million parameters, a global
+receptive field.
+"""
 
 from __future__ import annotations
 

@@ -13,7 +13,12 @@ import torch
 from pipeline.core.errors import ModelMissing
 from pipeline.stages.networks.first_pass import FirstPassPredictor
 from pipeline.stages.networks.guidance import raise_steps
-from pipeline.stages.networks.network_factory import build_network, export_weights, load_network, load_predictor
+from pipeline.stages.networks.network_factory import (
+    build_network,
+    export_weights,
+    load_network,
+    load_predictor,
+)
 from pipeline.stages.networks.weights import Weights
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual
 from tests.pipeline.stages.networks.test_residual_denoiser import PREDICTIONS
@@ -25,9 +30,15 @@ CONDITION = RNG.normal(size=(3, 24, 31)).astype(np.float32)
 @pytest.fixture(scope="module", params=PREDICTIONS)
 def weights(request) -> Weights:
     config = {
-        "inputs": 3, "unit_mm": 0.5, "base_channels": 8, "levels": 3, "max_channels": 16, "sigma_max": 10.0,
-        "prediction": request.param, "error_exponent": 2.0,
-    }  # fmt: skip
+        "inputs": 3,
+        "unit_mm": 0.5,
+        "base_channels": 8,
+        "levels": 3,
+        "max_channels": 16,
+        "sigma_max": 10.0,
+        "prediction": request.param,
+        "error_exponent": 2.0,
+    }
     torch.manual_seed(0)
     net = build_network("residual_denoiser", config)
     for tensor in net.parameters():
@@ -38,19 +49,31 @@ def weights(request) -> Weights:
 
 
 def test_one_step_is_that_of_torch(weights):
-    predictor, network = load_predictor(weights), load_network(weights)
+    predictor = load_predictor(weights)
+    network = load_network(weights)
     assert isinstance(predictor, FirstPassPredictor)
-    assert (predictor.unit_mm, predictor.error_exponent, predictor.sigma_min) == (0.5, 2.0, network.sigma_min)
-    ours, theirs = (sample_residual(net, CONDITION, DiffusionParams(keep_states=True)) for net in (predictor, network))
+    assert (predictor.unit_mm, predictor.error_exponent, predictor.sigma_min) == (
+        0.5,
+        2.0,
+        network.sigma_min,
+    )
+    ours, theirs = (
+        sample_residual(net, CONDITION, DiffusionParams(keep_states=True))
+        for net in (predictor, network)
+    )
     for name in ("residual_mm", "contact_correction", "sigma"):
         assert getattr(ours.final, name) == pytest.approx(getattr(theirs.final, name), abs=2e-4)
-        assert getattr(ours.states[0], name) == pytest.approx(getattr(theirs.states[0], name), abs=2e-4)
+        assert getattr(ours.states[0], name) == pytest.approx(
+            getattr(theirs.states[0], name), abs=2e-4
+        )
     assert ours.expected_error_mm == pytest.approx(theirs.expected_error_mm, rel=1e-3)
 
 
 def test_more_steps_are_those_of_the_whole_network(weights):
     params = DiffusionParams(steps=5, guidance=2.0)
-    ours, theirs = (sample_residual(net(weights), CONDITION, params) for net in (load_predictor, load_network))
+    ours, theirs = (
+        sample_residual(net(weights), CONDITION, params) for net in (load_predictor, load_network)
+    )
     assert np.array_equal(ours.final.residual_mm, theirs.final.residual_mm)
 
 
@@ -67,7 +90,9 @@ assert "torch" not in sys.modules
     subprocess.run([sys.executable, "-c", code], check=True, timeout=240)
 
 
-@pytest.mark.parametrize(("guidance", "steps", "raised"), [(2.0, 1, 8), (2.0, 0, 8), (2.0, 4, 4), (1.0, 1, 1)])
+@pytest.mark.parametrize(
+    ("guidance", "steps", "raised"), [(2.0, 1, 8), (2.0, 0, 8), (2.0, 4, 4), (1.0, 1, 1)]
+)
 def test_changed_guidance_gets_the_steps_that_it_needs(guidance, steps, raised):
     old = DiffusionParams(steps=steps, guidance=1.5)
     assert raise_steps(old, replace(old, guidance=guidance)).steps == raised

@@ -11,9 +11,18 @@ from pipeline.stages.networks.latent_diffusion import LatentDiffusion, compute_a
 from pipeline.stages.networks.network_factory import build_network, load_network
 
 SMALL = {
-    "side": 32, "width": 8, "channel_multipliers": "1 2", "blocks": 1, "attention": "2", "heads": 2, "groups": 4, "autoencoder_width": 8,
-    "autoencoder_multipliers": "1 1 2 2", "autoencoder_blocks": 1, "condition_channels": 4,
-}  # fmt: skip
+    "side": 32,
+    "width": 8,
+    "channel_multipliers": "1 2",
+    "blocks": 1,
+    "attention": "2",
+    "heads": 2,
+    "groups": 4,
+    "autoencoder_width": 8,
+    "autoencoder_multipliers": "1 1 2 2",
+    "autoencoder_blocks": 1,
+    "condition_channels": 4,
+}
 
 
 def small(seed=0, **other):
@@ -24,9 +33,12 @@ def small(seed=0, **other):
 def batch(n=2, side=32):
     torch.manual_seed(1)
     return {
-        "target": torch.tanh(torch.randn(n, 3, side, side)), "source": torch.randn(n, 3, side, side),
-        "time": torch.tensor([10, 900][:n]), "has_condition": torch.ones(n), "noises": torch.randn(2, n, 4, side // 8, side // 8),
-    }  # fmt: skip
+        "target": torch.tanh(torch.randn(n, 3, side, side)),
+        "source": torch.randn(n, 3, side, side),
+        "time": torch.tensor([10, 900][:n]),
+        "has_condition": torch.ones(n),
+        "noises": torch.randn(2, n, 4, side // 8, side // 8),
+    }
 
 
 def paper():
@@ -35,9 +47,15 @@ def paper():
 
 
 def test_the_published_configuration_has_the_published_tensors():
-    """Names, shapes and counts of the released configuration: 295.08 million parameters in 520 tensors."""
+    """Names, shapes and counts of the released configuration: 295.08 million parameters in 520
+    tensors.
+    """
     shapes = {name: tuple(t.shape) for name, t in paper().state_dict().items()}
-    unet = {n.removeprefix("model.diffusion_model."): s for n, s in shapes.items() if n.startswith("model.diffusion")}
+    unet = {
+        n.removeprefix("model.diffusion_model."): s
+        for n, s in shapes.items()
+        if n.startswith("model.diffusion")
+    }
     assert len(unet) == 520
     assert round(sum(int(np.prod(s)) for s in unet.values()) / 1e6, 2) == 295.08
     assert unet["input_blocks.0.0.weight"] == (192, 68, 3, 3)
@@ -45,7 +63,12 @@ def test_the_published_configuration_has_the_published_tensors():
     assert unet["input_blocks.3.0.emb_layers.1.weight"] == (384, 768)
     assert unet["output_blocks.2.1.in_layers.2.weight"] == (768, 768, 3, 3)
     assert unet["out.2.weight"] == (4, 192, 3, 3)
-    assert shapes["first_stage_model.encoder.down.1.block.0.nin_shortcut.weight"] == (256, 128, 1, 1)
+    assert shapes["first_stage_model.encoder.down.1.block.0.nin_shortcut.weight"] == (
+        256,
+        128,
+        1,
+        1,
+    )
     assert shapes["first_stage_model.decoder.up.3.block.2.conv2.weight"] == (512, 512, 3, 3)
     assert shapes["first_stage_model.decoder.mid.attn_1.proj_out.bias"] == (512,)
     assert shapes["first_stage_model.quant_conv.weight"] == (8, 8, 1, 1)
@@ -99,7 +122,12 @@ def test_a_folded_condition_keeps_every_pixel_in_its_cell():
     folded = net.cond_stage_model(image)
     assert folded.shape == (1, 128, 4, 4)
     assert folded.nonzero().tolist() == [[0, 64 + 1 * 8 + 2, 1, 2]]
-    assert net.predict_noise(torch.zeros(1, 4, 4, 4), torch.tensor([5]), folded).shape == (1, 4, 4, 4)
+    assert net.predict_noise(torch.zeros(1, 4, 4, 4), torch.tensor([5]), folded).shape == (
+        1,
+        4,
+        4,
+        4,
+    )
 
 
 def test_an_unconditioned_example_ignores_its_source():
@@ -126,11 +154,15 @@ def test_latents_are_scaled_to_unit_standard_deviation():
 
 
 def released(net, changed=None):
-    """A checkpoint as the released training writes it: EMA, a second copy of the encoder, a loss, a schedule."""
+    """A checkpoint as the released training writes it: EMA, a second copy of the encoder, a
+    loss, a schedule.
+    """
     state = dict(net.state_dict())
     for name, tensor in list(state.items()):
         if name.startswith("model."):
-            state["model_ema." + name.removeprefix("model.").replace(".", "")] = tensor + (changed or 0.0)
+            state["model_ema." + name.removeprefix("model.").replace(".", "")] = tensor + (
+                changed or 0.0
+            )
     state["model_ema.decay"] = torch.tensor(0.9999)
     state["cond_stage_model.features.0.weight"] = state["cond_stage_model.resnet.conv1.weight"]
     state["cond_stage_model.resnet.fc.weight"] = torch.zeros(1000, 8)
@@ -141,13 +173,23 @@ def released(net, changed=None):
 
 def test_a_released_checkpoint_is_read_with_averaged_weights(tmp_path):
     like = {
-        "side": 256, "channel_multipliers": "1 2 2 4 4", "blocks": 2, "attention": "1 2 4 8", "heads": 8, "groups": 32,
-        "autoencoder_multipliers": "1 2 4 4", "autoencoder_blocks": 2,
-    }  # fmt: skip
+        "side": 256,
+        "channel_multipliers": "1 2 2 4 4",
+        "blocks": 2,
+        "attention": "1 2 4 8",
+        "heads": 8,
+        "groups": 32,
+        "autoencoder_multipliers": "1 2 4 4",
+        "autoencoder_blocks": 2,
+    }
     net = small(**like, width=32, autoencoder_width=32, condition_channels=2)
     torch.save(released(net, 0.5), tmp_path / "model.ckpt")
     found = published_weights.read_latent_diffusion(tmp_path / "model.ckpt")
-    assert (found.config["width"], found.config["autoencoder_width"], found.config["condition_channels"]) == (32, 32, 2)
+    assert (
+        found.config["width"],
+        found.config["autoencoder_width"],
+        found.config["condition_channels"],
+    ) == (32, 32, 2)
     assert found.config["raw_condition"]
     assert not found.trained_with_condition_dropout
     ready = load_network(found)  # every tensor fits

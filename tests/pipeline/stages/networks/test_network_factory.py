@@ -1,4 +1,6 @@
-"""Networks built from weights: usable, cached, and refused in one sentence where weights do not fit."""
+"""Networks built from weights: usable, cached, and refused in one sentence where weights do not
+fit.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ def test_a_loaded_network_uses_its_weights_and_is_cached(weights):
     assert not net.training
     assert not any(p.requires_grad for p in net.parameters())
     torch.manual_seed(0)
-    same, x = build_network("compact_unet", CONFIG).eval(), torch.randn(1, 2, 12, 10)
+    same = build_network("compact_unet", CONFIG).eval()
+    x = torch.randn(1, 2, 12, 10)
     # Channels-last convolutions sum in another order.
     torch.testing.assert_close(net(x), same(x), rtol=1e-5, atol=1e-6)
     assert load_network(weights) is net
@@ -40,7 +43,9 @@ def test_a_loaded_network_uses_its_weights_and_is_cached(weights):
 def test_weights_that_do_not_fit_are_refused(weights):
     name = sorted(weights.tensors)[0]
     less = {key: t for key, t in weights.tensors.items() if key != name}
-    with pytest.raises(ModelMissing, match=f"'w' do not fit the network 'compact_unet': 1 tensors .* '{name}'"):
+    with pytest.raises(
+        ModelMissing, match=f"'w' do not fit the network 'compact_unet': 1 tensors .* '{name}'"
+    ):
         load_network(replace(weights, tensors=less))
     with pytest.raises(ModelMissing, match="do not fit"):
         load_network(replace(weights, tensors={**less, name: np.zeros((7, 7), np.float32)}))

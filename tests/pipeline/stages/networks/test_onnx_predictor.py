@@ -13,9 +13,19 @@ import torch
 from pipeline.core.errors import ModelMissing
 from pipeline.stages.depth.bubble_network_output import N_OUTPUTS, decode_prediction, decode_tensors
 from pipeline.stages.networks import network_factory, weights_registry
-from pipeline.stages.networks.network_factory import ONNX_KINDS, build_network, load_network, load_predictor
+from pipeline.stages.networks.network_factory import (
+    ONNX_KINDS,
+    build_network,
+    load_network,
+    load_predictor,
+)
 from pipeline.stages.networks.onnx_predictor import OnnxPredictor
-from pipeline.stages.networks.weights import Weights, load_weights, load_weights_of_package, save_weights
+from pipeline.stages.networks.weights import (
+    Weights,
+    load_weights,
+    load_weights_of_package,
+    save_weights,
+)
 
 MAX_RELATIVE_ERROR = 1e-4  # of OpenCV against torch, over the largest value
 CONFIG = {"inputs": 2, "outputs": 3, "base_channels": 8, "levels": 3, "max_channels": 12}
@@ -34,11 +44,16 @@ def make_weights(config=CONFIG):
 
 def make_image(channels, rows, cols):
     """Noise around a contact in the physical channels of a gel."""
-    image = np.random.default_rng(3).normal(scale=0.5, size=(channels, rows, cols)).astype(np.float32)
+    image = (
+        np.random.default_rng(3).normal(scale=0.5, size=(channels, rows, cols)).astype(np.float32)
+    )
     if channels > 11:
         y, x = np.mgrid[:rows, :cols].astype(np.float32)
         bump = np.exp(-((x - cols / 2) ** 2 + (y - rows / 2) ** 2) / 300.0)
-        image[8], image[9], image[10], image[11] = 0.3 * bump, -0.2 * bump, bump, bump > 0.3
+        image[8] = 0.3 * bump
+        image[9] = -0.2 * bump
+        image[10] = bump
+        image[11] = bump > 0.3
     return image
 
 
@@ -53,7 +68,9 @@ def assert_same_as_torch(weights, size):
         want = tensor[0].numpy()
         assert output.dtype == np.float32
         assert output.shape == want.shape
-        assert np.abs(output - want).max() < MAX_RELATIVE_ERROR * max(1.0, float(np.abs(want).max()))
+        assert np.abs(output - want).max() < MAX_RELATIVE_ERROR * max(
+            1.0, float(np.abs(want).max())
+        )
 
 
 @pytest.mark.parametrize("fold", [1, 2])
@@ -63,7 +80,9 @@ def test_one_export_answers_as_torch_for_images_of_any_size(fold):
         assert_same_as_torch(weights, size)
 
 
-@pytest.mark.parametrize(("name", "size"), [("bubble_depth", (171, 224)), ("bubble_depth", (97, 130))])
+@pytest.mark.parametrize(
+    ("name", "size"), [("bubble_depth", (171, 224)), ("bubble_depth", (97, 130))]
+)
 def test_shipped_weights_answer_as_torch(name, size):
     weights = weights_registry.load_shipped(name)
     assert weights.kind in ONNX_KINDS
@@ -118,19 +137,27 @@ def test_an_impossible_fold_is_refused(fold):
     with pytest.raises(ModelMissing, match=r"'w'|compact_unet"):
         load_predictor(replace(make_weights(), config={**CONFIG, "fold": fold}, onnx=b""))
     with pytest.raises(ModelMissing, match="'w'"):
-        network_factory._load_predictor(replace(make_weights(), config={**CONFIG, "fold": fold}, onnx=b"graph"))
+        network_factory._load_predictor(
+            replace(make_weights(), config={**CONFIG, "fold": fold}, onnx=b"graph")
+        )
 
 
 def test_bubble_outputs_are_decoded_alike_for_training_and_prediction():
     rng = np.random.default_rng(2)
-    output, smooth = (rng.normal(scale=20.0, size=(n, 6, 7)).astype(np.float32) for n in (N_OUTPUTS, 1))
+    output, smooth = (
+        rng.normal(scale=20.0, size=(n, 6, 7)).astype(np.float32) for n in (N_OUTPUTS, 1)
+    )
     tensors = decode_tensors(torch.from_numpy(output[None]), torch.from_numpy(smooth[None]))
     arrays = decode_prediction(output, smooth[0])
     np.testing.assert_allclose(arrays.displacement_mm, tensors.displacement_mm[0])
-    np.testing.assert_allclose(arrays.object_displacement_mm, tensors.object_displacement_mm[0], atol=1e-5)
+    np.testing.assert_allclose(
+        arrays.object_displacement_mm, tensors.object_displacement_mm[0], atol=1e-5
+    )
     np.testing.assert_allclose(arrays.expected_error_mm, tensors.log_error[0].exp(), rtol=1e-5)
     np.testing.assert_allclose(arrays.contact, tensors.contact[0].sigmoid(), atol=1e-6)
-    np.testing.assert_allclose(arrays.object_in_view, tensors.object_in_view[0].sigmoid(), atol=1e-6)
+    np.testing.assert_allclose(
+        arrays.object_in_view, tensors.object_in_view[0].sigmoid(), atol=1e-6
+    )
 
 
 BUBBLE = """

@@ -1,4 +1,6 @@
-"""touch2touch's `checkpoint.ckpt`, plain and as pytorch-lightning 1.4 saves it: read, and computed as defined."""
+"""touch2touch's `checkpoint.ckpt`, plain and as pytorch-lightning 1.4 saves it: read, and
+computed as defined.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,10 @@ COPY = {"conv1": "0", "bn1": "1", "layer1": "4", "layer2": "5", "layer3": "6", "
 
 
 def released_state():
-    """Every tensor that the lab's training holds; the average of the denoiser is another network."""
+    """Every tensor that the lab's training holds.
+
+    The average of the denoiser is another network.
+    """
     torch.manual_seed(0)
     net = LatentDiffusion(**SMALL)
     for name, tensor in net.state_dict().items():
@@ -34,8 +39,8 @@ def released_state():
     state = dict(net.state_dict())
     for name, tensor in net.state_dict().items():
         if name.startswith("model."):
-            state["model_ema." + name.removeprefix("model.").replace(".", "")] = tensor + 0.01 * torch.randn_like(
-                tensor
+            state["model_ema." + name.removeprefix("model.").replace(".", "")] = (
+                tensor + 0.01 * torch.randn_like(tensor)
             )
         if name.startswith("cond_stage_model.resnet."):
             part, _, rest = name.removeprefix("cond_stage_model.resnet.").partition(".")
@@ -52,20 +57,35 @@ def state():
 
 @pytest.fixture
 def lightning(monkeypatch):
-    """What pytorch-lightning 1.4 adds to a checkpoint; its classes exist while the file is written only."""
-    names = ("pytorch_lightning", "pytorch_lightning.callbacks", "pytorch_lightning.callbacks.model_checkpoint")
+    """What pytorch-lightning 1.4 adds to a checkpoint.
+
+    Its classes exist while the file is written only.
+    """
+    names = (
+        "pytorch_lightning",
+        "pytorch_lightning.callbacks",
+        "pytorch_lightning.callbacks.model_checkpoint",
+    )
     for name in names:
         monkeypatch.setitem(sys.modules, name, types.ModuleType(name))
     module = sys.modules[names[-1]]
     module.ModelCheckpoint = type("ModelCheckpoint", (), {"__module__": names[-1]})
     module.AttributeDict = type("AttributeDict", (dict,), {"__module__": names[-1]})
     return {
-        "epoch": 29, "global_step": 12345, "pytorch-lightning_version": "1.4.2",
-        "callbacks": {module.ModelCheckpoint: {"monitor": "val/loss", "best_model_score": torch.tensor(0.1)}},
-        "optimizer_states": [{"state": {0: {"step": 3, "exp_avg": torch.full((9,), torch.nan)}}, "param_groups": []}],
-        "lr_schedulers": [{"last_epoch": 3, "lr_lambdas": [None]}], "loops": {"fit_loop": module.ModelCheckpoint()},
-        "hparams_name": "kwargs", "hyper_parameters": module.AttributeDict(lr=1e-6, of=module.ModelCheckpoint()),
-    }  # fmt: skip
+        "epoch": 29,
+        "global_step": 12345,
+        "pytorch-lightning_version": "1.4.2",
+        "callbacks": {
+            module.ModelCheckpoint: {"monitor": "val/loss", "best_model_score": torch.tensor(0.1)}
+        },
+        "optimizer_states": [
+            {"state": {0: {"step": 3, "exp_avg": torch.full((9,), torch.nan)}}, "param_groups": []}
+        ],
+        "lr_schedulers": [{"last_epoch": 3, "lr_lambdas": [None]}],
+        "loops": {"fit_loop": module.ModelCheckpoint()},
+        "hparams_name": "kwargs",
+        "hyper_parameters": module.AttributeDict(lr=1e-6, of=module.ModelCheckpoint()),
+    }
 
 
 class Said(list):
@@ -74,7 +94,9 @@ class Said(list):
 
 
 @pytest.mark.parametrize("by_lightning", [False, True])
-def test_a_checkpoint_computes_what_its_definition_says(state, lightning, tmp_path, monkeypatch, by_lightning):
+def test_a_checkpoint_computes_what_its_definition_says(
+    state, lightning, tmp_path, monkeypatch, by_lightning
+):
     path = tmp_path / "checkpoint.ckpt"
     torch.save({"state_dict": state, **(lightning if by_lightning else {"global_step": 7})}, path)
     for name in [name for name in sys.modules if name.startswith("pytorch_lightning")]:
@@ -85,39 +107,65 @@ def test_a_checkpoint_computes_what_its_definition_says(state, lightning, tmp_pa
     assert not weights.trained_with_condition_dropout
     assert said[-1] == (1.0, "reading checkpoint.ckpt")
     assert [fraction for fraction, _ in said] == sorted(fraction for fraction, _ in said)
-    assert sum(t.nbytes for t in weights.tensors.values()) < 0.66 * path.stat().st_size  # not both denoisers
+    # not both denoisers
+    assert sum(t.nbytes for t in weights.tensors.values()) < 0.66 * path.stat().st_size
     ready = load_network(weights)
-    first, second = (published.Published(state, f"{part}_stage_model.") for part in ("first", "cond"))
+    first, second = (
+        published.Published(state, f"{part}_stage_model.") for part in ("first", "cond")
+    )
     averaged = {
-        name: state["model_ema.diffusion_model" + name.removeprefix("model.diffusion_model.").replace(".", "")]
-        for name in state if name.startswith("model.diffusion_model.")
-    }  # fmt: skip
+        name: state[
+            "model_ema.diffusion_model"
+            + name.removeprefix("model.diffusion_model.").replace(".", "")
+        ]
+        for name in state
+        if name.startswith("model.diffusion_model.")
+    }
     torch.manual_seed(1)
-    image, source = torch.tanh(torch.randn(2, 3, 64, 64)), torch.randn(2, 3, 128, 128)
-    noisy, time = torch.randn(2, 4, 16, 16), torch.tensor([3, 981])
+    image = torch.tanh(torch.randn(2, 3, 64, 64))
+    source = torch.randn(2, 3, 128, 128)
+    noisy = torch.randn(2, 4, 16, 16)
+    time = torch.tensor([3, 981])
     with torch.inference_mode():
         expected = {
-            "encoder": published.encode(first, image), "decoder": published.decode(first, noisy / 0.18),
+            "encoder": published.encode(first, image),
+            "decoder": published.decode(first, noisy / 0.18),
             "condition": published.encode_condition(second, source),
-        }  # fmt: skip
+        }
         expected["noise"] = published.predict_noise(
-            published.Published(averaged, "model.diffusion_model."), noisy, time, expected["condition"]
+            published.Published(averaged, "model.diffusion_model."),
+            noisy,
+            time,
+            expected["condition"],
         )
         found = {
-            "encoder": ready.first_stage_model.encode(image)[0], "decoder": ready.decode_images(noisy),
+            "encoder": ready.first_stage_model.encode(image)[0],
+            "decoder": ready.decode_images(noisy),
             "condition": ready.cond_stage_model(source),
             "noise": ready.predict_noise(noisy, time, expected["condition"]),
-        }  # fmt: skip
+        }
     for part, tensor in expected.items():
         assert tensor.std() > 0.01, part
         np.testing.assert_allclose(found[part], tensor, atol=TOLERANCE, err_msg=part)
 
 
-@pytest.mark.parametrize(("change", "problem"), [
-    (lambda state: {n: t for n, t in state.items() if not n.startswith("first_stage")}, "conv_in.weight missing"),
-    (lambda state: {"cond_stage_model": state["betas"]}, "not latent diffusion weights"),
-    (lambda state: {**state, "first_stage_model.quant_conv.bias": torch.full((8,), torch.inf)}, "NaN or infinity"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (
+            lambda state: {n: t for n, t in state.items() if not n.startswith("first_stage")},
+            "conv_in.weight missing",
+        ),
+        (lambda state: {"cond_stage_model": state["betas"]}, "not latent diffusion weights"),
+        (
+            lambda state: {
+                **state,
+                "first_stage_model.quant_conv.bias": torch.full((8,), torch.inf),
+            },
+            "NaN or infinity",
+        ),
+    ],
+)
 def test_another_table_is_refused_in_a_sentence(state, tmp_path, change, problem):
     torch.save({"state_dict": change(state)}, tmp_path / "checkpoint.ckpt")
     with pytest.raises(FileProblem, match=problem):
@@ -125,7 +173,11 @@ def test_another_table_is_refused_in_a_sentence(state, tmp_path, change, problem
 
 
 def test_a_missing_tensor_is_named(state, tmp_path):
-    less = {n: t for n, t in state.items() if n != "first_stage_model.decoder.up.1.block.0.conv1.weight"}
+    less = {
+        n: t for n, t in state.items() if n != "first_stage_model.decoder.up.1.block.0.conv1.weight"
+    }
     torch.save({"state_dict": less}, tmp_path / "checkpoint.ckpt")
-    with pytest.raises(ModelMissing, match=r"1 tensors are missing.*decoder\.up\.1\.block\.0\.conv1\.weight"):
+    with pytest.raises(
+        ModelMissing, match=r"1 tensors are missing.*decoder\.up\.1\.block\.0\.conv1\.weight"
+    ):
         load_network(published_weights.read_latent_diffusion(tmp_path / "checkpoint.ckpt"))

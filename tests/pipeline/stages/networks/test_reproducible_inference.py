@@ -1,4 +1,6 @@
-"""Samples of networks are the same bytes on one thread and on two, as a process is started with them."""
+"""Samples of networks are the same bytes on one thread and on two, as a process is started with
+them.
+"""
 
 import os
 import subprocess
@@ -20,8 +22,12 @@ ROOT = Path(__file__).resolve().parents[4]
 
 def compute_sample_digests() -> str:
     rng = np.random.default_rng(3)
-    compact, latent = (load_network(load_shipped(name)) for name in ("t2d2_gelslim", "latent_t2d2_gelslim"))
-    residual = sample_residual(compact, rng.normal(size=(6, 160, 214)).astype(np.float32), DiffusionParams(steps=2))
+    compact, latent = (
+        load_network(load_shipped(name)) for name in ("t2d2_gelslim", "latent_t2d2_gelslim")
+    )
+    residual = sample_residual(
+        compact, rng.normal(size=(6, 160, 214)).astype(np.float32), DiffusionParams(steps=2)
+    )
     square = rng.normal(size=(3, latent.side, latent.side)).astype(np.float32)
     image, _ = sample_image(latent, square, LatentParams(steps=2))
     return f"{compute_digest(residual)} {compute_digest(image)}"
@@ -29,9 +35,13 @@ def compute_sample_digests() -> str:
 
 def test_samples_do_not_depend_on_the_threads_of_a_process():
     on_two = subprocess.run(
-        [sys.executable, "-m", __name__], cwd=ROOT, env={**os.environ, "OMP_NUM_THREADS": "2"},
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        [sys.executable, "-m", __name__],
+        cwd=ROOT,
+        env={**os.environ, "OMP_NUM_THREADS": "2"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert on_two.stdout.strip() == compute_sample_digests()
 
 

@@ -1,4 +1,7 @@
-"""The residual denoiser: three prediction targets, one output format; noise level and condition have an effect."""
+"""The residual denoiser: three prediction targets, one output format.
+
+Noise level and condition have an effect.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,12 @@ def small(prediction="clean", seed=0, scale=0.3, levels=2):
     """A network with a random last layer; the initial one adds nothing."""
     torch.manual_seed(seed)
     net = ResidualDenoiser(
-        inputs=3, unit_mm=1.0, base_channels=8, levels=levels, max_channels=16, prediction=prediction
+        inputs=3,
+        unit_mm=1.0,
+        base_channels=8,
+        levels=levels,
+        max_channels=16,
+        prediction=prediction,
     ).eval()
     torch.nn.init.normal_(net.finish.weight, std=scale)
     for part in net.modules():
@@ -42,7 +50,8 @@ def test_an_untrained_network_adds_nothing():
 
 
 def test_noise_and_v_prediction_keep_a_nearly_clean_field():
-    noisy, condition = torch.randn(1, 2, 16, 16), torch.randn(1, 3, 16, 16)
+    noisy = torch.randn(1, 2, 16, 16)
+    condition = torch.randn(1, 3, 16, 16)
     for prediction in ("v", "noise"):
         with torch.inference_mode():
             answer = small(prediction, scale=0.05)(noisy, torch.full((1,), 1e-3), condition)
@@ -50,7 +59,9 @@ def test_noise_and_v_prediction_keep_a_nearly_clean_field():
 
 
 def test_noise_level_and_condition_change_the_output():
-    net, noisy, condition = small(), torch.randn(1, 2, 16, 16), torch.randn(1, 3, 16, 16)
+    net = small()
+    noisy = torch.randn(1, 2, 16, 16)
+    condition = torch.randn(1, 3, 16, 16)
     with torch.inference_mode():
         plain = net(noisy, torch.ones(1), condition)
         assert not torch.allclose(plain, net(noisy, torch.full((1,), 4.0), condition), atol=1e-3)
@@ -58,7 +69,9 @@ def test_noise_level_and_condition_change_the_output():
 
 
 def test_a_single_field_and_a_batch_give_equal_outputs():
-    net, noisy, condition = small(), torch.randn(2, 2, 23, 17), torch.randn(2, 3, 23, 17)
+    net = small()
+    noisy = torch.randn(2, 2, 23, 17)
+    condition = torch.randn(2, 3, 23, 17)
     for part in net.modules():
         if isinstance(part, torch.nn.BatchNorm2d):
             part.running_mean.normal_()
@@ -69,7 +82,9 @@ def test_a_single_field_and_a_batch_give_equal_outputs():
     with torch.inference_mode():
         both = net(noisy, sigma, condition)
         for k in range(2):
-            assert torch.allclose(net(noisy[k : k + 1], sigma[k : k + 1], condition[k : k + 1])[0], both[k], atol=1e-4)
+            assert torch.allclose(
+                net(noisy[k : k + 1], sigma[k : k + 1], condition[k : k + 1])[0], both[k], atol=1e-4
+            )
 
 
 def test_an_unknown_prediction_target_is_refused():

@@ -17,7 +17,8 @@ from pipeline.stages.networks.samplers import make_sigma_schedule, make_timestep
 from tests.pipeline.stages.networks.mixtures import PICKED, denoiser, modes
 
 SOLVERS = ("ddim", "dpmpp_2m", "corrected")
-MOST, LEAST = 80.0, 0.002
+MOST = 80.0
+LEAST = 0.002
 
 
 def _noise(n=60, seed=1):
@@ -26,13 +27,18 @@ def _noise(n=60, seed=1):
 
 def _error(solver, steps, denoise):
     """Relative to the same path in two thousand fine steps."""
-    noise, levels = _noise(), make_sigma_schedule(1000, sigma_max=MOST, sigma_min=LEAST)
+    noise = _noise()
+    levels = make_sigma_schedule(1000, sigma_max=MOST, sigma_min=LEAST)
     truth = sample(denoise, noise, levels, solver="corrected").clean
-    found = sample(denoise, noise, make_sigma_schedule(steps, sigma_max=MOST, sigma_min=LEAST), solver=solver).clean
+    found = sample(
+        denoise, noise, make_sigma_schedule(steps, sigma_max=MOST, sigma_min=LEAST), solver=solver
+    ).clean
     return math.sqrt(((found - truth) ** 2).mean() / (truth**2).mean())
 
 
-@pytest.mark.parametrize(("solver", "gains"), [("ddim", 1.6), ("dpmpp_2m", 3.0), ("corrected", 5.0)])
+@pytest.mark.parametrize(
+    ("solver", "gains"), [("ddim", 1.6), ("dpmpp_2m", 3.0), ("corrected", 5.0)]
+)
 def test_doubling_the_steps_reduces_the_error_by_the_solver_order(solver, gains):
     denoise = denoiser(modes(), 0.3)
     assert _error(solver, 100, denoise) * gains < _error(solver, 50, denoise)
@@ -45,7 +51,9 @@ def test_one_step_gives_the_posterior_mean():
     for solver in SOLVERS:
         answer = sample(denoise, _noise(), levels, solver=solver)
         assert answer.passes == 1
-        np.testing.assert_allclose(answer.clean, np.broadcast_to(modes().mean(axis=0), answer.clean.shape), atol=0.02)
+        np.testing.assert_allclose(
+            answer.clean, np.broadcast_to(modes().mean(axis=0), answer.clean.shape), atol=0.02
+        )
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -54,16 +62,21 @@ def test_samples_have_the_distribution_of_the_data(solver):
         return (0.05**2 * noisy + sigma**2 * 0.4) / (0.05**2 + sigma**2)
 
     noise = np.random.default_rng(2).normal(size=(20000, 1))
-    clean = sample(denoise, noise, make_sigma_schedule(100, sigma_max=MOST, sigma_min=LEAST), solver=solver).clean
+    clean = sample(
+        denoise, noise, make_sigma_schedule(100, sigma_max=MOST, sigma_min=LEAST), solver=solver
+    ).clean
     assert clean.mean() == pytest.approx(0.4, abs=0.002)
     assert clean.std() == pytest.approx(0.05, rel=0.06)
 
 
 def test_samples_stay_in_the_data_range_for_all_settings():
-    conditional, unconditional = denoiser(modes()[:PICKED], 0.05), denoiser(modes(), 0.05)
+    conditional = denoiser(modes()[:PICKED], 0.05)
+    unconditional = denoiser(modes(), 0.05)
     reach = float(abs(modes()).max()) + 0.3
     noise = _noise(4)
-    cases = itertools.product((*range(1, 21), 50, 200, 999, 1000), (0.0, 1.0, 1.5, 2.54, 7.0, 15.0), SOLVERS)
+    cases = itertools.product(
+        (*range(1, 21), 50, 200, 999, 1000), (0.0, 1.0, 1.5, 2.54, 7.0, 15.0), SOLVERS
+    )
     for steps, weight, solver in cases:
         if steps > 200 and solver != "corrected" and weight not in (2.54, 15.0):
             continue  # as at 200, only longer
@@ -77,13 +90,21 @@ def test_samples_stay_in_the_data_range_for_all_settings():
 
 @given(st.integers(1, 60), st.sampled_from((0.0, 1.0)))
 def test_no_guidance_costs_one_pass_per_step(steps, weight):
-    counted = GuidedDenoiser(lambda x, _: 0.5 * x, lambda x, _: 0.4 * x, plan_guidance(weight, steps, 10.0), 10.0)
-    assert sample(counted, np.ones((1, 2)), make_sigma_schedule(steps, sigma_max=MOST, sigma_min=LEAST)).passes == steps
+    counted = GuidedDenoiser(
+        lambda x, _: 0.5 * x, lambda x, _: 0.4 * x, plan_guidance(weight, steps, 10.0), 10.0
+    )
+    assert (
+        sample(
+            counted, np.ones((1, 2)), make_sigma_schedule(steps, sigma_max=MOST, sigma_min=LEAST)
+        ).passes
+        == steps
+    )
     assert counted.passes == steps
 
 
 def test_guidance_costs_two_passes_in_its_interval():
-    how, levels = plan_guidance(2.54, 50, 1e9), make_sigma_schedule(50, sigma_max=MOST, sigma_min=LEAST)
+    how = plan_guidance(2.54, 50, 1e9)
+    levels = make_sigma_schedule(50, sigma_max=MOST, sigma_min=LEAST)
     counted = GuidedDenoiser(lambda x, _: 0.5 * x, lambda x, _: 0.4 * x, how, 1e9)
     together = GuidedDenoiser(counted, counted, how, 1e9, lambda x, _: (0.5 * x, 0.4 * x))
     found = [sample(guided, np.ones((1, 2)), levels).clean for guided in (counted, together)]
@@ -145,12 +166,22 @@ def test_sampling_can_be_cancelled_between_passes():
         return noisy
 
     with pytest.raises(Cancelled):
-        sample(denoise, np.ones(3), make_sigma_schedule(10, sigma_max=MOST, sigma_min=LEAST), progress=Stops())
+        sample(
+            denoise,
+            np.ones(3),
+            make_sigma_schedule(10, sigma_max=MOST, sigma_min=LEAST),
+            progress=Stops(),
+        )
     assert len(passes) == 5
 
 
 def test_kept_steps_end_with_the_sample():
     denoise = denoiser(modes(), 0.3)
-    answer = sample(denoise, _noise(2), make_sigma_schedule(12, sigma_max=MOST, sigma_min=LEAST), keep_steps=True)
+    answer = sample(
+        denoise,
+        _noise(2),
+        make_sigma_schedule(12, sigma_max=MOST, sigma_min=LEAST),
+        keep_steps=True,
+    )
     assert len(answer.steps) == 12
     np.testing.assert_array_equal(answer.steps[-1].clean, answer.clean)

@@ -5,7 +5,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.sensors.kinds import get_kind
-from pipeline.stages.networks.square_images import denormalise, normalise, resize_from_square, resize_to_square
+from pipeline.stages.networks.square_images import (
+    denormalise,
+    normalise,
+    resize_from_square,
+    resize_to_square,
+)
 
 
 def test_gel_changes_are_signed_and_bubble_changes_are_toward_the_camera():
@@ -13,7 +18,8 @@ def test_gel_changes_are_signed_and_bubble_changes_are_toward_the_camera():
     assert np.allclose(get_kind("gel").compute_relative_change(rest - 51, rest), -0.2)
     depth = np.full((4, 5), 60.0, np.float32)
     pressed = depth.copy()
-    pressed[1, 2], pressed[0, 0] = 57.5, np.nan
+    pressed[1, 2] = 57.5
+    pressed[0, 0] = np.nan
     moved = get_kind("bubble").compute_relative_change(pressed, depth)
     assert moved.shape == (4, 5, 1)
     assert (moved[1, 2, 0], moved[0, 0, 0]) == (2.5, 0.0)

@@ -1,4 +1,6 @@
-"""The lab's U-Nets: published tensors, and depth and contact as published, computed here from their description."""
+"""The lab's U-Nets: published tensors, and depth and contact as published, computed here from
+their description.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ from pipeline.stages.networks.network_factory import load_network
 from pipeline.stages.networks.unet import UNet
 from pipeline.stages.networks.weights import NoWeights
 
-GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")
+GEL = load_sensor("gelslim")
+BUBBLE = load_sensor("soft_bubble")
 
 
 def state(seed=0, **config):
@@ -51,33 +54,48 @@ def double(tensors, name, field):
     for first in (0, 3):
         at = f"{name}.double_conv"
         field = functional.conv2d(field, tensors[f"{at}.{first}.weight"], padding=1)
-        norm = [tensors[f"{at}.{first + 1}.{part}"] for part in ("running_mean", "running_var", "weight", "bias")]
+        norm = [
+            tensors[f"{at}.{first + 1}.{part}"]
+            for part in ("running_mean", "running_var", "weight", "bias")
+        ]
         mean, variance, gain, offset = (values[:, None, None] for values in norm)
         field = ((field - mean) / torch.sqrt(variance + 1e-5) * gain + offset).clamp(min=0)
     return field
 
 
 def run(tensors, field):
-    """A U-Net of five levels by its definition: crops and pads nothing but what an odd size halves away."""
+    """A U-Net of five levels by its definition: crops and pads nothing but what an odd size
+    halves away.
+    """
     fields = [double(tensors, "inc", field)]
     for k in range(4):
-        fields.append(double(tensors, f"down.{k}.maxpool_conv.1", functional.max_pool2d(fields[-1], 2)))
+        fields.append(
+            double(tensors, f"down.{k}.maxpool_conv.1", functional.max_pool2d(fields[-1], 2))
+        )
     field = fields[4]
     for k in range(4):
         skip = fields[3 - k]
-        field = functional.conv_transpose2d(field, tensors[f"up.{k}.up.weight"], tensors[f"up.{k}.up.bias"], stride=2)
+        field = functional.conv_transpose2d(
+            field, tensors[f"up.{k}.up.weight"], tensors[f"up.{k}.up.bias"], stride=2
+        )
         padded = torch.zeros((*field.shape[:2], *skip.shape[2:]))
-        top, left = ((large - small) // 2 for large, small in zip(skip.shape[2:], field.shape[2:], strict=True))
+        top, left = (
+            (large - small) // 2
+            for large, small in zip(skip.shape[2:], field.shape[2:], strict=True)
+        )
         padded[:, :, top : top + field.shape[2], left : left + field.shape[3]] = field
         field = double(tensors, f"up.{k}.conv", torch.cat((skip, padded), 1))
     return functional.conv2d(field, tensors["outc.conv.weight"], tensors["outc.conv.bias"])
 
 
 def area(n, size):
-    """(size, n): weights of the mean over the area of each new pixel, from floor to ceiling of its ends."""
+    """(size, n): weights of the mean over the area of each new pixel, from floor to ceiling of
+    its ends.
+    """
     weights = torch.zeros(size, n)
     for k in range(size):
-        first, last = k * n // size, -(-(k + 1) * n // size)
+        first = k * n // size
+        last = -(-(k + 1) * n // size)
         weights[k, first:last] = 1.0 / (last - first)
     return weights
 
@@ -87,8 +105,12 @@ def resized(field, rows, cols):
 
 
 def published_depth(tensors, image, reference, least=-1.9180814027786255, scale=0.9):
-    """Difference to 0..255, area means to 160 x 213, shares of brightness, network, mm, area means to the image."""
-    images = (torch.from_numpy(a.astype(np.float32)).permute(2, 0, 1)[None] for a in (image, reference))
+    """Difference to 0..255, area means to 160 x 213, shares of brightness, network, mm, area
+    means to the image.
+    """
+    images = (
+        torch.from_numpy(a.astype(np.float32)).permute(2, 0, 1)[None] for a in (image, reference)
+    )
     image, reference = images
     output = run(tensors, resized((image - reference + 255) / 2, 160, 213) / 255)
     return resized(output * (0.0 - least) / -scale + least, *image.shape[2:])[0, 0].numpy()
@@ -98,8 +120,12 @@ def published_depth(tensors, image, reference, least=-1.9180814027786255, scale=
 def touch():
     rest = optics.render_reference(GEL)
     rows, cols = np.mgrid[: rest.shape[0], : rest.shape[1]]
-    pressed = np.clip(1.0 - ((rows - 150) ** 2 + (cols - 200) ** 2) / 50**2, 0, None).astype(np.float32)
-    return TactileFrame(sensor="gelslim", image=optics.render(GEL, pressed, seed=None), reference=rest)
+    pressed = np.clip(1.0 - ((rows - 150) ** 2 + (cols - 200) ** 2) / 50**2, 0, None).astype(
+        np.float32
+    )
+    return TactileFrame(
+        sensor="gelslim", image=optics.render(GEL, pressed, seed=None), reference=rest
+    )
 
 
 def test_the_published_configuration_has_the_published_tensors():
@@ -126,14 +152,21 @@ def test_depth_is_that_of_gelslim_depth(tmp_path, touch):
 
 def test_a_description_beside_the_file_replaces_the_normalisation(tmp_path, touch):
     tensors = state()
-    path, description = tmp_path / "unet_new.pth", tmp_path / "unet_new.toml"
+    path = tmp_path / "unet_new.pth"
+    description = tmp_path / "unet_new.toml"
     torch.save(tensors, path)
     assert "rows" not in weights_registry.load_file(path, published_weights.read_unet).config
     description.write_text("min_depth_mm = -3\nnorm_scale = 0.5\n")
     network = load_network(weights_registry.load_file(path, published_weights.read_unet))
     found = unet.predict_indentation_mm(network, touch.image, touch.reference)
-    np.testing.assert_allclose(-found, published_depth(tensors, touch.image, touch.reference, -3.0, 0.5), atol=1e-4)
-    for text, problem in (("max_mm = 1.0", "'max_mm'"), ("rows = 1.5", "rows in the"), ("rows =", "not valid TOML")):
+    np.testing.assert_allclose(
+        -found, published_depth(tensors, touch.image, touch.reference, -3.0, 0.5), atol=1e-4
+    )
+    for text, problem in (
+        ("max_mm = 1.0", "'max_mm'"),
+        ("rows = 1.5", "rows in the"),
+        ("rows =", "not valid TOML"),
+    ):
         description.write_text(text)
         assert problem in weights_registry.load_file(path, published_weights.read_unet).why
 
@@ -148,12 +181,19 @@ def test_contact_of_a_bubble_is_the_published_mask(tmp_path):
     shares = ((rest - frame.image) / 1000 + 0.0116) / 0.0341  # in metres
     shown = np.floor(255 * shares).astype(np.float32) / 255
     output = run(tensors, torch.from_numpy(shown)[None, None])[0]
-    tensors["outc.conv.bias"] -= torch.tensor([0.0, float((output[1] - output[0]).median())])  # half of it touches
+    # half of it touches
+    tensors["outc.conv.bias"] -= torch.tensor([0.0, float((output[1] - output[0]).median())])
     torch.save(milesial(tensors), tmp_path / "masking_unet.pth")
     scores = run(tensors, torch.from_numpy(shown)[None, None])[0]
-    expected, clear = (scores[1] > scores[0]).numpy(), (scores[1] - scores[0]).abs().numpy() > 1e-4
+    expected = (scores[1] > scores[0]).numpy()
+    clear = (scores[1] - scores[0]).abs().numpy() > 1e-4
     found = UNET.run(
-        frame, BUBBLE, None, unet.select_weights(BUBBLE, GEL, tmp_path / "masking_unet.pth"), NoParams(), SILENT
+        frame,
+        BUBBLE,
+        None,
+        unet.select_weights(BUBBLE, GEL, tmp_path / "masking_unet.pth"),
+        NoParams(),
+        SILENT,
     )
     physical = photometric.estimate_depth(frame, BUBBLE, None, photometric.DepthParams())
     known = np.isfinite(physical.depth_mm)
@@ -162,17 +202,30 @@ def test_contact_of_a_bubble_is_the_published_mask(tmp_path):
     np.testing.assert_array_equal(found.indentation_mm, physical.indentation_mm)
 
 
-@pytest.mark.parametrize(("tensors", "sensor", "problem"), [
-    (lambda: state(inputs=1, outputs=2), GEL, "contact of a bubble, not of a gel"),
-    (state, BUBBLE, "depth of a gel, not of a bubble"),
-    (lambda: state(inputs=6, outputs=2), GEL, "6 inputs and 2 outputs"),
-    (lambda: {n: t for n, t in state().items() if not n.startswith("outc")}, GEL, r"outc.conv.weight missing"),
-    (lambda: {n: t for n, t in state().items() if ".up." not in n}, GEL, "transposed convolutions"),
-    (lambda: {n: t for n, t in state().items() if "down.2" not in n}, GEL, "do not fit"),
-    (lambda: {**state(), "outc.conv.bias": torch.tensor([np.nan])}, GEL, "NaN"),
-    (lambda: {"w": torch.ones(2)}, GEL, "not weights of a U-Net"),
-])  # fmt: skip
-def test_other_weights_fall_back_to_physics_with_the_reason(tmp_path, touch, tensors, sensor, problem):
+@pytest.mark.parametrize(
+    ("tensors", "sensor", "problem"),
+    [
+        (lambda: state(inputs=1, outputs=2), GEL, "contact of a bubble, not of a gel"),
+        (state, BUBBLE, "depth of a gel, not of a bubble"),
+        (lambda: state(inputs=6, outputs=2), GEL, "6 inputs and 2 outputs"),
+        (
+            lambda: {n: t for n, t in state().items() if not n.startswith("outc")},
+            GEL,
+            r"outc.conv.weight missing",
+        ),
+        (
+            lambda: {n: t for n, t in state().items() if ".up." not in n},
+            GEL,
+            "transposed convolutions",
+        ),
+        (lambda: {n: t for n, t in state().items() if "down.2" not in n}, GEL, "do not fit"),
+        (lambda: {**state(), "outc.conv.bias": torch.tensor([np.nan])}, GEL, "NaN"),
+        (lambda: {"w": torch.ones(2)}, GEL, "not weights of a U-Net"),
+    ],
+)
+def test_other_weights_fall_back_to_physics_with_the_reason(
+    tmp_path, touch, tensors, sensor, problem
+):
     torch.save(tensors(), tmp_path / "w.pth")
     weights = unet.select_weights(sensor, sensor, tmp_path / "w.pth")
     if isinstance(weights, NoWeights):

@@ -44,7 +44,11 @@ def test_positions_take_the_nearest_code_and_gradients_pass_straight_through():
     net.codebook.embedding.weight.data.normal_()
     x = torch.randn(2, 3, 16, 16, requires_grad=True)
     found = net(x)
-    gaps = (found.encoded[:, :, None] - net.codebook.embedding.weight.T[None, :, :, None, None]).pow(2).sum(1)
+    gaps = (
+        (found.encoded[:, :, None] - net.codebook.embedding.weight.T[None, :, :, None, None])
+        .pow(2)
+        .sum(1)
+    )
     nearest_codes = net.codebook.embedding.weight[gaps.argmin(1)].permute(0, 3, 1, 2)
     assert torch.allclose(found.quantised, nearest_codes)
     found.generated.sum().backward()
@@ -55,7 +59,14 @@ def test_only_a_new_codebook_is_initialised_from_the_batch():
     net = small().train()
     x = torch.randn(4, 3, 32, 32)
     found = net(x)
-    assert len(torch.unique(net.codebook.assign_codes(found.encoded.permute(0, 2, 3, 1).reshape(-1, 8)))) > 4
+    assert (
+        len(
+            torch.unique(
+                net.codebook.assign_codes(found.encoded.permute(0, 2, 3, 1).reshape(-1, 8))
+            )
+        )
+        > 4
+    )
     before = net.codebook.embedding.weight.detach().clone()
     net(x[:1])  # too few places to tell that an entry is not used
     assert torch.equal(net.codebook.embedding.weight.detach(), before)
@@ -67,7 +78,8 @@ def test_only_unused_entries_are_replaced():
     with torch.no_grad():
         entries.normal_()
         entries[5:] = 100.0  # as far off as a codebook falls together
-    before, encoded = entries.detach().clone(), torch.randn(4, 8, 16, 16)
+    before = entries.detach().clone()
+    encoded = torch.randn(4, 8, 16, 16)
     net.codebook(encoded)
     assert torch.equal(entries[:5].detach(), before[:5])
     rows = encoded.permute(0, 2, 3, 1).reshape(-1, 8)
@@ -78,7 +90,8 @@ def test_only_unused_entries_are_replaced():
 def test_a_position_bias_makes_the_output_depend_on_position():
     """A constant source gives a constant output without it."""
     still = torch.zeros(1, 3, 128, 128)
-    plain, placed = small(), small(has_position_bias=True)
+    plain = small()
+    placed = small(has_position_bias=True)
     with torch.no_grad():
         placed.position_bias.normal_()
     inner = slice(40, 88)
@@ -100,7 +113,13 @@ def test_a_released_state_is_recognised_by_its_tensors(tmp_path):
     net = small(codes=33)
     torch.save(net.state_dict(), tmp_path / "best.pt")
     found = published_weights.read_vqvae(tmp_path / "best.pt")
-    assert dict(found.config) == {"inputs": 3, "outputs": 1, "width": 8, "codes": 33, "half_turn": True}
+    assert dict(found.config) == {
+        "inputs": 3,
+        "outputs": 1,
+        "width": 8,
+        "codes": 33,
+        "half_turn": True,
+    }
     x = torch.randn(1, 3, 16, 16)
     assert torch.allclose(load_network(found)(x).generated, net.eval()(x).generated, atol=1e-6)
 
@@ -109,7 +128,9 @@ def test_other_files_are_refused(tmp_path):
     torch.save({"weight": torch.zeros(3)}, tmp_path / "other.pt")
     with pytest.raises(FileProblem, match=r"encoder\.0\.weight"):
         published_weights.read_vqvae(tmp_path / "other.pt")
-    assert isinstance(weights_registry.load_file(tmp_path / "other.pt", published_weights.read_vqvae), NoWeights)
+    assert isinstance(
+        weights_registry.load_file(tmp_path / "other.pt", published_weights.read_vqvae), NoWeights
+    )
 
 
 @pytest.mark.slow
@@ -122,7 +143,9 @@ def test_the_published_configuration_can_be_trained():
     losses = []
     for _ in range(4):
         found = net(x)
-        loss = (found.generated - target).pow(2).mean() + (found.quantised - found.encoded.detach()).pow(2).mean()
+        loss = (found.generated - target).pow(2).mean() + (
+            found.quantised - found.encoded.detach()
+        ).pow(2).mean()
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()

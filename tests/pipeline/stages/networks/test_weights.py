@@ -1,4 +1,6 @@
-"""Weights are read back unchanged, 16-bit floats become float32, and every faulty file is refused in one sentence."""
+"""Weights are read back unchanged, 16-bit floats become float32, and every faulty file is
+refused in one sentence.
+"""
 
 from __future__ import annotations
 
@@ -27,16 +29,28 @@ from pipeline.stages.networks.weights import (
 
 def some(scale=1.0, **more):
     rng = np.random.default_rng(2)
-    tensors = {"a.weight": scale * rng.standard_normal((3, 2)).astype(np.float32), "a.bias": np.zeros(2, np.float32)}
-    header = {"kind": "compact_unet", "config": {"inputs": 3, "name": "x"}, "card": {"task": "gel_depth", "seed": "4"}}
+    tensors = {
+        "a.weight": scale * rng.standard_normal((3, 2)).astype(np.float32),
+        "a.bias": np.zeros(2, np.float32),
+    }
+    header = {
+        "kind": "compact_unet",
+        "config": {"inputs": 3, "name": "x"},
+        "card": {"task": "gel_depth", "seed": "4"},
+    }
     return Weights(**{"name": "some", "tensors": tensors, **header, **more})
 
 
 def test_saved_weights_and_their_card_are_read_back(tmp_path):
-    weights, path = some(), tmp_path / "some.safetensors"
+    weights = some()
+    path = tmp_path / "some.safetensors"
     save_weights(path, weights)
     back = load_weights(path)
-    assert (back.kind, dict(back.config), dict(back.card)) == (weights.kind, weights.config, weights.card)
+    assert (back.kind, dict(back.config), dict(back.card)) == (
+        weights.kind,
+        weights.config,
+        weights.card,
+    )
     assert all(np.array_equal(back.tensors[name], t) for name, t in weights.tensors.items())
     assert compute_digest(back) == compute_digest(weights)
     assert "| seed | 4 |\n" in (tmp_path / "some.md").read_text()
@@ -55,7 +69,9 @@ def test_both_16_bit_formats_are_read_as_float32(tmp_path):
     torch = pytest.importorskip("torch")
     from safetensors.torch import save_file as save_torch
 
-    save_torch({"x": torch.tensor([1.0, -2.5, 3e38], dtype=torch.bfloat16)}, tmp_path / "b.safetensors")
+    save_torch(
+        {"x": torch.tensor([1.0, -2.5, 3e38], dtype=torch.bfloat16)}, tmp_path / "b.safetensors"
+    )
     x = load_tensors(tmp_path / "b.safetensors")[1]["x"]
     assert x.dtype == np.float32
     np.testing.assert_allclose(x, [1.0, -2.5, 3e38], rtol=4e-3)
@@ -128,7 +144,8 @@ def test_shipped_weights_are_readable_and_small():
 
 
 def test_an_onnx_file_is_packed_and_limited(tmp_path, monkeypatch):
-    path, onnx = tmp_path / "some.safetensors", b"\x08" + bytes(1 << 20)
+    path = tmp_path / "some.safetensors"
+    onnx = b"\x08" + bytes(1 << 20)
     save_weights(path, some(onnx=onnx))
     assert path.stat().st_size < 1 << 16
     assert load_weights_of_package(path).read_onnx() == onnx
@@ -156,7 +173,8 @@ def test_a_scalar_tensor_keeps_its_shape(tmp_path):
 def test_weights_of_the_package_hold_no_numbers_in_memory(tmp_path):
     path = tmp_path / "w.safetensors"
     save_weights(path, some(onnx=b"graph" * 100))
-    whole, lean = load_weights(path), load_weights_of_package(path)
+    whole = load_weights(path)
+    lean = load_weights_of_package(path)
     assert lean.content_digest == whole.content_digest
     assert lean.n_parameters == whole.n_parameters > 0
     assert all(np.array_equal(lean.tensors[name], t) for name, t in whole.tensors.items())

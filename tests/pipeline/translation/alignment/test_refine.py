@@ -23,7 +23,8 @@ from pipeline.translation.alignment.residuals import (
 )
 from pipeline.translation.alignment.touches import AlignmentTouch, find_pivot
 
-SOURCE, TARGET = load_sensor("digit"), load_sensor("gelslim")
+SOURCE = load_sensor("digit")
+TARGET = load_sensor("gelslim")
 ALIGNED = resolve_alignment(SOURCE, TARGET)
 NEAR_MM = 0.05  # of the exact transform at the contact: one GelSlim pixel
 NEAR_DEG = 0.5  # of turning: a pixel at the end of a contact of a few millimetres
@@ -41,7 +42,9 @@ def exact_map(spec, truth):
 
 def pressed(mesh, pose, index):
     source, target = (simulate_press(mesh, pose, s, seed=None) for s in (SOURCE, TARGET))
-    return AlignmentTouch(index=index, source=exact_map(SOURCE, source.truth), target=exact_map(TARGET, target.truth))
+    return AlignmentTouch(
+        index=index, source=exact_map(SOURCE, source.truth), target=exact_map(TARGET, target.truth)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -49,19 +52,27 @@ def touches():
     mesh = shapes.make_shape("notched_elbow").mesh
     poses = ((-3.0, -2.0, 0.0, 0.8), (1.0, 0.5, 60.0, -0.8), (-2.0, 1.0, 150.0, 0.5))
     return [
-        pressed(mesh, rigid.from_parts((x, y, -0.35)) @ rigid.from_parts((0, 0, 0), (tilt, tilt, turn)), i)
+        pressed(
+            mesh,
+            rigid.from_parts((x, y, -0.35)) @ rigid.from_parts((0, 0, 0), (tilt, tilt, turn)),
+            i,
+        )
         for i, (x, y, turn, tilt) in enumerate(poses)
     ]
 
 
 def disturbed(touch, turn_deg, shift_mm):
-    motion = compose_motion(find_pivot(touch, ALIGNED), np.deg2rad(turn_deg), np.asarray(shift_mm, np.float64))
+    motion = compose_motion(
+        find_pivot(touch, ALIGNED), np.deg2rad(turn_deg), np.asarray(shift_mm, np.float64)
+    )
     return correct_alignment(ALIGNED, motion)
 
 
 def error(answer):
     off = answer.alignment.target_from_source @ rigid.invert(ALIGNED.target_from_source)
-    return float(np.linalg.norm(rigid.apply(off, answer.pivot_mm) - answer.pivot_mm)), rigid.rotation_angle_deg(off)
+    return float(
+        np.linalg.norm(rigid.apply(off, answer.pivot_mm) - answer.pivot_mm)
+    ), rigid.rotation_angle_deg(off)
 
 
 def test_under_the_exact_alignment_surfaces_meet_and_outlines_are_the_gels_growth_apart(touches):
@@ -70,8 +81,11 @@ def test_under_the_exact_alignment_surfaces_meet_and_outlines_are_the_gels_growt
         on = rigid.apply(ALIGNED.target_from_source, made.surface_mm)
         surface = compute_surface_distances(made, on)
         assert len(surface.mm) > 0.5 * surface.n_points
-        assert np.median(np.abs(surface.mm)) < 0.005  # both gels lie on one rigid object; what is left is sampling
-        outline = compute_outline_distances(made, rigid.apply(ALIGNED.target_from_source, made.outline_mm))
+        # both gels lie on one rigid object; what is left is sampling
+        assert np.median(np.abs(surface.mm)) < 0.005
+        outline = compute_outline_distances(
+            made, rigid.apply(ALIGNED.target_from_source, made.outline_mm)
+        )
         assert np.median(np.abs(outline.mm)) < NEAR_MM
 
 
@@ -82,14 +96,20 @@ def test_outlines_are_compared_up_to_the_same_distance_from_every_border(touches
     near = residuals._BORDER_PX + off_px
     x = np.array([near, cols - 1 - near, cols / 2, cols / 2])
     y = np.array([rows / 2, rows / 2, near, rows - 1 - near])
-    camera, z = made.camera, 20.0
-    points = np.stack([(x - camera.cx_px) / camera.fx_px * z, (y - camera.cy_px) / camera.fy_px * z, 0 * x + z], axis=1)
+    camera = made.camera
+    z = 20.0
+    points = np.stack(
+        [(x - camera.cx_px) / camera.fx_px * z, (y - camera.cy_px) / camera.fy_px * z, 0 * x + z],
+        axis=1,
+    )
     distances = compute_outline_distances(made, points)
     assert (distances.n_points, len(distances.mm)) == (4, n_left)
 
 
 def test_no_step_is_longer_than_the_longest(touches, monkeypatch):
-    """Asked for a step of a thousand tolerances, of information that is nearly none, and accepted as a good one."""
+    """Asked for a step of a thousand tolerances, of information that is nearly none, and
+    accepted as a good one.
+    """
     better = NormalEquations(cost=0.0, gradient=np.zeros(6), information=np.eye(6))
     monkeypatch.setattr(refining, "accumulate_sums", lambda *_: better)
     solver = refining._Solver([], np.eye(4), np.array([0.0, 0.0, 20.0]), SILENT)
@@ -105,7 +125,8 @@ def test_no_step_is_longer_than_the_longest(touches, monkeypatch):
 def test_jacobians_are_those_of_finite_differences(touches, kind):
     made = collect_evidence(touches[0])
     points = rigid.apply(
-        ALIGNED.target_from_source, made.surface_mm if kind is compute_surface_distances else made.outline_mm
+        ALIGNED.target_from_source,
+        made.surface_mm if kind is compute_surface_distances else made.outline_mm,
     )
     points = points + np.array([0.3, 0.2, 0.05])
     here = kind(made, points)
@@ -113,17 +134,20 @@ def test_jacobians_are_those_of_finite_differences(touches, kind):
     for axis in range(3):
         step = np.zeros(3)
         step[axis] = 0.02
-        up, down = kind(made, here.points_mm + step), kind(made, here.points_mm - step)
+        up = kind(made, here.points_mm + step)
+        down = kind(made, here.points_mm - step)
         if len(up.mm) != len(here.mm) or len(down.mm) != len(here.mm):
             continue
         compared += 1
         slope = (up.mm - down.mm) / 0.04
-        assert np.median(np.abs(slope - here.jacobian[:, axis])) < 0.05  # of 1: fields are bilinear and have kinks
+        # of 1: fields are bilinear and have kinks
+        assert np.median(np.abs(slope - here.jacobian[:, axis])) < 0.05
     assert compared >= 2  # a point that leaves the field on the way costs one axis
 
 
 @pytest.mark.parametrize(
-    ("turn_deg", "shift_mm"), [((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), ((2.0, -2.0, 4.0), (2.0, -1.8, 1.2))]
+    ("turn_deg", "shift_mm"),
+    [((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), ((2.0, -2.0, 4.0), (2.0, -1.8, 1.2))],
 )
 def test_refining_finds_the_exact_alignment_again(touches, turn_deg, shift_mm):
     start = disturbed(touches[0], turn_deg, shift_mm)
@@ -133,7 +157,9 @@ def test_refining_finds_the_exact_alignment_again(touches, turn_deg, shift_mm):
     assert deg < NEAR_DEG
     assert answer.converged
     assert answer.weak_directions == ()
-    np.testing.assert_array_equal(answer.alignment.alignment_from_source, start.alignment_from_source)
+    np.testing.assert_array_equal(
+        answer.alignment.alignment_from_source, start.alignment_from_source
+    )
     before, after = answer.held_out_fit
     assert after.surface_mm < 0.01  # mm, on a touch that it has never seen
     assert after.outline_mm < NEAR_MM
@@ -144,13 +170,19 @@ def test_refining_finds_the_exact_alignment_again(touches, turn_deg, shift_mm):
 def test_the_other_transform_can_take_the_change(touches):
     start = disturbed(touches[0], (0.0, 0.0, 2.0), (0.5, 0.0, 0.2))
     answer = refine_alignment(touches, start, into="alignment_from_source")
-    np.testing.assert_array_equal(answer.alignment.target_from_alignment, start.target_from_alignment)
+    np.testing.assert_array_equal(
+        answer.alignment.target_from_alignment, start.target_from_alignment
+    )
     assert error(answer)[0] < NEAR_MM
 
 
 def test_what_a_bar_does_not_show_is_named_and_left_as_it_was():
     outline = np.array([[-25.0, -1.5], [25.0, -1.5], [25.0, 1.5], [-25.0, 1.5]])
-    across = pressed(shapes.make_chamfered_prism(outline, 5.0, 0.1, "bar"), rigid.from_parts((0.0, 0.0, -0.35)), 0)
+    across = pressed(
+        shapes.make_chamfered_prism(outline, 5.0, 0.1, "bar"),
+        rigid.from_parts((0.0, 0.0, -0.35)),
+        0,
+    )
     start = disturbed(across, (0.0, 0.0, 2.0), (0.7, 0.5, 0.1))
     answer = refine_alignment([across], start)
     assert "slides along x" in answer.weak_directions
@@ -163,7 +195,8 @@ def test_what_a_bar_does_not_show_is_named_and_left_as_it_was():
 
 def test_the_same_touches_give_the_same_bytes(touches):
     start = disturbed(touches[0], (1.0, 0.0, 3.0), (1.0, 0.5, 0.1))
-    a, b = refine_alignment(touches[:2], start), refine_alignment(touches[:2], start)
+    a = refine_alignment(touches[:2], start)
+    b = refine_alignment(touches[:2], start)
     assert a.motion.tobytes() == b.motion.tobytes()
 
 
@@ -179,9 +212,12 @@ def test_refining_stops_when_nobody_wants_it(touches):
 def test_without_a_touch_on_both_sides_there_is_nothing_to_refine(touches):
     nothing = touches[0].source
     empty = DepthMap(
-        indentation_mm=nothing.indentation_mm, depth_mm=nothing.depth_mm, camera=nothing.camera,
-        contact=freeze(np.zeros_like(nothing.contact)), source_index=nothing.source_index,
-    )  # fmt: skip
+        indentation_mm=nothing.indentation_mm,
+        depth_mm=nothing.depth_mm,
+        camera=nothing.camera,
+        contact=freeze(np.zeros_like(nothing.contact)),
+        source_index=nothing.source_index,
+    )
     with pytest.raises(SettingProblem, match="tolerance"):
         refine_alignment([touches[0]], ALIGNED, tolerance=0.0)
     with pytest.raises(SettingProblem, match="both sensors"):

@@ -19,14 +19,20 @@ from pipeline.translation.alignment.score import (
     score_preview,
     score_touches,
 )
-from pipeline.translation.alignment.target_observation import choose_preview_factor, find_edge, observe_target
+from pipeline.translation.alignment.target_observation import (
+    choose_preview_factor,
+    find_edge,
+    observe_target,
+)
 from pipeline.translation.alignment.touches import AlignmentTouch, find_pivot, load_paired_touch
 from pipeline.translation.translate import Request, open_translation
 from sample_data.make_samples import RECORDINGS_FOLDER
 
-SOURCE, TARGET = load_sensor("digit"), load_sensor("gelslim")
+SOURCE = load_sensor("digit")
+TARGET = load_sensor("gelslim")
 ALIGNED = resolve_alignment(SOURCE, TARGET)
-SUB_PIXEL_MM = 0.01  # both gels bridge the tool's edges a little differently; a GelSlim's pixel is 0.042 mm
+# both gels bridge the tool's edges a little differently; a GelSlim's pixel is 0.042 mm
+SUB_PIXEL_MM = 0.01
 
 
 def exact_map(spec, truth):
@@ -43,9 +49,12 @@ def exact_map(spec, truth):
 def touch():
     pose = rigid.from_parts((-2.0, -1.0, -0.3), (0.5, 0.0, 15.0))
     source, target = (
-        simulate_press(shapes.make_shape("notched_elbow").mesh, pose, s, seed=None) for s in (SOURCE, TARGET)
+        simulate_press(shapes.make_shape("notched_elbow").mesh, pose, s, seed=None)
+        for s in (SOURCE, TARGET)
     )
-    return AlignmentTouch(index=0, source=exact_map(SOURCE, source.truth), target=exact_map(TARGET, target.truth))
+    return AlignmentTouch(
+        index=0, source=exact_map(SOURCE, source.truth), target=exact_map(TARGET, target.truth)
+    )
 
 
 @pytest.mark.parametrize(("factor", "least_iou"), [(1, 0.95), (4, 0.9)])
@@ -68,7 +77,8 @@ def test_a_shift_shows_in_depth_edge_and_overlap_by_its_own_size(touch, factor):
     here = score_preview(touch, ALIGNED, side)[1]
     shifted = score_preview(touch, nudge(ALIGNED, "x", 1.0, pivot_mm=pivot), side)[1]
     assert shifted.iou < here.iou - 0.1
-    assert shifted.edge_px > here.edge_px + 3.0  # 1 mm is 24 px, seen on the edges that stand across
+    # 1 mm is 24 px, seen on the edges that stand across
+    assert shifted.edge_px > here.edge_px + 3.0
 
 
 def test_sensitivity_says_which_axis_matters_and_which_way_is_better(touch):
@@ -115,7 +125,10 @@ def test_scores_of_all_frames_and_what_is_typical(touch):
 def test_a_factor_below_one_is_refused_and_a_coarse_image_is_shrunk_less(touch):
     with pytest.raises(SettingProblem, match="at least 1"):
         observe_target(touch.target, TARGET, factor=0)
-    assert (choose_preview_factor(load_sensor("gelslim")), choose_preview_factor(load_sensor("soft_bubble"))) == (4, 2)
+    assert (
+        choose_preview_factor(load_sensor("gelslim")),
+        choose_preview_factor(load_sensor("soft_bubble")),
+    ) == (4, 2)
 
 
 def test_a_recording_without_the_target_is_refused_in_words():

@@ -12,21 +12,27 @@ from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.values.results import DepthMap
 from pipeline.physics.simulation.shapes.solids import revolve_profile
 
-CAMERA = Camera(rows=120, cols=160, fx_px=178.0, fy_px=178.0, cx_px=79.5, cy_px=59.5)  # 0.11 mm/px on the gel
+# 0.11 mm/px on the gel
+CAMERA = Camera(rows=120, cols=160, fx_px=178.0, fy_px=178.0, cx_px=79.5, cy_px=59.5)
 REST_MM = 20.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solid:
-    """A union of convex pieces, each a list of planes (m, 4) with n . p <= d inside, and its triangle mesh."""
+    """A union of convex pieces, each a list of planes (m, 4) with n . p <= d inside, and its
+    triangle mesh.
+    """
 
     pieces: tuple[np.ndarray, ...]
     mesh: Mesh
 
 
 def extruded(outline, convex_parts, low_mm, high_mm, axes=(0, 1, 2)) -> Solid:
-    """A prism: `outline` (anticlockwise, (n, 2)) and its convex parts, along the third of `axes`."""
-    outline, parts = np.asarray(outline, float), [np.asarray(p, float) for p in convex_parts]
+    """A prism: `outline` (anticlockwise, (n, 2)) and its convex parts, along the third of
+    `axes`.
+    """
+    outline = np.asarray(outline, float)
+    parts = [np.asarray(p, float) for p in convex_parts]
 
     def lifted(points, height):
         out = np.empty((len(points), 3))
@@ -39,7 +45,8 @@ def extruded(outline, convex_parts, low_mm, high_mm, axes=(0, 1, 2)) -> Solid:
         (a, b), (c, d) = lifted(edge, low_mm), lifted(edge, high_mm)
         corners += [(a, b, d), (a, d, c)]
     for part in parts:
-        bottom, top = lifted(part, low_mm), lifted(part, high_mm)
+        bottom = lifted(part, low_mm)
+        top = lifted(part, high_mm)
         for k in range(1, len(part) - 1):
             corners += [(top[0], top[k], top[k + 1]), (bottom[0], bottom[k + 1], bottom[k])]
     if np.linalg.det(np.eye(3)[list(axes)]) < 0:
@@ -48,21 +55,25 @@ def extruded(outline, convex_parts, low_mm, high_mm, axes=(0, 1, 2)) -> Solid:
     planes = tuple(_planes(p, low_mm, high_mm, axes) for p in parts)
     return Solid(
         pieces=planes,
-        mesh=Mesh(vertices_mm=vertices, triangles=np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)),
+        mesh=Mesh(
+            vertices_mm=vertices, triangles=np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+        ),
     )
 
 
 def _planes(part, low_mm, high_mm, axes):
     rows = []
     for k in range(len(part)):
-        a, b = part[k], part[(k + 1) % len(part)]
+        a = part[k]
+        b = part[(k + 1) % len(part)]
         n = np.array([b[1] - a[1], a[0] - b[0]]) / np.linalg.norm(b - a)
         plane = np.zeros(4)
         plane[axes[0]], plane[axes[1]], plane[3] = n[0], n[1], n @ a
         rows.append(plane)
     for sign, d in ((1.0, high_mm), (-1.0, -low_mm)):
         plane = np.zeros(4)
-        plane[axes[2]], plane[3] = sign, d
+        plane[axes[2]] = sign
+        plane[3] = d
         rows.append(plane)
     return np.array(rows)
 
@@ -70,14 +81,19 @@ def _planes(part, low_mm, high_mm, axes):
 def observe_depth(
     solid: Solid, sensor_from_object: np.ndarray, camera: Camera = CAMERA, noise_mm: float = 0.0
 ) -> DepthMap:
-    """The touch of a gel that follows the solid wherever they overlap; exact but for float32 and `noise_mm`."""
+    """The touch of a gel that follows the solid wherever they overlap.
+
+    Exact but for float32 and `noise_mm`.
+    """
     x, y = camera.rays()
     ray = np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.ones(camera.shape)], axis=-1)
     inverse = rigid.invert(sensor_from_object)
-    origin, direction = inverse[:3, 3], ray @ inverse[:3, :3].T
+    origin = inverse[:3, 3]
+    direction = ray @ inverse[:3, :3].T
     depth = np.full(camera.shape, np.inf)
     for piece in solid.pieces:
-        along, room = direction @ piece[:, :3].T, piece[:, 3] - piece[:, :3] @ origin
+        along = direction @ piece[:, :3].T
+        room = piece[:, 3] - piece[:, :3] @ origin
         with np.errstate(divide="ignore", invalid="ignore"):
             t = room / along
         enter = np.where(along < 0, t, -np.inf).max(axis=-1)
@@ -113,16 +129,25 @@ def l_bar() -> Solid:
 
 
 def notched_wedge() -> Solid:
-    """A roof 10 mm long along y, with a ridge along y that a notch interrupts, sides of 25 and 40 degrees."""
-    a, b = np.tan(np.deg2rad(25)), np.tan(np.deg2rad(40))
-    left, right = -2.0 / a, 2.0 / b
+    """A roof 10 mm long along y, with a ridge along y that a notch interrupts, sides of 25 and
+    40 degrees.
+    """
+    a = np.tan(np.deg2rad(25))
+    b = np.tan(np.deg2rad(40))
+    left = -2.0 / a
+    right = 2.0 / b
     roof = [(left, 0.0), (right, 0.0), (0.0, 2.0)]
     low = [(left, 0.0), (right, 0.0), (right * 0.6, 0.8), (left * 0.6, 0.8)]
-    ends = [extruded(p, [p], y0, y1, axes=(0, 2, 1)) for p, y0, y1 in ((roof, -5, -1), (low, -1, 1), (roof, 1, 6))]
+    ends = [
+        extruded(p, [p], y0, y1, axes=(0, 2, 1))
+        for p, y0, y1 in ((roof, -5, -1), (low, -1, 1), (roof, 1, 6))
+    ]
     vertices = np.concatenate([s.mesh.vertices_mm for s in ends])
     return Solid(
         pieces=tuple(p for s in ends for p in s.pieces),
-        mesh=Mesh(vertices_mm=vertices, triangles=np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)),
+        mesh=Mesh(
+            vertices_mm=vertices, triangles=np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+        ),
     )
 
 
@@ -140,11 +165,15 @@ def slab(half_mm: float = 20.0) -> Solid:
 
 
 def pressed(rotation_deg, x_mm: float, y_mm: float, outermost_mm: float) -> np.ndarray:
-    """sensor_from_object: turned by a rotation vector, then moved so that its origin is at (x, y, outermost)."""
+    """sensor_from_object: turned by a rotation vector, then moved so that its origin is at (x,
+    y, outermost).
+    """
     return rigid.from_parts([x_mm, y_mm, outermost_mm], rotation_deg)
 
 
 def ball(radius_mm: float, sides: int = 128) -> Mesh:
     """A closed ball about the origin, its triangles within 0.1 % of the radius of it."""
     angle = np.linspace(0.0, np.pi, sides // 2 + 1)
-    return revolve_profile(radius_mm * np.stack([np.sin(angle), -np.cos(angle)], axis=-1), sides, "ball")
+    return revolve_profile(
+        radius_mm * np.stack([np.sin(angle), -np.cos(angle)], axis=-1), sides, "ball"
+    )

@@ -8,27 +8,36 @@ import pytest
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import sample_surface
 from pipeline.physics.simulation import shapes
-from pipeline.stages.pose.registration.planar import compute_first_euler_deg, compute_grasp_pose_error
+from pipeline.stages.pose.registration.planar import (
+    compute_first_euler_deg,
+    compute_grasp_pose_error,
+)
 
 MESH = shapes.make_shape("three_lines").mesh
-SIDEWAYS = np.array([[0.0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # the pattern lies in the grasp's plane
+# the pattern lies in the grasp's plane
+SIDEWAYS = np.array([[0.0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
 def lay_in_plane():
     """The mesh with its pattern facing along x, as tools of the data set have it."""
-    return type(MESH)(vertices_mm=rigid.apply(SIDEWAYS, MESH.vertices_mm), triangles=MESH.triangles, name="laid")
+    return type(MESH)(
+        vertices_mm=rigid.apply(SIDEWAYS, MESH.vertices_mm), triangles=MESH.triangles, name="laid"
+    )
 
 
 def test_both_fingers_give_rotation_and_translation_in_the_plane():
     mesh = lay_in_plane()
     pose = rigid.from_parts((3.0, 1.5, -0.8), (8.0, 0.0, 0.0))
     points = rigid.apply(pose, sample_surface(mesh, 3000, 1)[0])
-    right, left = points[points[:, 0] > 0], points[points[:, 0] <= 0]
+    right = points[points[:, 0] > 0]
+    left = points[points[:, 0] <= 0]
     error = compute_grasp_pose_error(np.concatenate([right, left]), mesh, pose)
     assert error is not None
     assert error.rotation_deg < 0.5
     assert error.translation_mm < 0.15
-    wrong = compute_grasp_pose_error(points, mesh, rigid.from_parts((0.0, 0.0, 0.0), (20.0, 0.0, 0.0)))
+    wrong = compute_grasp_pose_error(
+        points, mesh, rigid.from_parts((0.0, 0.0, 0.0), (20.0, 0.0, 0.0))
+    )
     assert wrong is not None
     assert wrong.rotation_deg == pytest.approx(12.0, abs=0.5)
 

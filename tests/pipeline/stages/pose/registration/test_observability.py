@@ -32,7 +32,9 @@ def patch(kind: str, seed: int, pose=None, n: int = N):
 
 
 def crooked(normals, seed: int, deg: float = NORMAL_NOISE_DEG):
-    off = normals + math.radians(deg) * np.random.default_rng([seed, 7]).standard_normal(normals.shape)
+    off = normals + math.radians(deg) * np.random.default_rng([seed, 7]).standard_normal(
+        normals.shape
+    )
     return off / np.linalg.norm(off, axis=1, keepdims=True)
 
 
@@ -44,9 +46,13 @@ def test_covariances_do_not_depend_on_the_number_of_threads():
         with threadpool_limits(n_threads, user_api="blas"):
             result = assess_observability(points, normals, points.mean(axis=0), NOISE_MM)
             covariance = compute_correlated_covariance(
-                points, normals, points.mean(axis=0), result.observable, noise_mm=NOISE_MM,
+                points,
+                normals,
+                points.mean(axis=0),
+                result.observable,
+                noise_mm=NOISE_MM,
                 error=DepthErrorModel(rms_mm=0.05, correlation_mm=0.3),
-            )  # fmt: skip
+            )
         return result.covariance.tobytes(), covariance.tobytes()
 
     assert assess(1) == assess(2)
@@ -54,7 +60,11 @@ def test_covariances_do_not_depend_on_the_number_of_threads():
 
 @pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=12)
-@given(seed=st.integers(0, 2**31), noise_mm=st.floats(0.0, 0.05), turn=st.tuples(*[st.floats(-3.0, 3.0)] * 3))
+@given(
+    seed=st.integers(0, 2**31),
+    noise_mm=st.floats(0.0, 0.05),
+    turn=st.tuples(*[st.floats(-3.0, 3.0)] * 3),
+)
 def test_every_motion_nobody_can_feel_is_named_and_no_other(kind, seed, noise_mm, turn):
     pose = rigid.rotation(turn)
     pose[:3, 3] = (5.0, -8.0, 20.0)
@@ -85,7 +95,8 @@ def test_the_score_notices_what_is_missed_and_what_is_made_up():
     contact = patch("rod", 1)
     truth = observability_score.compute_true_motions(contact, N, NOISE_MM, Tolerances())
     middle = contact.points_mm.mean(axis=0)
-    slide, across = np.eye(6)[3:4], np.eye(6)[4:5]
+    slide = np.eye(6)[3:4]
+    across = np.eye(6)[4:5]
     missed = observability_score.score_named_motions(slide, middle, truth)
     assert (missed.recall, missed.precision) == (0.5, 1.0)
     made_up = observability_score.score_named_motions(across, middle, truth)
@@ -96,21 +107,33 @@ def test_words_tell_the_axis_and_a_point_on_it():
     rod = patch("rod", 2).transform(rigid.translation(1.0, 2.0, 20.0))
     result = assess_observability(rod.points_mm, rod.normals, rod.points_mm.mean(axis=0), NOISE_MM)
     x_mm = rod.points_mm[:, 0].mean()  # the point of the axis that is nearest to the contact
-    assert result.weak_directions == ("slides along x", f"turns about x through ({x_mm:.1f}, 2.0, 20.0) mm")
+    assert result.weak_directions == (
+        "slides along x",
+        f"turns about x through ({x_mm:.1f}, 2.0, 20.0) mm",
+    )
     ball = patch("sphere", 2).transform(rigid.translation(0.0, 0.0, 30.0))
-    result = assess_observability(ball.points_mm, ball.normals, ball.points_mm.mean(axis=0), NOISE_MM)
-    assert result.weak_directions == tuple(f"turns about {axis} through (0.0, 0.0, 30.0) mm" for axis in "xyz")
+    result = assess_observability(
+        ball.points_mm, ball.normals, ball.points_mm.mean(axis=0), NOISE_MM
+    )
+    assert result.weak_directions == tuple(
+        f"turns about {axis} through (0.0, 0.0, 30.0) mm" for axis in "xyz"
+    )
     plate = patch("plane", 2)
-    result = assess_observability(plate.points_mm, plate.normals, plate.points_mm.mean(axis=0), NOISE_MM)
+    result = assess_observability(
+        plate.points_mm, plate.normals, plate.points_mm.mean(axis=0), NOISE_MM
+    )
     assert result.weak_directions == ("slides along x", "slides along y", "turns about z")
     skew = rod.transform(rigid.rotation([0.0, 0.0, math.radians(30.0)]))
-    result = assess_observability(skew.points_mm, skew.normals, skew.points_mm.mean(axis=0), NOISE_MM)
+    result = assess_observability(
+        skew.points_mm, skew.normals, skew.points_mm.mean(axis=0), NOISE_MM
+    )
     assert result.weak_directions[0] == "slides along (0.87, 0.50, 0.00)"
 
 
 def test_a_helix_is_a_turn_with_a_slide():
     rng = np.random.default_rng(5)
-    angle, away = rng.uniform(-math.pi, math.pi, N), rng.uniform(1.0, 3.0, N)
+    angle = rng.uniform(-math.pi, math.pi, N)
+    away = rng.uniform(1.0, 3.0, N)
     out = np.stack([np.cos(angle), np.sin(angle), np.zeros(N)], axis=1)
     around = np.stack([-np.sin(angle), np.cos(angle), np.zeros(N)], axis=1)
     pitch_mm = 1.5  # per radian
@@ -123,7 +146,8 @@ def test_a_helix_is_a_turn_with_a_slide():
 
 def test_a_fine_screw_keeps_the_slide_that_goes_with_its_turn():
     rng = np.random.default_rng(6)
-    angle, away = rng.uniform(-math.pi, math.pi, N), rng.uniform(2.0, 4.0, N)
+    angle = rng.uniform(-math.pi, math.pi, N)
+    away = rng.uniform(2.0, 4.0, N)
     out = np.stack([np.cos(angle), np.sin(angle), np.zeros(N)], axis=1)
     around = np.stack([-np.sin(angle), np.cos(angle), np.zeros(N)], axis=1)
     pitch_mm = 0.3  # per radian: a thread of 1.9 mm
@@ -150,7 +174,9 @@ def test_facets_of_a_round_rod_do_not_pass_for_knowledge_of_its_roll(sides):
 def test_gradients_that_are_wrong_cell_by_cell_do_not_pass_for_knowledge_either(kind):
     contact = patch(kind, 12)
     cell = np.unique(np.floor(contact.points_mm / 0.5), axis=0, return_inverse=True)[1].ravel()
-    off = math.radians(NORMAL_NOISE_DEG) * np.random.default_rng(1).standard_normal((cell.max() + 1, 3))
+    off = math.radians(NORMAL_NOISE_DEG) * np.random.default_rng(1).standard_normal(
+        (cell.max() + 1, 3)
+    )
     normals = contact.normals + off[cell]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     result = assess_observability(contact.points_mm, normals, contact.points_mm.mean(axis=0), 0.0)
@@ -159,17 +185,24 @@ def test_gradients_that_are_wrong_cell_by_cell_do_not_pass_for_knowledge_either(
 
 def test_a_hexagonal_rod_knows_its_roll():
     rng = np.random.default_rng(3)
-    side, across, along = rng.integers(-1, 2, N), rng.uniform(-0.577, 0.577, N), rng.uniform(-4.0, 4.0, N)
+    side = rng.integers(-1, 2, N)
+    across = rng.uniform(-0.577, 0.577, N)
+    along = rng.uniform(-4.0, 4.0, N)
     angle = side * math.pi / 3
     normals = np.stack([np.zeros(N), np.sin(angle), np.cos(angle)], axis=1)
-    points = 3.0 * (normals + across[:, None] * np.cross(normals, [1.0, 0.0, 0.0])) + along[:, None] * np.eye(3)[0]
+    points = (
+        3.0 * (normals + across[:, None] * np.cross(normals, [1.0, 0.0, 0.0]))
+        + along[:, None] * np.eye(3)[0]
+    )
     result = assess_observability(points, normals, points.mean(axis=0), NOISE_MM)
     assert result.weak_directions == ("slides along x",)
 
 
 def test_no_variance_is_claimed_where_only_crooked_normals_see_something():
     rod = patch("rod", 4)
-    result = assess_observability(rod.points_mm, crooked(rod.normals, 4), rod.points_mm.mean(axis=0), NOISE_MM)
+    result = assess_observability(
+        rod.points_mm, crooked(rod.normals, 4), rod.points_mm.mean(axis=0), NOISE_MM
+    )
     assert math.sqrt(result.covariance[3, 3]) > 10.0, "mm along the rod"
     known = result.observable @ result.covariance @ result.observable.T
     assert np.sqrt(np.diag(known)).max() < 0.05, "rad and mm of what is determined"
@@ -191,17 +224,25 @@ def test_a_bias_widens_the_covariance_as_it_should():
 
 
 def test_what_lasts_of_a_smooth_error_is_what_planes_through_drawn_ones_are_off():
-    rng, far_mm, error = np.random.default_rng(12), 3.0, DepthErrorModel(rms_mm=0.08, correlation_mm=4.4)
+    rng = np.random.default_rng(12)
+    far_mm = 3.0
+    error = DepthErrorModel(rms_mm=0.08, correlation_mm=4.4)
     points = np.column_stack([rng.uniform(-far_mm, far_mm, (120, 2)), np.full(120, 20.0)])
     apart_sq = ((points[:, None] - points[None]) ** 2).sum(axis=-1)
-    together = error.rms_mm**2 * np.exp(-0.5 * apart_sq / error.correlation_mm**2) + 1e-12 * np.eye(120)
+    together = error.rms_mm**2 * np.exp(-0.5 * apart_sq / error.correlation_mm**2) + 1e-12 * np.eye(
+        120
+    )
     drawn_mm = np.linalg.cholesky(together) @ rng.standard_normal((120, 4000))
     middle = points.mean(axis=0)
-    x, y = (points - middle)[:, 0], (points - middle)[:, 1]
-    shift, along_x, along_y = np.linalg.lstsq(np.column_stack([np.ones(120), x, y]), drawn_mm, rcond=None)[0]
+    x = (points - middle)[:, 0]
+    y = (points - middle)[:, 1]
+    shift, along_x, along_y = np.linalg.lstsq(
+        np.column_stack([np.ones(120), x, y]), drawn_mm, rcond=None
+    )[0]
     result = estimate_systematic_error(points, np.tile([0.0, 0.0, 1.0], (120, 1)), middle, error)
     assert result.translation_mm == pytest.approx(float(np.sqrt((shift**2).mean())), rel=0.05)
-    seen_mm2 = 0.5 * ((x**2).mean() + (y**2).mean())  # a turn of 1 rad moves the contact by its square root
+    # a turn of 1 rad moves the contact by its square root
+    seen_mm2 = 0.5 * ((x**2).mean() + (y**2).mean())
     tilts = np.sqrt(0.5 * ((along_x**2).mean() + (along_y**2).mean()) * seen_mm2)
     assert result.rotation_mm == pytest.approx(float(tilts), rel=0.08)
     assert result.rotation_mm < 0.5 * result.translation_mm
@@ -232,9 +273,17 @@ def test_errors_that_go_together_widen_each_motion_as_draws_of_them_do(correlati
     middle = tool.points_mm.mean(axis=0)
     error = DepthErrorModel(rms_mm=0.03, correlation_mm=correlation_mm)
     known = assess_observability(tool.points_mm, tool.normals, middle, 0.01).observable
-    result = compute_correlated_covariance(tool.points_mm, tool.normals, middle, known, noise_mm=0.01, error=error)
+    result = compute_correlated_covariance(
+        tool.points_mm, tool.normals, middle, known, noise_mm=0.01, error=error
+    )
     apart = np.linalg.norm(tool.points_mm[:, None] - tool.points_mm[None], axis=-1)
     drawn = error.rms_mm**2 * np.exp(-0.5 * (apart / correlation_mm) ** 2) + 0.01**2 * np.eye(300)
-    jacobian = np.concatenate([np.cross(tool.points_mm - middle, tool.normals), tool.normals], axis=1)
-    moved = np.linalg.pinv(jacobian) @ np.linalg.cholesky(drawn) @ np.random.default_rng(0).standard_normal((300, 4000))
+    jacobian = np.concatenate(
+        [np.cross(tool.points_mm - middle, tool.normals), tool.normals], axis=1
+    )
+    moved = (
+        np.linalg.pinv(jacobian)
+        @ np.linalg.cholesky(drawn)
+        @ np.random.default_rng(0).standard_normal((300, 4000))
+    )
     np.testing.assert_allclose(np.sqrt(np.diag(result)), moved.std(axis=1), rtol=0.05)

@@ -9,7 +9,13 @@ from pipeline.core.errors import CalibrationError
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.distance_grid import build_grid
 from pipeline.core.geometry.meshes import sample_surface
-from pipeline.stages.pose.registration.gauss_newton import CentredPoints, FitOptions, NotDetermined, PoseFit, fit_pose
+from pipeline.stages.pose.registration.gauss_newton import (
+    CentredPoints,
+    FitOptions,
+    NotDetermined,
+    PoseFit,
+    fit_pose,
+)
 from pipeline.stages.pose.registration.observability import assess_observability
 from tests.pipeline.stages.pose.registration.solids import ball, l_bar, notched_wedge, rod, slab
 
@@ -31,7 +37,11 @@ def wedge():
 
 def register_points(points, grid, start, how=None):
     centred = CentredPoints.from_points(points)
-    return centred if isinstance(centred, NotDetermined) else fit_pose(centred, grid, start, how or FitOptions())
+    return (
+        centred
+        if isinstance(centred, NotDetermined)
+        else fit_pose(centred, grid, start, how or FitOptions())
+    )
 
 
 def error(found, truth, points):
@@ -42,7 +52,12 @@ def error(found, truth, points):
 
 def off_by(truth, points, turn_rad, shift_mm):
     middle = points.mean(axis=0)
-    return rigid.translation(*(middle + shift_mm)) @ rigid.rotation(turn_rad) @ rigid.translation(*-middle) @ truth
+    return (
+        rigid.translation(*(middle + shift_mm))
+        @ rigid.rotation(turn_rad)
+        @ rigid.translation(*-middle)
+        @ truth
+    )
 
 
 vectors = st.tuples(*[st.floats(-1, 1)] * 3).map(np.array)
@@ -55,7 +70,9 @@ def test_any_pose_is_recovered_from_nearby(wedge, turn, place, off_turn, off_shi
     truth = rigid.rotation(3.0 * turn)
     truth[:3, 3] = 100.0 * place
     points_in_sensor = rigid.apply(truth, points)
-    found = register_points(points_in_sensor, grid, off_by(truth, points_in_sensor, 0.06 * off_turn, 0.3 * off_shift))
+    found = register_points(
+        points_in_sensor, grid, off_by(truth, points_in_sensor, 0.06 * off_turn, 0.3 * off_shift)
+    )
     assert isinstance(found, PoseFit)
     assert found.fitness == 1.0
     mm, deg = error(found.sensor_from_object, truth, points_in_sensor)
@@ -68,9 +85,13 @@ def test_a_frame_elsewhere_changes_nothing_but_rounding(wedge, far_mm):
     grid, points = wedge
     start = off_by(np.eye(4), points, np.array([0.05, 0.0, -0.04]), np.array([0.2, 0.1, 0.0]))
     moved = rigid.from_parts([far_mm, -far_mm, 0.5 * far_mm], [20.0, 50.0, -70.0])
-    here, there = register_points(points, grid, start), register_points(rigid.apply(moved, points), grid, moved @ start)
-    mm, deg = error(there.sensor_from_object, moved @ here.sensor_from_object, rigid.apply(moved, points))
-    # The points themselves are rounded by the frame; the kinks of the lattice pass on some hundred times that.
+    here = register_points(points, grid, start)
+    there = register_points(rigid.apply(moved, points), grid, moved @ start)
+    mm, deg = error(
+        there.sensor_from_object, moved @ here.sensor_from_object, rigid.apply(moved, points)
+    )
+    # The points themselves are rounded by the frame; the kinks of the lattice pass on some hundred
+    # times that.
     assert mm < ROUNDING_MM * max(1.0, 100 * far_mm / 1e6) + SETTLED_MM / 10
     assert deg < 1e-3
 
@@ -106,14 +127,19 @@ def test_outliers_and_what_is_not_finite_are_no_matter(wedge):
 
 def patch(mesh, axis_normal, half_mm):
     points, normals = sample_surface(mesh, 20_000, 1)
-    chosen = (normals @ axis_normal > 0.5) & (np.abs(points[:, 0]) < half_mm) & (np.abs(points[:, 1]) < half_mm)
+    chosen = (
+        (normals @ axis_normal > 0.5)
+        & (np.abs(points[:, 0]) < half_mm)
+        & (np.abs(points[:, 1]) < half_mm)
+    )
     return points[chosen][:2500]
 
 
 @pytest.mark.parametrize(
-    ("mesh", "slide_mm"), [(rod(sides=256).mesh, 1.5), (slab().mesh, 1.5), (ball(6.0), 0.0)],
+    ("mesh", "slide_mm"),
+    [(rod(sides=256).mesh, 1.5), (slab().mesh, 1.5), (ball(6.0), 0.0)],
     ids=["rod", "plane", "sphere"],
-)  # fmt: skip
+)
 def test_what_the_points_do_not_show_stays_where_it_was(mesh, slide_mm):
     grid = build_grid(mesh)
     points = patch(mesh, np.array([0.0, 0.0, 1.0]), 5.0)
@@ -125,14 +151,20 @@ def test_what_the_points_do_not_show_stays_where_it_was(mesh, slide_mm):
 def test_too_little_is_told_and_never_a_number():
     grid = build_grid(l_bar().mesh)
     for points in (
-        np.zeros((0, 3)), np.zeros((5, 3)), np.ones((50, 3)), np.full((50, 3), np.nan),
-        np.random.default_rng(0).uniform(-1, 1, (50, 3)) + 1e5, np.arange(50)[:, None] * np.full(3, 1e306),
-    ):  # fmt: skip
+        np.zeros((0, 3)),
+        np.zeros((5, 3)),
+        np.ones((50, 3)),
+        np.full((50, 3), np.nan),
+        np.random.default_rng(0).uniform(-1, 1, (50, 3)) + 1e5,
+        np.arange(50)[:, None] * np.full(3, 1e306),
+    ):
         found = register_points(points, grid, np.eye(4))
         assert isinstance(found, NotDetermined)
         assert found.reason
     with pytest.raises(CalibrationError, match="start"):
-        register_points(np.random.default_rng(0).uniform(-1, 1, (50, 3)), grid, np.full((4, 4), np.nan))
+        register_points(
+            np.random.default_rng(0).uniform(-1, 1, (50, 3)), grid, np.full((4, 4), np.nan)
+        )
 
 
 def test_steps_begin_at_the_start_and_end_at_the_answer(wedge):
@@ -146,10 +178,13 @@ def test_steps_begin_at_the_start_and_end_at_the_answer(wedge):
 
 
 def held_by_the_kernel(information, asked):
-    """(how many directions are held, (6, 6) that takes the motion the points ask for to the step)."""
+    """(how many directions are held, (6, 6) that takes the motion the points ask for to the
+    step).
+    """
     from pipeline.stages.pose.registration.step_kernels import solve_step
 
-    sums, columns = np.zeros(28), []
+    sums = np.zeros(28)
+    columns = []
     sums[:21], sums[27] = information[np.triu_indices(6)], 1.0
     for k in range(6):
         motion = np.empty(6)
@@ -169,8 +204,11 @@ def test_the_iterations_hold_as_many_directions_as_observability_calls_weak(seed
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     radius_mm = np.sqrt((arms**2).sum(axis=1).mean())
     rows = np.hstack([np.cross(arms, normals) / radius_mm, normals])
-    fake, variance = np.deg2rad(3.0) ** 2, 0.06**2 / 200
-    asked = np.repeat([fake + variance / (np.deg2rad(1.0) * radius_mm) ** 2, fake + variance / 0.2**2], 3)
+    fake = np.deg2rad(3.0) ** 2
+    variance = 0.06**2 / 200
+    asked = np.repeat(
+        [fake + variance / (np.deg2rad(1.0) * radius_mm) ** 2, fake + variance / 0.2**2], 3
+    )
     n_held, step = held_by_the_kernel(rows.T @ rows / 200, asked)
     assert n_held == len(assess_observability(arms, normals, np.zeros(3), 0.06).weak_directions)
     np.testing.assert_allclose(step @ step, step, atol=1e-6)
@@ -179,7 +217,9 @@ def test_the_iterations_hold_as_many_directions_as_observability_calls_weak(seed
 
 @pytest.mark.parametrize("exponent", range(17))
 def test_a_direction_is_held_exactly_where_its_predicted_spread_exceeds_the_tolerance(exponent):
-    value, variance, tolerance_mm = 10.0**-exponent, 0.03**2 / 1000.0, 0.2
+    value = 10.0**-exponent
+    variance = 0.03**2 / 1000.0
+    tolerance_mm = 0.2
     asked = np.full(6, variance / tolerance_mm**2)
     n_held, step = held_by_the_kernel(np.diag([0.5, 0.5, 0.5, 1.0, 1.0, value]), asked)
     is_held = np.sqrt(variance / value) > tolerance_mm
