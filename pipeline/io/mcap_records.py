@@ -133,9 +133,7 @@ class McapFile:
                     "`mcap recover`",
                     self._path,
                 ) from error
-        except RecordLengthLimitExceeded as error:
-            raise FileProblem(f"the MCAP file is damaged: a {error}", self._path) from error
-        except (EndOfFile, InvalidMagic):
+        except (EndOfFile, InvalidMagic, RecordLengthLimitExceeded, UnicodeDecodeError):
             self.notes.append(
                 StageWarning(
                     "the MCAP file has no end: it was cut short or not closed; what is there up "

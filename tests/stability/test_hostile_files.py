@@ -147,13 +147,7 @@ def test_repro_bundles(tmp_path, monkeypatch):
     }
     monkeypatch.setattr(repro_bundle, "collect_stage_arrays", lambda *_: arrays)
 
-    def check_settings(
-        translation: Any, _graph: object, settings: tuple[str, ...], *_: object
-    ) -> tuple[Any, Any, Any]:
-        with_settings(translation.methods, settings)
-        return None, {}, {}
-
-    monkeypatch.setattr(repro_bundle, "_translate", check_settings)
+    monkeypatch.setattr(repro_bundle, "_translate", lambda *_: (None, {}, {}))
 
     def make(rng: np.random.Generator) -> None:
         (folder / "bundle.json").write_text(

@@ -70,7 +70,7 @@ def test_bubble_frame(kind, still_kind, seed):
     assert early is None
 
 
-@row(6, "a frame of any other type of number: an answer or words", refused=0.5)
+@row(6, "a frame of any other type of number: an answer or words", refused=0.75)
 @given(st.sampled_from(["digit", "soft_bubble"]), ANY, ANY, st.integers(0, 3))
 def test_any_frame(name, kind, still_kind, seed):
     spec = small(name)

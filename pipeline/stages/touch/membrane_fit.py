@@ -99,10 +99,10 @@ def fit_membrane(
     covariance = np.linalg.inv(information + np.eye(6) / _LOOSE_MM**2) / np.outer(to_mm, to_mm)
     field = np.zeros(known.shape, np.float32)
     field[known] = np.clip(residual, -_OUTLIER_STDS * noise_mm, _OUTLIER_STDS * noise_mm)
+    misfit = _measure_smooth_share(field, noise_mm)
+    covariance *= max(1.0, misfit) ** 2  # the residual is correlated over blocks
     return MembraneFit(
-        sensor_from_object=freeze(pose),
-        covariance=freeze(covariance),
-        misfit=_measure_smooth_share(field, noise_mm),
+        sensor_from_object=freeze(pose), covariance=freeze(covariance), misfit=misfit
     )
 
 

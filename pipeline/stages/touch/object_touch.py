@@ -50,6 +50,7 @@ _UNSURE_SHARE = 0.3  # expected error over mean indentation from which on there 
 _STD_FACTOR = 1.5
 _LEAST_STD = 0.006
 # mean absolute value of a normal error of standard deviation 1
+_BIAS_SHARE = 0.5  # of a gel's correlated depth error that moves the whole object
 _MEAN_FROM_STD = math.sqrt(2.0 / math.pi)
 
 
@@ -113,7 +114,7 @@ def press_object(
     if pose.sensor_from_object is None:
         return pose.notes[0]
     # of a gel: the object's depth is off by as much
-    bias_mm = 0.0 if depth.error is None else depth.error.rms_mm
+    bias_mm = 0.0 if depth.error is None else _BIAS_SHARE * depth.error.rms_mm
     misfit = search.describe_misfit(pose.fitness, pose.rmse_mm)
     if depth.measured_depth_mm is not None:
         progress.step(0.5, "fitting the object to the whole membrane")

@@ -9,7 +9,7 @@ from app.compare.comparison import ComparisonController
 from app.session.sample import SAMPLE_RECORDING
 from app.shell.tour import wait_until_shown
 from pipeline.stages.networks import network_factory, weights_registry
-from pipeline.stages.touch.stage import PHYSICS, T2D2
+from pipeline.stages.touch.stage import OBJECT, PHYSICS, T2D2
 from tests.app.window.command_runs import same_as_typed
 
 LIMIT_S = 240
@@ -50,7 +50,7 @@ def test_every_method_is_compared_with_ground_truth_worst_first(compared, qtbot)
     tiles = _tiles(instrument)
     titles = [tile.title for tile in tiles]
     assert titles[0] == "truth"
-    assert set(titles[1:]) == {PHYSICS.title, T2D2.title}
+    assert set(titles[1:]) == {PHYSICS.title, T2D2.title, OBJECT.title}
     assert tiles[1].metrics["contact_error_mm"] > tiles[2].metrics["contact_error_mm"]
     assert all(
         "contact" in tile.subtitle and "dB" in tile.subtitle and "ms" in tile.subtitle

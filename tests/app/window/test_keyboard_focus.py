@@ -99,7 +99,11 @@ def test_parameter_tooltips_state_meaning_unit_range_and_source(bubble_window):
     for stage in BUILT_IN.stages:
         for method in stage.methods:
             for name, (value, setting) in list_settings(method.params()).items():
-                tip = panel.findChild(QWidget, f"{method.key}.{name}").toolTip()
+                field = panel.findChild(QWidget, f"{method.key}.{name}")
+                tip = field.toolTip()
+                if not field.isEnabled():  # of a method that cannot answer here: it says why
+                    assert tip.startswith("no network for this pair: "), tip
+                    continue
                 lines = tip.split("\n")
                 assert lines[0].startswith(f"{setting.help} ({stage.name}.{name}"), tip
                 assert lines[1] == f"source: {setting.source}"

@@ -198,7 +198,7 @@ def test_other_files_are_refused(small, tmp_path, fault):
     path = tmp_path / "w.pth"
     tensors = dict(small.state_dict())
     wrong = {
-        "cut": ("truncated", tensors),
+        "cut": ("cut short", tensors),
         "other": ("Depth Anything V2", {"x": torch.ones(3)}),
         "list": ("table", [1, 2]),
         "wide": ("1536", tensors | {"pretrained.cls_token": torch.zeros(1, 1, 1536)}),
