@@ -39,7 +39,6 @@ from pipeline.sensors.descriptions import find_descriptions
 from pipeline.sensors.spec import list_sensor_names, load_sensor
 from pipeline.stages.networks import network_factory, published_weights
 from pipeline.stages.networks.weights import Weights, load_weights, save_weights
-from pipeline.translation.catalogue import with_settings
 from pipeline.translation.cross_section import SectionLine
 from pipeline.translation.reports import repro_bundle
 from pipeline.views.display_params import DisplayParams
