@@ -1,6 +1,6 @@
 """Everything about touch translation that can be known without a screen."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 import os
 import sys
