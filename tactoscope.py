@@ -154,21 +154,22 @@ def open(  # noqa: A001 - `ts.open` reads as it should
 
     Args:
         recording: File or folder of any known format; a `Recording`; or images of one sensor: (n,
-        rows, cols, 3) uint8
-            RGB of a gel, (n, rows, cols) depth in mm of a bubble.
+            rows, cols, 3) uint8 RGB of a gel, (n, rows, cols) depth in mm of a bubble.
         target: Sensor to translate to: its name (`gelslim`, `digit`, `gelsight_mini`,
-        `soft_bubble`, ...) or a TOML
-            file of your own.
+            `soft_bubble`, ...) or a TOML file of your own.
         source: Sensor that made the recording, by name or TOML file; "" = as the recording says.
-        Images need it. stream: Name of the stream to read, where one sensor has several; "" = the
-        first. route: `t2d2` (touch to depth to touch) or `t2t` (touch to touch). methods: Stage ->
-        name of its method, or a `Method` of your own; the route names those of other stages.
-        weights: Stage -> weights file of its network; shipped ones otherwise. reference: Image
-        without contact, a file or, for images, (rows, cols, 3) uint8 or (rows, cols) mm; None = the
-            recording's own.
+            Images need it.
+        stream: Name of the stream to read, where one sensor has several; "" = the first.
+        route: `t2d2` (touch to depth to touch) or `t2t` (touch to touch).
+        methods: Stage -> name of its method, or a `Method` of your own; the route names those of
+            other stages.
+        weights: Stage -> weights file of its network; shipped ones otherwise.
+        reference: Image without contact, a file or, for images, (rows, cols, 3) uint8 or (rows,
+            cols) mm; None = the recording's own.
         calibration: Calibration file of the source; None = the built-in table of its kind.
         alignment: Alignment of the two sensors, a TOML file; None = the recording's, else that of
-        the descriptions. mesh: Mesh of the touched object, for its pose; None = the recording's.
+            the descriptions.
+        mesh: Mesh of the touched object, for its pose; None = the recording's.
 
     Returns:
         The translation: `len()`, `[i]`, a loop, `with_(method=..., steps=8)`; it closes at the end
@@ -176,7 +177,7 @@ def open(  # noqa: A001 - `ts.open` reads as it should
 
     Raises:
         TouchError: A file cannot be read, or a sensor, stage or method is not known; the sentence
-        says what to try.
+            says what to try.
     """
     from pipeline.core.errors import SettingProblem
     from pipeline.translation.translate import Request, open_translation
@@ -248,10 +249,12 @@ def depth(
 
     Args:
         image: (rows, cols, 3) uint8 RGB of a gel, or (rows, cols) depth in mm of a bubble, NaN = no
-        value. reference: The same sensor without contact, of the same shape and type. sensor: The
-        sensor that made both: its name, or a TOML file of your own. method: Method of the stage
-        `depth`; "" = the one for this kind of sensor. calibration: Calibration file of the sensor;
-        None = the built-in table of its kind. settings: Parameters of the method.
+            value.
+        reference: The same sensor without contact, of the same shape and type.
+        sensor: The sensor that made both: its name, or a TOML file of your own.
+        method: Method of the stage `depth`; "" = the one for this kind of sensor.
+        calibration: Calibration file of the sensor; None = the built-in table of its kind.
+        settings: Parameters of the method.
 
     Returns:
         `indentation_mm` (0 untouched, positive toward the camera), `depth_mm` and `contact`, each
@@ -270,10 +273,12 @@ def simulate(
     """Simulate touches that several sensors record at once, with their truth.
 
     Args:
-        shape: Name of a shape, as `tactoscope simulate --help` lists them, or a mesh file. sensors:
-        The sensors, by name or TOML file. n: Number of touches. seed: The same seed gives the same
-        frames. sequence: `grid` (single touches at poses of a grid), or a motion: `press`, `slide`,
-        `twist`, `release`, `all`.
+        shape: Name of a shape, as `tactoscope simulate --help` lists them, or a mesh file.
+        sensors: The sensors, by name or TOML file.
+        n: Number of touches.
+        seed: The same seed gives the same frames.
+        sequence: `grid` (single touches at poses of a grid), or a motion: `press`, `slide`,
+            `twist`, `release`, `all`.
 
     Returns:
         A recording for `ts.open`; a touch is simulated when it is first read.
@@ -382,9 +387,10 @@ def track(
     a surface.
 
     Args:
-        touches: An opened translation. stage: Membrane to follow: `depth` (the source's) or
-        `touch_depth` (of the generated touches). frames: Numbers of the frames in order; None =
-        all.
+        touches: An opened translation.
+        stage: Membrane to follow: `depth` (the source's) or `touch_depth` (of the generated
+            touches).
+        frames: Numbers of the frames in order; None = all.
 
     Returns:
         `rows`, one a frame with its state and motion; `patch`, the fused surface; `error`, the

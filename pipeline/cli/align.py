@@ -79,8 +79,9 @@ def score(recording: Path, *, touches: PairedTouchOptions, alignment: Path | Non
     Returns 0.
 
     Args:
-        recording: Recording of both sensors. alignment: The .toml to score; default: the
-        recording's alignment, or that of the sensor descriptions.
+        recording: Recording of both sensors.
+        alignment: The .toml to score; default: the recording's alignment, or that of the sensor
+            descriptions.
     """
     with (
         open_translation(touches.build_request(recording, alignment)) as translation,
@@ -114,11 +115,14 @@ def refine_alignment(
     Raises FileProblem if `out` exists, SettingProblem if no touch is left to fit to.
 
     Args:
-        recording: Recording of both sensors. out: The .toml to write. alignment: Initial alignment,
-        a .toml; default: the recording's, or that of the sensor descriptions. hold_out: Share of
-        the touches that are not fitted to, only scored before and after. into: Which of the two
-        transforms takes the change. tolerance: Directions with a predicted standard deviation above
-        this times 0.2 mm or 1 degree stay unchanged.
+        recording: Recording of both sensors.
+        out: The .toml to write.
+        alignment: Initial alignment, a .toml; default: the recording's, or that of the sensor
+            descriptions.
+        hold_out: Share of the touches that are not fitted to, only scored before and after.
+        into: Which of the two transforms takes the change.
+        tolerance: Directions with a predicted standard deviation above this times 0.2 mm or 1
+            degree stay unchanged.
     """
     if not tolerance > 0:
         raise SettingProblem(f"--tolerance must be above 0, got {tolerance:g}")

@@ -39,9 +39,10 @@ def attribute(
 
     Args:
         recording: File or folder of any known format with ground truth, such as a simulated
-        recording. metric: Error to attribute, `stage.name` as in the report of `tactoscope
-        translate`. frame: The only frame to analyse; default: all frames. json: File for the shares
-        of every frame.
+            recording.
+        metric: Error to attribute, `stage.name` as in the report of `tactoscope translate`.
+        frame: The only frame to analyse; default: all frames.
+        json: File for the shares of every frame.
     """
     request = options.build_request(recording, target)
     with open_translation(request, settings=settings, cache_bytes=_CACHE_BYTES) as translation:

@@ -26,13 +26,14 @@ def bench(
     """Run benchmarks and print one row per claim; returns the exit code.
 
     Args:
-        names: Benchmarks to run; default: all that need neither recorded data nor a display. json:
-        File for the results, one row per claim. plots: Folder for one plot of run time against
-        error per benchmark. against: Results of an earlier run. Rows that are worse by more than 10
-        % or no longer meet their requirement
-            are listed.
+        names: Benchmarks to run; default: all that need neither recorded data nor a display.
+        json: File for the results, one row per claim.
+        plots: Folder for one plot of run time against error per benchmark.
+        against: Results of an earlier run. Rows that are worse by more than 10 % or no longer meet
+            their requirement are listed.
         strict: Exit with 1 if a requirement is not met or a benchmark fails, or with --against if a
-        row got worse. list_only: Only list the benchmarks.
+            row got worse.
+        list_only: Only list the benchmarks.
     """
     command = _load_benchmark_command()
     if list_only:

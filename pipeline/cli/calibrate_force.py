@@ -44,8 +44,8 @@ def force(
     Args:
         out: Calibration file to write (.npz); it also holds what the file of `--calibration` holds.
         forces: Weighed normal force of each press in N, such as `1.2,5.0`; default: the forces in
-        the recording. frames: Frames of these presses, in the same order, such as `3,17`; default:
-        all.
+            the recording.
+        frames: Frames of these presses, in the same order, such as `3,17`; default: all.
     """
     check_folder_for(out)
     path = out if out.suffix == ".npz" else out.with_name(out.name + ".npz")

@@ -61,20 +61,22 @@ def compare(
     """Write one comparison's images and metrics, and print the metrics.
 
     Args:
-        recording: File or folder of any known format. out: Folder for the images (PNG) and the
-        metrics (compare.json); an earlier comparison there is replaced. frame: Frame to compare.
-        order: Order of the methods by their error in contact. stage: Stage to compare with that of
-        the variant, or `all`. variant: The variant as options of this command, such as `--method
-        target_depth=paper`. Without a recording of
-            its own it is this translation with these options added; with one, it is what these
-            options say alone.
+        recording: File or folder of any known format.
+        out: Folder for the images (PNG) and the metrics (compare.json); an earlier comparison there
+            is replaced.
+        frame: Frame to compare.
+        order: Order of the methods by their error in contact.
+        stage: Stage to compare with that of the variant, or `all`.
+        variant: The variant as options of this command, such as `--method target_depth=paper`.
+            Without a recording of its own it is this translation with these options added; with
+            one, it is what these options say alone.
         across: What the columns of a grid try, such as `depth.certainty=0.2,0.4,0.8`,
-        `touch.seed=0,1,2`,
-            `touch.method=physics,t2d2` or `touch.weights=one.safetensors,other.safetensors`.
-        down: What its rows try, if anything. metric: Metric of the grid's cells, if ground truth is
-        known; empty for images alone. settings: `stage.parameter=value`, or
-        `stage/method.parameter=value` of a method that is not in use, or
-            `display.parameter=value`; repeatable.
+            `touch.seed=0,1,2`, `touch.method=physics,t2d2` or
+            `touch.weights=one.safetensors,other.safetensors`.
+        down: What its rows try, if anything.
+        metric: Metric of the grid's cells, if ground truth is known; empty for images alone.
+        settings: `stage.parameter=value`, or `stage/method.parameter=value` of a method that is not
+            in use, or `display.parameter=value`; repeatable.
     """
     runner = VariantRunner()
     with ExitStack() as stack:

@@ -86,26 +86,32 @@ def evaluate(
     Args:
         split: Test split: new grasps of training objects, or objects that no method was trained on.
         recordings: Recorded pairs of both sensors in place of simulated touches: a file or folder,
-        as for `train
-            --pairs`.
+            as for `train --pairs`.
         hold_out: Pairs to score, as for `train --hold-out`; default: those that the training of the
-        weights held out. weights: `method=FILE`, repeatable: weights of a touch method, or of a
-        stage such as `depth`. json: File for all metrics of all rows. grasps: Touches per object.
+            weights held out.
+        weights: `method=FILE`, repeatable: weights of a touch method, or of a stage such as
+            `depth`.
+        json: File for all metrics of all rows.
+        grasps: Touches per object.
         seed: Seed of the simulated touches; every seed gives other poses and sensor instances.
         vary: Variation between source sensor instances, 1 = as measured between real ones.
         directions: `source:target`, repeatable; default: the paper's four, as far as they are
-        recorded. only: `recorded`, `own`, `no_contact`, `mean` or a touch method, repeatable;
-        default: all. stage_methods: `stage=method` of the other stages in place of the route's own,
-        such as `depth=network`. settings: `stage.parameter=value`, repeatable; a touch parameter
-        applies to the methods that have it. poses: Pose methods to judge touches by,
-        comma-separated; `none` leaves poses out. `paper_grasp` is the paper's
-            released protocol: both fingers of a recorded grasp together.
+            recorded.
+        only: `recorded`, `own`, `no_contact`, `mean` or a touch method, repeatable; default: all.
+        stage_methods: `stage=method` of the other stages in place of the route's own, such as
+            `depth=network`.
+        settings: `stage.parameter=value`, repeatable; a touch parameter applies to the methods that
+            have it.
+        poses: Pose methods to judge touches by, comma-separated; `none` leaves poses out.
+            `paper_grasp` is the paper's released protocol: both fingers of a recorded grasp
+            together.
         sweep: `steps`, `guidance` or both, comma-separated: run time against error at many values.
-        plots: Folder for one plot of the sweep per direction. figures: Folder for the paper's
-        figures 4 and 5 of this split: touches by T2T and T2D2 next to the recorded
-            ones.
-        folder: Folder of the simulated touches; default: the user's cache. scheduler: Address of a
-        Dask scheduler whose workers score the recordings, such as `tcp://host:8786`. It must be
+        plots: Folder for one plot of the sweep per direction.
+        figures: Folder for the paper's figures 4 and 5 of this split: touches by T2T and T2D2 next
+            to the recorded ones.
+        folder: Folder of the simulated touches; default: the user's cache.
+        scheduler: Address of a Dask scheduler whose workers score the recordings, such as
+            `tcp://host:8786`. It must be
             trusted: what it sends is run on this machine.
     """
     swept = split_list(sweep)

@@ -22,11 +22,11 @@ def inspect(
     """Print the report of a recording or a calibration file; returns 1 if a check fails.
 
     Args:
-        recording: File or folder of any known format, or a calibration file. sensor: Sensor that
-        made the recording, if the file does not name it. stream: Name of the stream to report on;
-        default: all. make_reference: Image file to write first: the median of the recording's
-        images, in which touches at different
-            places vanish. The report then uses it as the reference.
+        recording: File or folder of any known format, or a calibration file.
+        sensor: Sensor that made the recording, if the file does not name it.
+        stream: Name of the stream to report on; default: all.
+        make_reference: Image file to write first: the median of the recording's images, in which
+            touches at different places vanish. The report then uses it as the reference.
     """
     if make_reference is not None:
         with open_progress_bar() as progress:

@@ -38,17 +38,18 @@ def live(
 
     Args:
         source: `simulated`, `folder DIR` into which another program writes images, `device NAME`: a
-        part of a
-            camera's name or serial number, or the path of a camera or of a recorded stream,
-            `camera:0` by number, `http://...` or `rtsp://...`: a video stream of a network, or
-            `ws://HOST:PORT TOPIC`: images or depth that a Foxglove bridge (ROS 1 and 2) publishes.
+            part of a camera's name or serial number, or the path of a camera or of a recorded
+            stream, `camera:0` by number, `http://...` or `rtsp://...`: a video stream of a network,
+            or `ws://HOST:PORT TOPIC`: images or depth that a Foxglove bridge (ROS 1 and 2)
+            publishes.
         sensor: Sensor type, if neither device name nor image size identifies it; for `simulated`
-        the sensor to
-            simulate.
+            the sensor to simulate.
         object_source: Object pressed into a simulated sensor: an object of `tactoscope simulate`,
-        or a mesh file. rate: Frames per second of a simulated sensor. record: Recording to write,
-        an .h5 file that is readable while it grows and after a crash. seconds: Stop after this
-        time; 0 = at Ctrl-C. list_devices: Only list the connected cameras.
+            or a mesh file.
+        rate: Frames per second of a simulated sensor.
+        record: Recording to write, an .h5 file that is readable while it grows and after a crash.
+        seconds: Stop after this time; 0 = at Ctrl-C.
+        list_devices: Only list the connected cameras.
     """
     if list_devices:
         return _list_cameras()

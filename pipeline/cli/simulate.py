@@ -43,19 +43,24 @@ def simulate(
 
     Args:
         sensors: Sensors that record the same presses, comma-separated, such as
-        `gelslim,soft_bubble`. tools: Objects, such as `NAME,NAME`; the groups `training`, `unseen`,
-        `task` or `all`; or a mesh file. out: One `.h5` file for one object, otherwise a folder with
-        one `.h5` per object. poses: Grasps per object, or frames of the sequence. seed: Seed of
-        poses, noise and sensor instances. sequence: `grid` is single grasps over 10 mm x 10 mm and
-        up to 45 degrees; the others are moving touches, and
-            `all` is press, slide, twist and release in a row.
+            `gelslim,soft_bubble`.
+        tools: Objects, such as `NAME,NAME`; the groups `training`, `unseen`, `task` or `all`; or a
+            mesh file.
+        out: One `.h5` file for one object, otherwise a folder with one `.h5` per object.
+        poses: Grasps per object, or frames of the sequence.
+        seed: Seed of poses, noise and sensor instances.
+        sequence: `grid` is single grasps over 10 mm x 10 mm and up to 45 degrees; the others are
+            moving touches, and `all` is press, slide, twist and release in a row.
         vary: Variation between sensor instances, 1 = as between real ones; every ten frames use a
-        new instance. noise: Whether frames have camera noise. bubble_deeper_mm: Distance by which a
-        bubble is nearer to the object than its description says. drag_mm: Distance that each object
-        has slid along the gels since contact, at a friction of 0.8: it moves the
-            markers.
-        jobs: Number of processes. scheduler: Address of a Dask scheduler whose workers simulate
-        instead, such as `tcp://host:8786`. It must be
+            new instance.
+        noise: Whether frames have camera noise.
+        bubble_deeper_mm: Distance by which a bubble is nearer to the object than its description
+            says.
+        drag_mm: Distance that each object has slid along the gels since contact, at a friction of
+            0.8: it moves the markers.
+        jobs: Number of processes.
+        scheduler: Address of a Dask scheduler whose workers simulate instead, such as
+            `tcp://host:8786`. It must be
             trusted: what it sends is run on this machine.
         mesh_unit: Unit of a mesh file.
         mesh_face: Side of a mesh file that touches, such as `--mesh-face=-x`.

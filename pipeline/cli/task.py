@@ -41,18 +41,20 @@ def task(
     """Run the trials and print successes with 95 % intervals; the same seed gives the same bytes.
 
     Args:
-        trials: Trials per case; default: as many as in the paper. touch: Touch methods, `true` (the
-        target's own frame), `own` (the source's, not translated) and `none`,
-            comma-separated, such as `object,own,true`.
-        case: Objects, comma-separated; default: all of the task. tolerance_mm: Clearances or
-        tolerances in mm, comma-separated, such as `0.5,1`. seed: Seed of starts, sensor instances
-        and noise. vary: Variation between sensor instances, 1 = as between real ones. attribute:
-        Attribute the error of every failed trial to stages, and run it again with the truth in
-        place of
-            each.
-        jobs: Number of processes. json: File for every trial with its decisions. record: Folder for
-        one recording per rollout; the same command continues an interrupted run. scheduler: Address
-        of a Dask scheduler whose workers run the trials, such as `tcp://host:8786`. It must be
+        trials: Trials per case; default: as many as in the paper.
+        touch: Touch methods, `true` (the target's own frame), `own` (the source's, not translated)
+            and `none`, comma-separated, such as `object,own,true`.
+        case: Objects, comma-separated; default: all of the task.
+        tolerance_mm: Clearances or tolerances in mm, comma-separated, such as `0.5,1`.
+        seed: Seed of starts, sensor instances and noise.
+        vary: Variation between sensor instances, 1 = as between real ones.
+        attribute: Attribute the error of every failed trial to stages, and run it again with the
+            truth in place of each.
+        jobs: Number of processes.
+        json: File for every trial with its decisions.
+        record: Folder for one recording per rollout; the same command continues an interrupted run.
+        scheduler: Address of a Dask scheduler whose workers run the trials, such as
+            `tcp://host:8786`. It must be
             trusted: what it sends is run on this machine.
     """
     planned = make_jobs(

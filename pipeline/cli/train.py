@@ -55,19 +55,23 @@ def train(
 
     Args:
         recipe: Name of a shipped recipe, or a .toml file; with --pairs the default starts from
-        shipped weights. out: Folder for the state, `curve.csv`, `figures.csv`, `curve.png` and
-        `weights.safetensors`. initial_weights: Weights to start from, a file or the name of shipped
-        ones, instead of the recipe's. pairs: Recording or folder of both sensors, such as
-        touch2touch's `data`: trained on instead of
-            simulated touches.
+            shipped weights.
+        out: Folder for the state, `curve.csv`, `figures.csv`, `curve.png` and
+            `weights.safetensors`.
+        initial_weights: Weights to start from, a file or the name of shipped ones, instead of the
+            recipe's.
+        pairs: Recording or folder of both sensors, such as touch2touch's `data`: trained on instead
+            of simulated touches.
         hold_out: Pairs that only validate: `tool` for a quarter of the tools, names of tools
-        separated by commas, `lab`
-            or `paper` for published lists of tools, or a split.json; default: the splits of the
-            folder, else `tool`.
+            separated by commas, `lab` or `paper` for published lists of tools, or a split.json;
+            default: the splits of the folder, else `tool`.
         share: Share of the pairs to train on that is used, such as 0.1 to adapt a network to
-        another sensor. resume: Continue the training in that folder. minutes: Training time in all,
-        instead of the recipe's steps; the learning rate follows the clock. steps: Number of steps,
-        instead of the recipe's. seed: Seed of weights and examples, instead of the recipe's.
+            another sensor.
+        resume: Continue the training in that folder.
+        minutes: Training time in all, instead of the recipe's steps; the learning rate follows the
+            clock.
+        steps: Number of steps, instead of the recipe's.
+        seed: Seed of weights and examples, instead of the recipe's.
         workers: Processes that make examples; 0 makes them in the main process.
     """
     known = {entry.subcommand for entry in TASKS.values()}

@@ -87,18 +87,19 @@ def translate(
     unexpectedly.
 
     Args:
-        out: Folder for `frame_NNNN/stages.npz`, `frame_NNNN/sheet.png` and `report.json`. frame:
-        The only frame to translate; default without --all: the first one with contact. all_frames:
-        Translate every frame. follow: With --all, start each pose at that of the previous frame:
-        several times as fast, for moving sequences. force: Compute the normal force of frames as
-        well; done anyway with the scale of `tactoscope calibrate force`. jobs: With --all,
-        processes that translate frames at once, each with some 400 MB; 0 = one a core where there
-            are frames enough to be worth their start.
+        out: Folder for `frame_NNNN/stages.npz`, `frame_NNNN/sheet.png` and `report.json`.
+        frame: The only frame to translate; default without --all: the first one with contact.
+        all_frames: Translate every frame.
+        follow: With --all, start each pose at that of the previous frame: several times as fast,
+            for moving sequences.
+        force: Compute the normal force of frames as well; done anyway with the scale of `tactoscope
+            calibrate force`.
+        jobs: With --all, processes that translate frames at once, each with some 400 MB; 0 = one a
+            core where there are frames enough to be worth their start.
         scheduler: With --all, address of a Dask scheduler whose workers translate the frames, such
-        as
-            `tcp://host:8786`. It must be trusted: what it sends is run on this machine.
+            as `tcp://host:8786`. It must be trusted: what it sends is run on this machine.
         meshes: Folder of meshes; the likeliest one by the first translated frame is the object,
-        with its margin noted.
+            with its margin noted.
     """
     _check_options(options, meshes, frame, jobs, scheduler, all_frames=all_frames, follow=follow)
     request = options.build_request(recording, target)

@@ -53,9 +53,10 @@ class TranslationOptions:
 
     Args:
         sensor: Sensor that made the recording, if the file does not name it; also selects one of
-        several streams. stream: Name of the stream, if one sensor has several. calibration:
-        Calibration file made by `tactoscope calibrate`; default: the sensor's built-in table, force
-            without scale.
+            several streams.
+        stream: Name of the stream, if one sensor has several.
+        calibration: Calibration file made by `tactoscope calibrate`; default: the sensor's built-in
+            table, force without scale.
         route: Route through the stages; it names a method for each.
         mesh: Mesh of the touched object, for its pose.
         mesh_unit: Unit of that mesh.

@@ -30,9 +30,12 @@ def make_recording(
 
     Args:
         images: (n, rows, cols, 3) uint8 RGB of a gel, or (n, rows, cols) depth in mm of a bubble,
-        NaN = no value. reference: One image of the sensor without contact, of the same shape and
-        type; None = not recorded. sensor: The sensor that made them. times_s: (n,) seconds,
-        increasing; None = not known. path: Where they are from, for messages.
+            NaN = no value.
+        reference: One image of the sensor without contact, of the same shape and type; None = not
+            recorded.
+        sensor: The sensor that made them.
+        times_s: (n,) seconds, increasing; None = not known.
+        path: Where they are from, for messages.
 
     Raises:
         ShapeError: Shapes or types are others, or no image is there.

@@ -150,14 +150,13 @@ class Translation:
 
         Args:
             stage: Stage that `method` and `settings` are about: `depth`, `cloud`, `target_depth`,
-            `touch`,
-                `touch_depth` or `pose`.
+                `touch`, `touch_depth` or `pose`.
             method: Name of one of its methods (`list_methods`), or a `Method` of your own.
             settings: Parameters of the stage's method, such as `steps=8` or `guidance=2.0`.
 
         Raises:
             SettingProblem: There is no such stage, method or parameter, or a value is out of its
-            range.
+                range.
         """
         changed = self
         if method:
@@ -309,11 +308,13 @@ class Translation:
         """Return the results of some stages and of those that they depend on, in running order.
 
         Args:
-            frame: Number of a frame, or a frame at hand. stages: Names of the stages; None = all of
-            the route. progress: Shows how far it is, and may cancel. given: Values in place of
-            stages or inputs: the truth of a stage there attributes the error. previous: Pose of the
-            frame before, where a sequence is followed. on_stage: Receives each result as soon as it
-            is there.
+            frame: Number of a frame, or a frame at hand.
+            stages: Names of the stages; None = all of the route.
+            progress: Shows how far it is, and may cancel.
+            given: Values in place of stages or inputs: the truth of a stage there attributes the
+                error.
+            previous: Pose of the frame before, where a sequence is followed.
+            on_stage: Receives each result as soon as it is there.
 
         Raises:
             TouchError: A frame is damaged, a name unknown, or a stage cannot be computed.
