@@ -2,7 +2,7 @@
 
     xvfb-run -a -s "-screen 0 1366x768x24" python docs/make_screens.py FOLDER 1366x768 [NAME ...]
     QT_SCALE_FACTOR=2 xvfb-run -a -s "-screen 0 3200x1900x24" python docs/make_screens.py FOLDER
-    1600x950 [NAME ...]
+      1600x950 [NAME ...]
 
 The size is the window's as Qt counts, so that twice the scale needs a screen of twice as many
 pixels either way.

@@ -7,7 +7,7 @@ the gel is indented by h it is brighter or darker by itself, on recorded indenta
 gel sensors alike:
 
     q_k(p) = a_k(p) . (n(p) - e_z) + b_k(p) h(p)        a: one number per axis, b: per mm;
-    polynomials of position p
+                                                        polynomials of position p
 
 The four numbers of a place are one Gaussian unknown for the whole image and all colours, with the
 variation between instances as prior (`near_led_prior`), and determined where indentations are. The

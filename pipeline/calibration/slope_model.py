@@ -4,8 +4,10 @@ Without a colour change the slope is exactly zero: an untouched gel is flat. The
 to the reference brightness, so vignetting and fading light cancel to first order:
 
     q = span * (image - reference) / (blurred reference + offset)                      per colour,
-    offset, span in grey slope = sum_ab  C_ab  monomial_a(q_r, q_g, q_b)  monomial_b(u, v),
-    degree of a in 1..m, degree of b in 0..n
+                                                                                       offset, span
+                                                                                       in grey
+    slope = sum_ab  C_ab  monomial_a(q_r, q_g, q_b)  monomial_b(u, v),     degree of a in 1..m,
+                    degree of b in 0..n
 
 u and v run over the image from -1 to 1 along its longer axis. The magnitude of the slope is limited
 to `slope_max`, the range of the samples.

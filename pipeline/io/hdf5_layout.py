@@ -3,17 +3,21 @@
     /                        format, format_version, notes
     /streams/<name>          sensor, order
         frames               (n, rows, cols, 3) uint8 "rgb", or (n, rows, cols) depth "mm"; one
-        chunk per frame references           (m, ...) the distinct reference images reference_index
-        (n,) row of `references`, -1 = none timestamps           (n,) "s", NaN = not known
+                             chunk per frame
+        references           (m, ...) the distinct reference images
+        reference_index      (n,) row of `references`, -1 = none
+        timestamps           (n,) "s", NaN = not known
         camera_matrix        (3, 3) "px", only where the recording has its own intrinsics
-        truth/known          (n,) bits: 1 indentation, 2 contact, 4 pose, 8 force truth/indentation
-        (n, rows, cols) "mm" truth/contact        (n, rows, cols) 0 or 1 truth/sensor_from_object
-        (n, 4, 4) "mm" truth/force          (n, 3) "N" on the sensor: right, down, away from the
-        camera
+        truth/known          (n,) bits: 1 indentation, 2 contact, 4 pose, 8 force
+        truth/indentation    (n, rows, cols) "mm"
+        truth/contact        (n, rows, cols) 0 or 1
+        truth/sensor_from_object  (n, 4, 4) "mm"
+        truth/force          (n, 3) "N" on the sensor: right, down, away from the camera
     /object                  name; vertices (v, 3) "mm", triangles (t, 3)
         symmetry/rotations   (n, 3, 3) rotations about the object's origin that map it onto itself,
-        the identity first symmetry/axis        (3,) only where every rotation about it does so; no
-        group `symmetry` = not known
+                             the identity first
+        symmetry/axis        (3,) only where every rotation about it does so; no group `symmetry` =
+                             not known
     /pairings/<k>            (4, 4) target_from_source "mm"; source, target
     /rollout                 only in rollouts of tasks: `pipeline/lab/tasks/rollout_file.py`
 

@@ -5,7 +5,7 @@ A layer bonded to a rigid back responds to a pressure of wavenumber q with (K. L
 Mechanics, 1985)
 
     U(q) = 2 / (E* q) K(q t) P(q),   K(x) = ((3-4v) sinh 2x - 2x) / ((3-4v) cosh 2x + 2x^2 + 5 - 12v
-    + 8v^2)
+                                     + 8v^2)
 
 An infinite thickness is a half-space, whose response to a pixel is Love's.
 """

@@ -4,8 +4,9 @@ it.
 A layer bonded to a rigid back responds to a tangential traction of wavenumber q, with parts along
 the wave (L) and across it (T), with
 
-    U_T(q) = tanh(x) / (G q) T(q),    x = q t,   G = E / 2(1+v) U_L(q) = 2 / (E* q) K(x) L(q),
-    K(x) = ((3-4v) sinh 2x + 2x) / ((3-4v) cosh 2x + 2x^2 + 5 - 12v + 8v^2)
+    U_T(q) = tanh(x) / (G q) T(q),    x = q t,   G = E / 2(1+v)
+    U_L(q) = 2 / (E* q) K(x) L(q),    K(x) = ((3-4v) sinh 2x + 2x) / ((3-4v) cosh 2x + 2x^2 + 5 -
+                                      12v + 8v^2)
 
 (plane elasticity of the layer, as in Johnson, Contact Mechanics; the tangential counterpart of
 `gel_layer`). Both are t / G for long waves. The coupling between pressure and tangential motion is

@@ -1,7 +1,7 @@
 """Rollouts as recordings: the frames of all sensors, and in the group `rollout` what the robot did.
 
     /rollout                 summary (JSON: outcome, decisions, attribution), plan (JSON), key
-    (digest of the plan)
+                             (digest of the plan)
         time                 (n,) "s"
         world_from_object    (n, 4, 4) "mm"
         world_from_hand      (n, 4, 4) "mm"

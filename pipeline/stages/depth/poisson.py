@@ -6,8 +6,9 @@ edge is the mean of its two pixels, g_{i+1/2} = (g_i + g_{i+1}) / 2. The normal 
 five-point Poisson equation, which is diagonal in waves along an axis: cosines at a free end, sines
 at an end that is held at zero:
 
-    z^(k, l) = -div^(k, l) / (4 sin^2(pi k / 2W) + 4 sin^2(pi l / 2H)), k = 0..W-1 both ends free
-    (DCT-II);  1..W both flat (DST-II);  1/2..W-1/2 one of each (DCT-IV, DST-IV).
+    z^(k, l) = -div^(k, l) / (4 sin^2(pi k / 2W) + 4 sin^2(pi l / 2H)),
+    k = 0..W-1 both ends free (DCT-II);  1..W both flat (DST-II);
+        1/2..W-1/2 one of each (DCT-IV, DST-IV).
 
 The transform runs along the axis with the faster length; along the other, each wave is a
 tridiagonal system, solved by elimination (Hockney 1965): as exact, in a third of the time of

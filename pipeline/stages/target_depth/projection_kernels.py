@@ -6,10 +6,10 @@ Pixel centres are at integer coordinates; a pixel owns the half-open square from
 Points are flat (3 n) float32, images flat in row-major order. Related arguments are plain tuples
 (numba's cache does not survive the renaming of named tuples):
 
-    lens   fx, fy, cx, cy, rows, cols, and the depth up to which a point is behind the lens rest
-    the target's membrane at rest: x0, y0, 1 / step, z (ny, nx) image  drawing buffers, the largest
-    1/z wins its pixel: 1/z, 0 = nothing; 1/z of the veil (omitted triangles, which
-           still hide what lies behind them); the point drawn, -1 = none
+    lens   fx, fy, cx, cy, rows, cols, and the depth up to which a point is behind the lens
+    rest   the target's membrane at rest: x0, y0, 1 / step, z (ny, nx)
+    image  drawing buffers, the largest 1/z wins its pixel: 1/z, 0 = nothing; 1/z of the veil
+           (omitted triangles, which still hide what lies behind them); the point drawn, -1 = none
 """
 
 from __future__ import annotations

@@ -7,14 +7,12 @@ a strip of the grid at once, vectorised, before any triangle is made. Tuples in 
 `projection_kernels`:
 
     corners  vertices of triangles, the points of a strip of the source followed by room for
-    vertices of the rim:
-             x, y, z of the points, mm; those of the rim, each with the point it starts from; pixel
-             coordinates and 1/z (3, m); the pixel centres it lies between in x and y (2, m), see
-             `bracket_pixel_centres`
+             vertices of the rim: x, y, z of the points, mm; those of the rim, each with the point
+             it starts from; pixel coordinates and 1/z (3, m); the pixel centres it lies between in
+             x and y (2, m), see `bracket_pixel_centres`
     cells    source pixels of the strip, with an empty column on either side (rows, cols): the
-    vertex, NO_POINT = none;
-             PRESENT and NOT_VISIBLE; its bracketing centres in one number; the class of the quad
-             whose upper left corner this is, see `classify_quads`
+             vertex, NO_POINT = none; PRESENT and NOT_VISIBLE; its bracketing centres in one number;
+             the class of the quad whose upper left corner this is, see `classify_quads`
 """
 
 from __future__ import annotations

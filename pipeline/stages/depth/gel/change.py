@@ -2,9 +2,9 @@
 their likelihood.
 
     drift   dI_c = g_c R_c + b_c + r_c . (u, v) - s . grad R_c      gain, offset and ramp of each
-    colour c, shift s light   drift, and a smooth field of light, nearly of one colour (a spot,
-    daylight) dent    drift, and a_c . grad h, where h is what pressures >= 0 do to the gel
-    (`coarse_light`)
+            colour c, shift s
+    light   drift, and a smooth field of light, nearly of one colour (a spot, daylight)
+    dent    drift, and a_c . grad h, where h is what pressures >= 0 do to the gel (`coarse_light`)
 
 All unknowns have Gaussian priors, so the evidence of each explanation is a closed form in the
 eigenvectors of its curvature, which are the same for every frame. The noise is the mean squared

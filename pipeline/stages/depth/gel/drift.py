@@ -5,7 +5,7 @@ LEDs warm up and fade, daylight leaks in, a camera sits loosely in its housing. 
 pixels the later image is
 
     I_c = (1 + g_c) R_c + b_c + r_c . (u, v) - s . grad R_c        per colour c; the shift s is the
-    same for all
+                                                                   same for all
 
 with R the reference. A gain that all colours and most blocks share and that is more than a tenth is
 the camera's exposure: one number, taken out of R before the fit. A touch fits none of this: its

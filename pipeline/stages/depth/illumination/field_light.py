@@ -12,7 +12,7 @@ shape, that of the depth with the likeliest colours is taken (the vertex of a pa
 depths): it moves with the colours, without a jump,
 
     -2 ln p(q) = sum w q^2 + m' P m - b' P'^-1 b + ln det P',     P' = P + sum w f f',   b = P m +
-    sum w f q
+                                                                  sum w f q
 
 with m and P the mean and precision of the prior, f what a pixel's light depends on and w its
 weight.

@@ -1,9 +1,9 @@
 """Light of distant LEDs, as the sensor description gives it or as fitted to a sensor instance.
 
     light = (R + g c(grad z)) s(z),    R: reference image,  c: colour change of a slope
-    (`physics.optics`),
+                                       (`physics.optics`),
                                        s: share of the light that passes the surface,  g: gain of
-                                       near LEDs
+                                                                                       near LEDs
 
 The deviations of an instance from its description are (5 n + 5,): azimuth, elevation (degrees) and
 the logarithm of each colour for each of n LEDs; then fall-off, vignette, the logarithms of blur and
