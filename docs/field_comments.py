@@ -1,5 +1,7 @@
-"""For the API pages: a field's comment at the end of its line is its description."""
+"""For the API pages: the comment at the end of a field's line, or above it, is its description."""
 
+from itertools import takewhile
+from pathlib import Path
 from typing import Any
 
 import griffe
@@ -10,10 +12,16 @@ class FieldComments(griffe.Extension):
 
     def on_attribute(self, *, attr: griffe.Attribute, **_kwargs: Any) -> None:
         """Describe one field, or a name of a module."""
-        comment = (
-            attr.source.partition("  # ")[2].strip()
-            if attr.docstring is None and attr.lineno
-            else ""
-        )
+        if attr.docstring is not None or not attr.lineno:
+            return
+        comment = attr.source.partition("  # ")[2].strip() or _read_above(attr)
         if comment:
             attr.docstring = griffe.Docstring(comment[0].upper() + comment[1:], parent=attr)
+
+
+def _read_above(attr: griffe.Attribute) -> str:
+    """The comment that fills the lines above a field."""
+    assert isinstance(attr.filepath, Path)
+    before = attr.filepath.read_text(encoding="utf-8").splitlines()[: (attr.lineno or 1) - 1]
+    above = takewhile(lambda line: line.startswith("# "), (line.strip() for line in before[::-1]))
+    return " ".join(line.removeprefix("# ") for line in reversed(list(above)))

@@ -20,11 +20,4 @@ if __name__ == "__main__":
     with cluster, Client(cluster) as client:
         rows = client.gather(client.map(measure, range(4, 7)))
     for index, row in enumerate(rows, start=4):
-        print(
-            index,
-            {
-                name: round(value, 3)
-                for name, value in row.items()
-                if name.startswith("touch_depth")
-            },
-        )
+        print(index, f"{row['touch_depth.mae_mm']:.3f} mm")

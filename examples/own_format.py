@@ -13,19 +13,9 @@ def read(path: Path) -> ts.Recording:
     return ts.make_recording(images[1:], images[0], ts.load_sensor("digit"), path=path)
 
 
-ts.register_format(
-    ts.RecordingFormat(
-        key="bytes", title="Bytes", content="images of a DIGIT", suffixes=(".rgb",), reader=read
-    )
-)
+words = {"key": "bytes", "title": "Bytes", "content": "images of a DIGIT"}
+ts.register_format(ts.RecordingFormat(**words, suffixes=(".rgb",), reader=read))
 frame = ts.open_recording("sample_data/recordings/first_touch.h5").stream("digit").frame(5)
 Path("touch.rgb").write_bytes(frame.reference.tobytes() + frame.image.tobytes())
 with ts.open("touch.rgb", target="gelslim") as touches:
-    print(
-        len(touches),
-        "frame of",
-        touches.source.title,
-        "with",
-        touches[0].depth.contact.sum(),
-        "pixels in contact",
-    )
+    print(len(touches), touches.source.title, touches[0].depth.contact.sum(), "px in contact")

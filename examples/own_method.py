@@ -7,9 +7,7 @@ import tactoscope as ts
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Params:
-    limit_mm: float = ts.setting(
-        0.1, "Limit", unit="mm", low=0.0, high=2.0, help="indentation from which it touches"
-    )
+    limit_mm: float = ts.setting(0.1, "Limit", unit="mm", low=0.0, high=2.0)
 
 
 with ts.open("sample_data/recordings/first_touch.h5", "soft_bubble", source="gelslim") as touches:
@@ -20,19 +18,7 @@ with ts.open("sample_data/recordings/first_touch.h5", "soft_bubble", source="gel
         measured = depth.run(*inputs, depth.params(), progress)
         return replace(measured, contact=measured.indentation_mm > params.limit_mm)
 
-    mine = ts.Method(
-        stage="depth",
-        name="mine",
-        title="Threshold",
-        run=threshold,
-        params=Params,
-        reads=depth.reads,
-    )
+    mine = replace(depth, name="mine", title="Limit", run=threshold, params=Params, nodes=())
     for limit_mm in (0.05, 0.2):
         frame = touches.with_(stage="depth", method=mine, limit_mm=limit_mm)[5]
-        print(
-            f"{limit_mm} mm:",
-            frame.depth.contact.sum(),
-            "pixels,",
-            frame.metrics["depth.contact_iou"],
-        )
+        print(f"{limit_mm} mm: {frame.depth.contact.sum()} px", frame.metrics["depth.contact_iou"])

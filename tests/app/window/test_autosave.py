@@ -32,7 +32,7 @@ from pathlib import Path
 from app.main import prepare_environment
 prepare_environment()
 from app.main import make_application, show_window
-from app.window import autosave
+from app.document import autosave
 autosave.AUTOSAVE_DELAY_MS = 50
 application = make_application()
 from app.session.state import Session

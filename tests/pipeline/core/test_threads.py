@@ -50,6 +50,6 @@ def test_linear_algebra_has_one_thread_and_the_same_bytes_whatever_is_loaded_fir
 def test_a_worker_has_the_limit_of_its_parent(first):
     code = (
         f"import {first}\nimport pipeline.core.processes, numpy, "
-        "scipy.linalg\npipeline.base.processes.limit_threads()\n"
+        "scipy.linalg\npipeline.core.processes.limit_threads()\n"
     )
     assert set(json.loads(run(code)[0])) == {1}

@@ -26,7 +26,7 @@ LONG_S = 120  # only a process that hangs takes so long
 SIMULATE = """
 import resource, sys
 from pipeline.cli.main import build_app, run_app
-from pipeline.physics.simulation import recorder
+from pipeline.lab import recorder
 limit, recorder.PUBLISH_INTERVAL_S = int(sys.argv[1]), 0.0
 if limit:
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
