@@ -16,7 +16,7 @@ def measure(index: int) -> dict[str, float]:
 
 if __name__ == "__main__":
     # or the address of a scheduler
-    cluster = LocalCluster(n_workers=2, processes=False, dashboard_address=None)
+    cluster = LocalCluster(n_workers=2, processes=False, dashboard_address=":0")
     with cluster, Client(cluster) as client:
         rows = client.gather(client.map(measure, range(4, 7)))
     for index, row in enumerate(rows, start=4):

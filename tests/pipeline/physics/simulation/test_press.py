@@ -3,7 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pipeline.core.arrays import freeze
@@ -162,16 +162,17 @@ def test_a_miss_is_the_reference(name):
     x=st.floats(-12, 12),
     y=st.floats(-12, 12),
 )
+@example(depth=3.0, twist=0.0, lean=0.0, x=0.0, y=0.0)
 @settings(max_examples=12)
 def test_any_pose_gives_finite_frames_that_converge_or_go_through_the_pad(depth, twist, lean, x, y):
     for name in ("gelsight_mini", "soft_bubble"):
         spec = load_sensor(name)
         press = simulate_press(ELBOW, pressed_by(depth, twist, lean, x, y), spec, seed=1)
-        lowest_mm = rigid.apply(press.truth.sensor_from_object, ELBOW.vertices_mm)[
-            :, 2
-        ].min()  # perhaps outside the view
-        through = (
-            spec.gel is not None and lowest_mm < spec.rest_depth_mm.max() - spec.gel.thickness_mm
+        # perhaps outside the view
+        lowest_mm = rigid.apply(press.truth.sensor_from_object, ELBOW.vertices_mm)[:, 2].min()
+        # at the pad's back no gel is left, either
+        through = spec.gel is not None and (
+            lowest_mm <= spec.rest_depth_mm.max() - spec.gel.thickness_mm + 1e-6
         )
         assert press.converged or through
         assert np.isfinite(press.truth.indentation_mm).all()
