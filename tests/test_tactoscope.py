@@ -183,6 +183,25 @@ def test_arrays_of_another_shape_or_type_are_refused(shape, kind):
             ts.make_recording(images, None, ts.load_sensor("digit"))
 
 
+@pytest.mark.parametrize(
+    ("convert", "fact"),
+    [
+        (lambda mm: mm / 1000, "1000 times too small, so its unit is another one; give mm"),
+        (lambda mm: np.nan_to_num(mm * 10).astype(np.uint16), "10 times too large"),
+        (lambda mm: -mm, "negative depth; give the distance from the camera, positive"),
+    ],
+)
+def test_depth_arrays_of_another_unit_or_sign_are_refused(convert, fact):
+    rest = ts.load_sensor("soft_bubble").rest_depth_mm
+    assert not ts.depth(rest, rest, sensor="soft_bubble").contact.any()
+    for image, reference, what in (
+        (convert(rest), convert(rest), "image 0"),
+        (rest, convert(rest), "the reference"),
+    ):
+        with pytest.raises(ShapeError, match=f"{what} .*{fact}"):
+            ts.depth(image, reference, sensor="soft_bubble")
+
+
 def test_arrays_need_their_sensor_and_their_reference_fits(touches):
     images = [touches[TOUCHED].image]
     with pytest.raises(SettingProblem, match="give source"):

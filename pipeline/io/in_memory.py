@@ -14,6 +14,7 @@ from pipeline.core.arrays import Floats, Image, freeze
 from pipeline.core.errors import ShapeError
 from pipeline.core.values.frames import Recording, Stream, TactileFrame
 from pipeline.io.formats import with_index_check
+from pipeline.sensors.depth_unit import describe_unit_problem
 from pipeline.sensors.spec import SensorSpec
 
 PATH = Path("arrays")  # what messages call it
@@ -38,7 +39,7 @@ def make_recording(
         path: Where they are from, for messages.
 
     Raises:
-        ShapeError: Shapes or types are others, or no image is there.
+        ShapeError: Shapes, types or units are others, or no image is there.
     """
     try:
         stack = np.asarray(images)
@@ -94,13 +95,22 @@ def make_recording(
 
 
 def _convert(image: NDArray[Any], sensor: SensorSpec, what: str) -> Image | Floats:
-    """Return an immutable copy; raises ShapeError for another type than the sensor's."""
+    """Return an immutable copy; raises ShapeError for another type or unit than the sensor's."""
     if sensor.bubble is not None:
         if image.dtype.kind not in "fiu":
             raise ShapeError(
                 f"{what} must hold depth in mm, got {image.dtype}; convert it with astype(float)"
             )
-        return freeze(image.astype(np.float32))
+        depth_mm = image.astype(np.float32)
+        known = depth_mm[np.isfinite(depth_mm)]
+        if (known < 0).any():
+            raise ShapeError(
+                f"{what} holds negative depth; give the distance from the camera, positive"
+            )
+        problem = describe_unit_problem(float(np.median(known)), sensor) if known.size else ""
+        if problem:
+            raise ShapeError(f"{what} {problem}; give mm")
+        return freeze(depth_mm)
     if image.dtype != np.uint8:
         raise ShapeError(
             f"{what} must be uint8, got {image.dtype}; convert values from 0 to 1 with (255 * "
