@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from pipeline.calibration.calibration_file import save as save_calibration
     from pipeline.calibration.calibration_table import Calibration
     from pipeline.core.errors import TouchError
-    from pipeline.core.geometry.meshes import load_mesh
+    from pipeline.core.geometry.meshes import Mesh, load_mesh
     from pipeline.core.graph import Fallback, Method, Skipped
     from pipeline.core.params import NoParams, Value, setting
     from pipeline.core.values.frames import Recording, Stream, TactileFrame, Truth
@@ -148,7 +148,8 @@ def open(  # noqa: A001 - `ts.open` reads as it should
     reference: PathLike | ArrayLike | None = None,
     calibration: PathLike | None = None,
     alignment: PathLike | None = None,
-    mesh: PathLike | None = None,
+    mesh: PathLike | Mesh | None = None,
+    mesh_unit: str = "auto",
 ) -> Translation:
     """Open touches of one sensor, to be translated to another.
 
@@ -169,7 +170,9 @@ def open(  # noqa: A001 - `ts.open` reads as it should
         calibration: Calibration file of the source; None = the built-in table of its kind.
         alignment: Alignment of the two sensors, a TOML file; None = the recording's, else that of
             the descriptions.
-        mesh: Mesh of the touched object, for its pose; None = the recording's.
+        mesh: Mesh of the touched object, for its pose, a file or what `load_mesh` returns; None =
+            the recording's.
+        mesh_unit: Unit of that file: `mm`, `cm`, `m`, `in`; `auto` = mm, where the size allows it.
 
     Returns:
         The translation: `len()`, `[i]`, a loop, `with_(method=..., steps=8)`; it closes at the end
@@ -180,6 +183,7 @@ def open(  # noqa: A001 - `ts.open` reads as it should
             says what to try.
     """
     from pipeline.core.errors import SettingProblem
+    from pipeline.core.geometry.meshes import Mesh
     from pipeline.translation.translate import Request, open_translation
 
     is_file = isinstance(recording, (str, os.PathLike))
@@ -211,9 +215,12 @@ def open(  # noqa: A001 - `ts.open` reads as it should
         else None,
         calibration=None if calibration is None else Path(calibration),
         alignment=None if alignment is None else Path(alignment),
-        mesh=None if mesh is None else Path(mesh),
+        mesh=None if mesh is None or isinstance(mesh, Mesh) else Path(mesh),
+        mesh_unit=mesh_unit,
     )
-    translation = open_translation(request, recording=at_hand)
+    translation = open_translation(
+        request, recording=at_hand, mesh=mesh if isinstance(mesh, Mesh) else None
+    )
     for stage, method in own.items():
         translation = translation.with_(stage=stage, method=method)
     return translation

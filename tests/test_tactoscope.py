@@ -238,6 +238,21 @@ def test_a_training_needs_pairs_or_a_recipe(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_mesh_is_a_file_of_any_unit_or_one_at_hand(touches, tmp_path):
+    file = tmp_path / "box.obj"
+    corners = np.array([[0, 0, 0], [0.02, 0, 0], [0, 0.02, 0], [0, 0, 0.02]])
+    faces = ["f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4"]
+    file.write_text("\n".join([*("v {} {} {}".format(*c) for c in corners), *faces]))
+    with pytest.raises(ts.TouchError, match="0.02 mm large"):
+        ts.open(SAMPLE, "gelslim", source="digit", mesh=file)
+    given = ts.load_mesh(file, unit="m")
+    for mesh, unit in ((file, "m"), (given, "auto")):
+        with ts.open(SAMPLE, "gelslim", source="digit", mesh=mesh, mesh_unit=unit) as opened:
+            np.testing.assert_array_equal(opened.mesh.vertices_mm, given.vertices_mm)
+            assert opened.symmetry is None
+            assert any("symmetry is not known" in note for note in opened.notes)
+
+
 def test_simulated_touches_have_their_truth_and_are_the_same_again():
     one, two = (ts.simulate("sphere", ["digit"], n=2, seed=3).stream() for _ in range(2))
     assert np.array_equal(one.frame(1).image, two.frame(1).image)

@@ -497,12 +497,13 @@ def open_translation(
     catalogue: Catalogue = BUILT_IN,
     *,
     recording: Recording | None = None,
+    mesh: Mesh | None = None,
     settings: Sequence[str] = (),
     cache_bytes: int = DEFAULT_MAX_BYTES,
 ) -> Translation:
     """Open and check all that `request` names; raises TouchError with what is wrong and where.
 
-    `recording` is one at hand, in place of the file. `settings` are `stage.parameter=value`.
+    `recording` and `mesh` are those at hand, in place of the files. `settings` are `stage.parameter=value`.
     `cache_bytes` bounds the results that are held.
     """
     # report a wrong name before anything is read
@@ -516,6 +517,8 @@ def open_translation(
         reference_frames=request.reference_frames,
         depth_unit=request.depth_unit,
     )
+    if mesh is not None:
+        recording = replace(recording, object_mesh=mesh, symmetry=None)
     try:
         opened = _open_with(recording, request, target, methods, catalogue)
         params = with_settings(opened.methods, settings)
