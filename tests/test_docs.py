@@ -39,6 +39,8 @@ def test_the_first_script_of_a_newcomer_runs(page, monkeypatch, capsys):
     monkeypatch.chdir(ROOT)
     script = list_blocks(page)[0]
     assert len(script.splitlines()) <= 13
+    for shown in ('frame.preview("touch").pixels', "frame.pose.alternatives"):
+        assert shown in script
     exec(compile(script, page, "exec"), {})
     assert capsys.readouterr().out
 
