@@ -88,6 +88,13 @@ def test_nothing_is_computed_until_it_is_asked_for(touches, evaluated):
     assert set(frame.results) == set(touches.stages)
 
 
+def test_what_is_opened_prints_as_one_line(touches):
+    assert repr(touches) == "<16 frames of digit -> gelslim: 'first_touch.h5'>"
+    printed = repr(touches.recording)
+    assert "'first_touch.h5': 16 frames of " in printed
+    assert len(printed) < 200
+
+
 def test_frames_are_counted_from_both_ends(touches):
     assert touches[-1].index == len(touches) - 1
     assert touches[np.int64(2)].index == 2

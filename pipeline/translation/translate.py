@@ -120,6 +120,10 @@ class Translation:
     # its cache holds the results; its methods are not read
     graph: Graph = field(default_factory=lambda: Graph(()))
 
+    def __repr__(self) -> str:
+        names = f"{self.source.name} -> {self.target.name}"
+        return f"<{self.n_frames} frames of {names}: {self.recording.path.name!r}>"
+
     def __len__(self) -> int:
         return self.n_frames
 
