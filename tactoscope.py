@@ -165,8 +165,8 @@ def open(  # noqa: A001 - `ts.open` reads as it should
         methods: Stage -> name of its method, or a `Method` of your own; the route names those of
             other stages.
         weights: Stage -> weights file of its network; shipped ones otherwise.
-        reference: Image without contact, a file or, for images, (rows, cols, 3) uint8 or (rows,
-            cols) mm; None = the recording's own.
+        reference: Image without contact: a file or, of images, also an array as they are; None =
+            the recording's own.
         calibration: Calibration file of the source; None = the built-in table of its kind.
         alignment: Alignment of the two sensors, a TOML file; None = the recording's, else that of
             the descriptions.
@@ -245,7 +245,7 @@ def _make_recording(
 
 def depth(
     image: ArrayLike,
-    reference: ArrayLike,
+    reference: PathLike | ArrayLike,
     sensor: str,
     *,
     method: str | Method = "",
@@ -257,7 +257,7 @@ def depth(
     Args:
         image: (rows, cols, 3) uint8 RGB of a gel, or (rows, cols) depth in mm of a bubble, NaN = no
             value.
-        reference: The same sensor without contact, of the same shape and type.
+        reference: The same sensor without contact, of the same shape and type, or its file.
         sensor: The sensor that made both: its name, or a TOML file of your own.
         method: Method of the stage `depth`; "" = the one for this kind of sensor.
         calibration: Calibration file of the sensor; None = the built-in table of its kind.

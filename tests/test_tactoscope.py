@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -176,6 +177,20 @@ def test_arrays_give_the_depth_of_their_recording(touches):
     assert np.array_equal(given.indentation_mm, alone.indentation_mm)
     assert given.contact.any()
     assert not ts.depth(source.reference, source.reference, sensor="digit").contact.any()
+
+
+def test_the_reference_of_arrays_may_be_a_file(touches, tmp_path):
+    source = touches[TOUCHED].source
+    file = str(tmp_path / "ref.png")
+    cv2.imwrite(file, source.reference[..., ::-1])
+    with ts.open([source.image], "gelslim", source="digit", reference=file) as opened:
+        assert np.array_equal(opened[0].source.reference, source.reference)
+    rest = ts.load_sensor("soft_bubble").rest_depth_mm
+    np.save(tmp_path / "ref_m.npy", rest / 1000)
+    depth = ts.depth(rest, tmp_path / "ref_m.npy", sensor="soft_bubble")
+    assert not depth.contact.any()
+    with pytest.raises(ts.TouchError, match="missing.png"):
+        ts.depth(source.image, tmp_path / "missing.png", sensor="digit")
 
 
 @given(

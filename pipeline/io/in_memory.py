@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,16 +14,19 @@ from numpy.typing import ArrayLike, NDArray
 from pipeline.core.arrays import Floats, Image, freeze
 from pipeline.core.errors import ShapeError
 from pipeline.core.values.frames import Recording, Stream, TactileFrame
+from pipeline.io.depth_arrays import read_depth_image
 from pipeline.io.formats import with_index_check
+from pipeline.io.image_files import read_rgb
 from pipeline.sensors.depth_unit import describe_unit_problem
 from pipeline.sensors.spec import SensorSpec
 
+PathLike: TypeAlias = "str | os.PathLike[str]"
 PATH = Path("arrays")  # what messages call it
 
 
 def make_recording(
     images: ArrayLike | Sequence[ArrayLike],
-    reference: ArrayLike | None,
+    reference: PathLike | ArrayLike | None,
     sensor: SensorSpec,
     times_s: Sequence[float] | None = None,
     path: Path = PATH,
@@ -32,13 +36,14 @@ def make_recording(
     Args:
         images: (n, rows, cols, 3) uint8 RGB of a gel, or (n, rows, cols) depth in mm of a bubble,
             NaN = no value.
-        reference: One image of the sensor without contact, of the same shape and type; None = not
-            recorded.
+        reference: One image of the sensor without contact, of the same shape and type, or its
+            file; None = not recorded.
         sensor: The sensor that made them.
         times_s: (n,) seconds, increasing; None = not known.
         path: Where they are from, for messages.
 
     Raises:
+        FileProblem: The reference cannot be read.
         ShapeError: Shapes, types or units are others, or no image is there.
     """
     try:
@@ -62,6 +67,9 @@ def make_recording(
             f"images of {sensor.title} must be {content}, got {stack.dtype} of {stack.shape}"
         )
     frames = [_convert(image, sensor, f"image {index}") for index, image in enumerate(stack)]
+    if isinstance(reference, (str, os.PathLike)):
+        read_reference = read_rgb if sensor.bubble is None else read_depth_image
+        reference = read_reference(Path(reference))
     rest = None if reference is None else _convert(np.asarray(reference), sensor, "the reference")
     if rest is not None and rest.shape != frames[0].shape:
         raise ShapeError(
