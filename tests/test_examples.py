@@ -78,6 +78,7 @@ def test_own_method(capsys):
 def test_own_sensor():
     ran = run("own_sensor")
     assert ran["touches"].target.gel.thickness_mm == 1.5
+    assert ran["sensor"].camera.shape == (480, 640)
 
 
 def test_own_format():

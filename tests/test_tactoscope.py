@@ -189,7 +189,7 @@ def test_the_reference_of_arrays_may_be_a_file(touches, tmp_path):
     np.save(tmp_path / "ref_m.npy", rest / 1000)
     depth = ts.depth(rest, tmp_path / "ref_m.npy", sensor="soft_bubble")
     assert not depth.contact.any()
-    with pytest.raises(ts.TouchError, match="missing.png"):
+    with pytest.raises(ts.TouchError, match=r"missing\.png"):
         ts.depth(source.image, tmp_path / "missing.png", sensor="digit")
 
 
@@ -265,7 +265,7 @@ def test_a_mesh_is_a_file_of_any_unit_or_one_at_hand(touches, tmp_path):
     corners = np.array([[0, 0, 0], [0.02, 0, 0], [0, 0.02, 0], [0, 0, 0.02]])
     faces = ["f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4"]
     file.write_text("\n".join([*("v {} {} {}".format(*c) for c in corners), *faces]))
-    with pytest.raises(ts.TouchError, match="0.02 mm large"):
+    with pytest.raises(ts.TouchError, match=r"0\.02 mm large"):
         ts.open(SAMPLE, "gelslim", source="digit", mesh=file)
     given = ts.load_mesh(file, unit="m")
     for mesh, unit in ((file, "m"), (given, "auto")):

@@ -507,8 +507,8 @@ def open_translation(
 ) -> Translation:
     """Open and check all that `request` names; raises TouchError with what is wrong and where.
 
-    `recording` and `mesh` are those at hand, in place of the files. `settings` are `stage.parameter=value`.
-    `cache_bytes` bounds the results that are held.
+    `recording` and `mesh` are those at hand, in place of the files. `settings` are
+    `stage.parameter=value`. `cache_bytes` bounds the results that are held.
     """
     # report a wrong name before anything is read
     methods = catalogue.methods(request.route, dict(request.methods))
