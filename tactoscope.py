@@ -275,13 +275,18 @@ def depth(
 
 
 def simulate(
-    shape: PathLike, sensors: Sequence[str], n: int = 10, *, seed: int = 0, sequence: str = "grid"
+    shape: PathLike,
+    sensors: str | Sequence[str],
+    n: int = 10,
+    *,
+    seed: int = 0,
+    sequence: str = "grid",
 ) -> Recording:
     """Simulate touches that several sensors record at once, with their truth.
 
     Args:
         shape: Name of a shape, as `tactoscope simulate --help` lists them, or a mesh file.
-        sensors: The sensors, by name or TOML file.
+        sensors: The sensors, or the one, by name or TOML file.
         n: Number of touches.
         seed: The same seed gives the same frames.
         sequence: `grid` (single touches at poses of a grid), or a motion: `press`, `slide`,
@@ -307,7 +312,11 @@ def simulate(
         )
     kind = cast("PoseSequence", sequence)
     plan = SimulationPlan(
-        sensors=tuple(sensors), object_source="", n_poses=n, seed=seed, sequence=kind
+        sensors=(sensors,) if isinstance(sensors, str) else tuple(sensors),
+        object_source="",
+        n_poses=n,
+        seed=seed,
+        sequence=kind,
     )
     first, *others = make_plans((os.fspath(shape),), plan)
     if others:

@@ -99,8 +99,11 @@ def test_what_is_opened_prints_as_one_line(touches):
 def test_frames_are_counted_from_both_ends(touches):
     assert touches[-1].index == len(touches) - 1
     assert touches[np.int64(2)].index == 2
-    for index in (len(touches), -len(touches) - 1):
-        with pytest.raises(SettingProblem, match="frame"):
+    for index in (len(touches), -99):
+        with pytest.raises(SettingProblem, match=f"no frame {index};"):
+            touches[index]
+    for index in (slice(2, 4), "5", 1.5):
+        with pytest.raises(SettingProblem, match="a frame is chosen by its number, got"):
             touches[index]
 
 
@@ -228,6 +231,8 @@ def test_arrays_need_their_sensor_and_their_reference_fits(touches):
     images = [touches[TOUCHED].image]
     with pytest.raises(SettingProblem, match="give source"):
         ts.open(images, "gelslim")
+    with pytest.raises(ts.TouchError, match=r"no reference image .*reference="):
+        ts.depth(images[0], None, sensor="digit")
     with pytest.raises(ShapeError, match="the reference has shape"):
         ts.open(images, "gelslim", source="digit", reference=images[0][:10])
     with pytest.raises(ShapeError, match="several shapes"):
@@ -276,7 +281,9 @@ def test_a_mesh_is_a_file_of_any_unit_or_one_at_hand(touches, tmp_path):
 
 
 def test_simulated_touches_have_their_truth_and_are_the_same_again():
-    one, two = (ts.simulate("sphere", ["digit"], n=2, seed=3).stream() for _ in range(2))
+    one, two = (
+        ts.simulate("sphere", sensors, n=2, seed=3).stream() for sensors in (["digit"], "digit")
+    )
     assert np.array_equal(one.frame(1).image, two.frame(1).image)
     assert one.truth(1).contact.any()
     with pytest.raises(SettingProblem, match="no sequence 'dance'"):

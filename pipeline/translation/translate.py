@@ -131,9 +131,16 @@ class Translation:
         return True
 
     def __getitem__(self, index: int) -> TranslatedFrame:
-        number = operator.index(index)
+        try:
+            number = operator.index(index)
+        except TypeError:
+            raise SettingProblem(
+                f"a frame is chosen by its number, got {index!r}; several by a loop over "
+                "range(first, end)"
+            ) from None
+        from_end = -self.n_frames <= number < 0
         return TranslatedFrame(
-            self, self.check_index(number + self.n_frames if number < 0 else number)
+            self, self.check_index(number + self.n_frames if from_end else number)
         )
 
     def __iter__(self) -> Iterator[TranslatedFrame]:
