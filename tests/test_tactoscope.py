@@ -172,6 +172,21 @@ def test_a_method_that_is_written_again_is_run_again(touches):
         touches.with_(stage="depth", method=replace(make(0.0), name="physics"))
 
 
+def test_an_own_method_says_its_stage_and_returns_what_the_stage_is(touches):
+    depth = touches.get_method("depth")
+    mine = replace(depth, name="mine", title="Mine", run=depth.run, nodes=())
+    assert touches.with_(method=mine)[TOUCHED].result("depth").method.name == "mine"
+    wrong = replace(mine, run=lambda *_reads: np.zeros((3, 3)))
+    with pytest.raises(SettingProblem, match="by 'Mine' returned a ndarray; return a DepthMap"):
+        _ = touches.with_(method=wrong)[TOUCHED].touch
+    for give in (
+        lambda: touches.with_(stage="depth", method=depth.run),
+        lambda: ts.open(SAMPLE, "gelslim", source="digit", methods={"depth": depth.run}),
+    ):
+        with pytest.raises(SettingProblem, match=r"a method is a name or a Method, .*ts\.Method\("):
+            give()
+
+
 def test_arrays_give_the_depth_of_their_recording(touches):
     source = touches[TOUCHED].source
     with ts.open([source.image], "gelslim", source="digit", reference=source.reference) as opened:

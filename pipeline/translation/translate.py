@@ -162,7 +162,8 @@ class Translation:
         Args:
             stage: Stage that `method` and `settings` are about: `depth`, `cloud`, `target_depth`,
                 `touch`, `touch_depth` or `pose`.
-            method: Name of one of its methods (`list_methods`), or a `Method` of your own.
+            method: Name of one of its methods (`list_methods`), or a `Method` of your own, which
+                says its stage.
             settings: Parameters of the stage's method, such as `steps=8` or `guidance=2.0`.
 
         Raises:
@@ -170,6 +171,13 @@ class Translation:
                 range.
         """
         changed = self
+        if isinstance(method, Method):
+            stage = method.stage
+        elif not isinstance(cast("object", method), str):
+            raise SettingProblem(
+                f"a method is a name or a Method, got {method!r}; give "
+                "ts.Method(stage=..., name=..., title=..., run=..., params=..., reads=...)"
+            )
         if method:
             changed = changed._with_method(stage, method)
         if settings:
