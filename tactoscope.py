@@ -362,7 +362,7 @@ def save_alignment(touches: Translation, path: PathLike) -> None:
 
 def calibrate(
     images: Sequence[ArrayLike],
-    reference: ArrayLike,
+    reference: PathLike | ArrayLike,
     sensor: str,
     diameter_mm: float,
     *,
@@ -372,7 +372,7 @@ def calibrate(
 
     Args:
         images: Presses (rows, cols, 3) uint8 RGB, one ball each, anywhere on the gel; ten or more.
-        reference: The same sensor without contact.
+        reference: The same sensor without contact, or its file.
         sensor: The sensor that made them.
         diameter_mm: Diameter of the ball.
         pixel_mm: Width of a pixel on the gel; None = the sensor description's.

@@ -228,6 +228,7 @@ def test_arrays_of_another_shape_or_type_are_refused(shape, kind):
     [
         (lambda mm: mm / 1000, "1000 times too small, so its unit is another one; give mm"),
         (lambda mm: np.nan_to_num(mm * 10).astype(np.uint16), "10 times too large"),
+        (lambda mm: np.where(np.arange(mm.shape[1]) < 100, 0, mm / 1000), "1000 times too small"),
         (lambda mm: -mm, "negative depth; give the distance from the camera, positive"),
     ],
 )

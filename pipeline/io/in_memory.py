@@ -35,7 +35,7 @@ def make_recording(
 
     Args:
         images: (n, rows, cols, 3) uint8 RGB of a gel, or (n, rows, cols) depth in mm of a bubble,
-            NaN = no value.
+            NaN or 0 = no value.
         reference: One image of the sensor without contact, of the same shape and type, or its
             file; None = not recorded.
         sensor: The sensor that made them.
@@ -110,7 +110,7 @@ def _convert(image: NDArray[Any], sensor: SensorSpec, what: str) -> Image | Floa
                 f"{what} must hold depth in mm, got {image.dtype}; convert it with astype(float)"
             )
         depth_mm = image.astype(np.float32)
-        known = depth_mm[np.isfinite(depth_mm)]
+        known = depth_mm[np.isfinite(depth_mm) & (depth_mm != 0)]  # cameras write 0 for no value
         if (known < 0).any():
             raise ShapeError(
                 f"{what} holds negative depth; give the distance from the camera, positive"
