@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from pipeline.calibration.calibration_file import save as save_calibration
     from pipeline.calibration.calibration_table import Calibration
     from pipeline.core.errors import TouchError
-    from pipeline.core.geometry.meshes import load_mesh
+    from pipeline.core.geometry.meshes import Mesh, load_mesh
     from pipeline.core.graph import Fallback, Method, Skipped
     from pipeline.core.params import NoParams, Value, setting
     from pipeline.core.values.frames import Recording, Stream, TactileFrame, Truth
@@ -148,7 +148,8 @@ def open(  # noqa: A001 - `ts.open` reads as it should
     reference: PathLike | ArrayLike | None = None,
     calibration: PathLike | None = None,
     alignment: PathLike | None = None,
-    mesh: PathLike | None = None,
+    mesh: PathLike | Mesh | None = None,
+    mesh_unit: str = "auto",
 ) -> Translation:
     """Open touches of one sensor, to be translated to another.
 
@@ -164,12 +165,14 @@ def open(  # noqa: A001 - `ts.open` reads as it should
         methods: Stage -> name of its method, or a `Method` of your own; the route names those of
             other stages.
         weights: Stage -> weights file of its network; shipped ones otherwise.
-        reference: Image without contact, a file or, for images, (rows, cols, 3) uint8 or (rows,
-            cols) mm; None = the recording's own.
+        reference: Image without contact: a file or, of images, also an array as they are; None =
+            the recording's own.
         calibration: Calibration file of the source; None = the built-in table of its kind.
         alignment: Alignment of the two sensors, a TOML file; None = the recording's, else that of
             the descriptions.
-        mesh: Mesh of the touched object, for its pose; None = the recording's.
+        mesh: Mesh of the touched object, for its pose, a file or what `load_mesh` returns; None =
+            the recording's.
+        mesh_unit: Unit of that file: `mm`, `cm`, `m`, `in`; `auto` = mm, where the size allows it.
 
     Returns:
         The translation: `len()`, `[i]`, a loop, `with_(method=..., steps=8)`; it closes at the end
@@ -180,6 +183,7 @@ def open(  # noqa: A001 - `ts.open` reads as it should
             says what to try.
     """
     from pipeline.core.errors import SettingProblem
+    from pipeline.core.geometry.meshes import Mesh
     from pipeline.translation.translate import Request, open_translation
 
     is_file = isinstance(recording, (str, os.PathLike))
@@ -211,9 +215,12 @@ def open(  # noqa: A001 - `ts.open` reads as it should
         else None,
         calibration=None if calibration is None else Path(calibration),
         alignment=None if alignment is None else Path(alignment),
-        mesh=None if mesh is None else Path(mesh),
+        mesh=None if mesh is None or isinstance(mesh, Mesh) else Path(mesh),
+        mesh_unit=mesh_unit,
     )
-    translation = open_translation(request, recording=at_hand)
+    translation = open_translation(
+        request, recording=at_hand, mesh=mesh if isinstance(mesh, Mesh) else None
+    )
     for stage, method in own.items():
         translation = translation.with_(stage=stage, method=method)
     return translation
@@ -238,7 +245,7 @@ def _make_recording(
 
 def depth(
     image: ArrayLike,
-    reference: ArrayLike,
+    reference: PathLike | ArrayLike,
     sensor: str,
     *,
     method: str | Method = "",
@@ -250,7 +257,7 @@ def depth(
     Args:
         image: (rows, cols, 3) uint8 RGB of a gel, or (rows, cols) depth in mm of a bubble, NaN = no
             value.
-        reference: The same sensor without contact, of the same shape and type.
+        reference: The same sensor without contact, of the same shape and type, or its file.
         sensor: The sensor that made both: its name, or a TOML file of your own.
         method: Method of the stage `depth`; "" = the one for this kind of sensor.
         calibration: Calibration file of the sensor; None = the built-in table of its kind.
@@ -268,13 +275,18 @@ def depth(
 
 
 def simulate(
-    shape: PathLike, sensors: Sequence[str], n: int = 10, *, seed: int = 0, sequence: str = "grid"
+    shape: PathLike,
+    sensors: str | Sequence[str],
+    n: int = 10,
+    *,
+    seed: int = 0,
+    sequence: str = "grid",
 ) -> Recording:
     """Simulate touches that several sensors record at once, with their truth.
 
     Args:
         shape: Name of a shape, as `tactoscope simulate --help` lists them, or a mesh file.
-        sensors: The sensors, by name or TOML file.
+        sensors: The sensors, or the one, by name or TOML file.
         n: Number of touches.
         seed: The same seed gives the same frames.
         sequence: `grid` (single touches at poses of a grid), or a motion: `press`, `slide`,
@@ -300,7 +312,11 @@ def simulate(
         )
     kind = cast("PoseSequence", sequence)
     plan = SimulationPlan(
-        sensors=tuple(sensors), object_source="", n_poses=n, seed=seed, sequence=kind
+        sensors=(sensors,) if isinstance(sensors, str) else tuple(sensors),
+        object_source="",
+        n_poses=n,
+        seed=seed,
+        sequence=kind,
     )
     first, *others = make_plans((os.fspath(shape),), plan)
     if others:
@@ -346,7 +362,7 @@ def save_alignment(touches: Translation, path: PathLike) -> None:
 
 def calibrate(
     images: Sequence[ArrayLike],
-    reference: ArrayLike,
+    reference: PathLike | ArrayLike,
     sensor: str,
     diameter_mm: float,
     *,
@@ -356,7 +372,7 @@ def calibrate(
 
     Args:
         images: Presses (rows, cols, 3) uint8 RGB, one ball each, anywhere on the gel; ten or more.
-        reference: The same sensor without contact.
+        reference: The same sensor without contact, or its file.
         sensor: The sensor that made them.
         diameter_mm: Diameter of the ball.
         pixel_mm: Width of a pixel on the gel; None = the sensor description's.

@@ -1,7 +1,4 @@
-"""An own sensor: a TOML file that says what differs from a known one.
-
-Lengths and units are checked.
-"""
+"""An own sensor: a TOML file that says what differs from a known one, each number with its unit."""
 
 from pathlib import Path
 
@@ -10,16 +7,19 @@ import tactoscope as ts
 Path("mine.toml").write_text(
     """
     extends = "digit"
-    title = "My DIGIT"
+    title = "My gel"
+    [image]
+    rows = { value = 480, unit = "px", from = "camera" }
+    cols = { value = 640, unit = "px", from = "camera" }
+    [camera]
+    fx = { value = 540.0, unit = "px", from = "640 px see 26 mm of the gel, 22 mm away" }
+    fy = { value = 540.0, unit = "px", from = "square pixels" }
+    cx = { value = 319.5, unit = "px", from = "image centre" }
+    cy = { value = 239.5, unit = "px", from = "image centre" }
     [gel]
     thickness = { value = 1.5, unit = "mm", from = "caliper" }
-    youngs = { value = 90.0, unit = "kPa", from = "softer silicone", assumed = true }
     """
 )
-sensor = ts.load_sensor("mine.toml")
-print(f"{sensor.title}: {sensor.camera.shape} pixels of {sensor.pixel_mm:.3f} mm")
-
-with ts.open(
-    "sample_data/recordings/first_touch.h5", target="mine.toml", source="gelslim"
-) as touches:
-    print(f"generated {touches[5].touch.image.shape} for {touches.target.name}")
+with ts.open("sample_data/recordings/first_touch.h5", "mine.toml", source="gelslim") as touches:
+    sensor = touches.target
+    print(f"{sensor.title}: {touches[5].touch.image.shape}, pixels of {sensor.pixel_mm:.3f} mm")

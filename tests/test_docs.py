@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import tactoscope as ts
 from pipeline.translation.catalogue import BUILT_IN
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -39,6 +40,8 @@ def test_the_first_script_of_a_newcomer_runs(page, monkeypatch, capsys):
     monkeypatch.chdir(ROOT)
     script = list_blocks(page)[0]
     assert len(script.splitlines()) <= 13
+    for shown in ('frame.preview("touch").pixels', "frame.pose.alternatives"):
+        assert shown in script
     exec(compile(script, page, "exec"), {})
     assert capsys.readouterr().out
 
@@ -59,6 +62,19 @@ def test_figures_and_methods_of_the_choice_are_those_of_the_tables():
     for method, error_mm, iou in rows:
         assert {error_mm, iou} <= cells
         BUILT_IN.method("touch", method)
+
+
+def test_the_choice_says_what_the_sample_shows():
+    page = (DOCS / "choosing.md").read_text()
+    sample = ROOT / "sample_data/recordings/first_touch.h5"
+    with ts.open(sample, "soft_bubble", source="gelslim") as touches:
+        fallback = touches.with_(method="t2t")[5].result("touch").fallback
+        assert f"`{fallback.split(': ')[2].partition(';')[0]}`" in page
+        counts = [
+            len(touches.with_(method=name)[5].pose.alternatives) for name in ("t2d2", "physics")
+        ]
+    assert counts == [1, 0]
+    assert "frame.pose.alternatives" in page
 
 
 def test_every_sentence_of_troubleshooting_is_one_that_the_program_says():

@@ -38,6 +38,8 @@ def test_own_arrays():
 
 
 def test_folder(place):
+    with pytest.raises(SystemExit, match="put images of a DIGIT into the folder 'touches' first"):
+        run("folder")
     stream = ts.open_recording(ROOT / "sample_data/recordings/first_touch.h5").stream("digit")
     (place / "touches").mkdir()
     for name, image in (
@@ -47,6 +49,10 @@ def test_folder(place):
         cv2.imwrite(str(place / "touches" / f"{name}.png"), image[..., ::-1])
     assert run("folder")["written"] == 1
     assert cv2.imread("touches_0000.png").shape == (*ts.load_sensor("gelslim").camera.shape, 3)
+    exec((EXAMPLES / "folder.py").read_text().replace("gelslim", "soft_bubble"), {})
+    image = cv2.imread("touches_0000.png")
+    assert image.shape == (*ts.load_sensor("soft_bubble").camera.shape, 3)
+    assert len(np.unique(image)) > 20, "shades, where millimetres have few"
 
 
 def test_sweep_guidance():
@@ -78,6 +84,7 @@ def test_own_method(capsys):
 def test_own_sensor():
     ran = run("own_sensor")
     assert ran["touches"].target.gel.thickness_mm == 1.5
+    assert ran["sensor"].camera.shape == (480, 640)
 
 
 def test_own_format():

@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -88,11 +89,21 @@ def test_nothing_is_computed_until_it_is_asked_for(touches, evaluated):
     assert set(frame.results) == set(touches.stages)
 
 
+def test_what_is_opened_prints_as_one_line(touches):
+    assert repr(touches) == "<16 frames of digit -> gelslim: 'first_touch.h5'>"
+    printed = repr(touches.recording)
+    assert "'first_touch.h5': 16 frames of " in printed
+    assert len(printed) < 200
+
+
 def test_frames_are_counted_from_both_ends(touches):
     assert touches[-1].index == len(touches) - 1
     assert touches[np.int64(2)].index == 2
-    for index in (len(touches), -len(touches) - 1):
-        with pytest.raises(SettingProblem, match="frame"):
+    for index in (len(touches), -99):
+        with pytest.raises(SettingProblem, match=f"no frame {index};"):
+            touches[index]
+    for index in (slice(2, 4), "5", 1.5):
+        with pytest.raises(SettingProblem, match="a frame is chosen by its number, got"):
             touches[index]
 
 
@@ -161,6 +172,21 @@ def test_a_method_that_is_written_again_is_run_again(touches):
         touches.with_(stage="depth", method=replace(make(0.0), name="physics"))
 
 
+def test_an_own_method_says_its_stage_and_returns_what_the_stage_is(touches):
+    depth = touches.get_method("depth")
+    mine = replace(depth, name="mine", title="Mine", run=depth.run, nodes=())
+    assert touches.with_(method=mine)[TOUCHED].result("depth").method.name == "mine"
+    wrong = replace(mine, run=lambda *_reads: np.zeros((3, 3)))
+    with pytest.raises(SettingProblem, match="by 'Mine' returned a ndarray; return a DepthMap"):
+        _ = touches.with_(method=wrong)[TOUCHED].touch
+    for give in (
+        lambda: touches.with_(stage="depth", method=depth.run),
+        lambda: ts.open(SAMPLE, "gelslim", source="digit", methods={"depth": depth.run}),
+    ):
+        with pytest.raises(SettingProblem, match=r"a method is a name or a Method, .*ts\.Method\("):
+            give()
+
+
 def test_arrays_give_the_depth_of_their_recording(touches):
     source = touches[TOUCHED].source
     with ts.open([source.image], "gelslim", source="digit", reference=source.reference) as opened:
@@ -169,6 +195,20 @@ def test_arrays_give_the_depth_of_their_recording(touches):
     assert np.array_equal(given.indentation_mm, alone.indentation_mm)
     assert given.contact.any()
     assert not ts.depth(source.reference, source.reference, sensor="digit").contact.any()
+
+
+def test_the_reference_of_arrays_may_be_a_file(touches, tmp_path):
+    source = touches[TOUCHED].source
+    file = str(tmp_path / "ref.png")
+    cv2.imwrite(file, source.reference[..., ::-1])
+    with ts.open([source.image], "gelslim", source="digit", reference=file) as opened:
+        assert np.array_equal(opened[0].source.reference, source.reference)
+    rest = ts.load_sensor("soft_bubble").rest_depth_mm
+    np.save(tmp_path / "ref_m.npy", rest / 1000)
+    depth = ts.depth(rest, tmp_path / "ref_m.npy", sensor="soft_bubble")
+    assert not depth.contact.any()
+    with pytest.raises(ts.TouchError, match=r"missing\.png"):
+        ts.depth(source.image, tmp_path / "missing.png", sensor="digit")
 
 
 @given(
@@ -183,10 +223,32 @@ def test_arrays_of_another_shape_or_type_are_refused(shape, kind):
             ts.make_recording(images, None, ts.load_sensor("digit"))
 
 
+@pytest.mark.parametrize(
+    ("convert", "fact"),
+    [
+        (lambda mm: mm / 1000, "1000 times too small, so its unit is another one; give mm"),
+        (lambda mm: np.nan_to_num(mm * 10).astype(np.uint16), "10 times too large"),
+        (lambda mm: np.where(np.arange(mm.shape[1]) < 100, 0, mm / 1000), "1000 times too small"),
+        (lambda mm: -mm, "negative depth; give the distance from the camera, positive"),
+    ],
+)
+def test_depth_arrays_of_another_unit_or_sign_are_refused(convert, fact):
+    rest = ts.load_sensor("soft_bubble").rest_depth_mm
+    assert not ts.depth(rest, rest, sensor="soft_bubble").contact.any()
+    for image, reference, what in (
+        (convert(rest), convert(rest), "image 0"),
+        (rest, convert(rest), "the reference"),
+    ):
+        with pytest.raises(ShapeError, match=f"{what} .*{fact}"):
+            ts.depth(image, reference, sensor="soft_bubble")
+
+
 def test_arrays_need_their_sensor_and_their_reference_fits(touches):
     images = [touches[TOUCHED].image]
     with pytest.raises(SettingProblem, match="give source"):
         ts.open(images, "gelslim")
+    with pytest.raises(ts.TouchError, match=r"no reference image .*reference="):
+        ts.depth(images[0], None, sensor="digit")
     with pytest.raises(ShapeError, match="the reference has shape"):
         ts.open(images, "gelslim", source="digit", reference=images[0][:10])
     with pytest.raises(ShapeError, match="several shapes"):
@@ -219,8 +281,25 @@ def test_a_training_needs_pairs_or_a_recipe(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_mesh_is_a_file_of_any_unit_or_one_at_hand(touches, tmp_path):
+    file = tmp_path / "box.obj"
+    corners = np.array([[0, 0, 0], [0.02, 0, 0], [0, 0.02, 0], [0, 0, 0.02]])
+    faces = ["f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4"]
+    file.write_text("\n".join([*("v {} {} {}".format(*c) for c in corners), *faces]))
+    with pytest.raises(ts.TouchError, match=r"0\.02 mm large"):
+        ts.open(SAMPLE, "gelslim", source="digit", mesh=file)
+    given = ts.load_mesh(file, unit="m")
+    for mesh, unit in ((file, "m"), (given, "auto")):
+        with ts.open(SAMPLE, "gelslim", source="digit", mesh=mesh, mesh_unit=unit) as opened:
+            np.testing.assert_array_equal(opened.mesh.vertices_mm, given.vertices_mm)
+            assert opened.symmetry is None
+            assert any("symmetry is not known" in note for note in opened.notes)
+
+
 def test_simulated_touches_have_their_truth_and_are_the_same_again():
-    one, two = (ts.simulate("sphere", ["digit"], n=2, seed=3).stream() for _ in range(2))
+    one, two = (
+        ts.simulate("sphere", sensors, n=2, seed=3).stream() for sensors in (["digit"], "digit")
+    )
     assert np.array_equal(one.frame(1).image, two.frame(1).image)
     assert one.truth(1).contact.any()
     with pytest.raises(SettingProblem, match="no sequence 'dance'"):

@@ -101,6 +101,7 @@ class Method(Generic[Params, Output, *Reads]):
     nodes: tuple[Method, ...] = ()
     # of a node: its own of the chain's parameters
     select_params: Callable[[Any], Params] | None = None
+    value_type: type[Any] = object  # that `run` must return; of one of its own, its stage's
     # parameters -> cheaper ones for dragging; None = no draft
     draft: Callable[[Params], Params] | None = None
 
@@ -410,6 +411,12 @@ class Graph:
         answer = answer.result if isinstance(answer, Fallback) else answer
         why = answer.reason if isinstance(answer, Skipped) else ""
         output = answer.output if isinstance(answer, Skipped | EarlyAnswer) else answer
+        if not isinstance(output, method.value_type):
+            wanted = method.value_type.__name__
+            raise SettingProblem(
+                f"{method.stage} by {method.title!r} returned a {type(output).__name__}; "
+                f"return a {wanted}"
+            )
         # a skipped result may be the object that was returned before
         made = self._digests.compute_digest(output) if why else compute_digest(output)
         # Arrays shared with inputs and other stages are counted where they were made. Nodes of a

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,15 +14,19 @@ from numpy.typing import ArrayLike, NDArray
 from pipeline.core.arrays import Floats, Image, freeze
 from pipeline.core.errors import ShapeError
 from pipeline.core.values.frames import Recording, Stream, TactileFrame
+from pipeline.io.depth_arrays import read_depth_image
 from pipeline.io.formats import with_index_check
+from pipeline.io.image_files import read_rgb
+from pipeline.sensors.depth_unit import describe_unit_problem
 from pipeline.sensors.spec import SensorSpec
 
+PathLike: TypeAlias = "str | os.PathLike[str]"
 PATH = Path("arrays")  # what messages call it
 
 
 def make_recording(
     images: ArrayLike | Sequence[ArrayLike],
-    reference: ArrayLike | None,
+    reference: PathLike | ArrayLike | None,
     sensor: SensorSpec,
     times_s: Sequence[float] | None = None,
     path: Path = PATH,
@@ -30,15 +35,16 @@ def make_recording(
 
     Args:
         images: (n, rows, cols, 3) uint8 RGB of a gel, or (n, rows, cols) depth in mm of a bubble,
-            NaN = no value.
-        reference: One image of the sensor without contact, of the same shape and type; None = not
-            recorded.
+            NaN or 0 = no value.
+        reference: One image of the sensor without contact, of the same shape and type, or its
+            file; None = not recorded.
         sensor: The sensor that made them.
         times_s: (n,) seconds, increasing; None = not known.
         path: Where they are from, for messages.
 
     Raises:
-        ShapeError: Shapes or types are others, or no image is there.
+        FileProblem: The reference cannot be read.
+        ShapeError: Shapes, types or units are others, or no image is there.
     """
     try:
         stack = np.asarray(images)
@@ -61,6 +67,9 @@ def make_recording(
             f"images of {sensor.title} must be {content}, got {stack.dtype} of {stack.shape}"
         )
     frames = [_convert(image, sensor, f"image {index}") for index, image in enumerate(stack)]
+    if isinstance(reference, (str, os.PathLike)):
+        read_reference = read_rgb if sensor.bubble is None else read_depth_image
+        reference = read_reference(Path(reference))
     rest = None if reference is None else _convert(np.asarray(reference), sensor, "the reference")
     if rest is not None and rest.shape != frames[0].shape:
         raise ShapeError(
@@ -94,13 +103,22 @@ def make_recording(
 
 
 def _convert(image: NDArray[Any], sensor: SensorSpec, what: str) -> Image | Floats:
-    """Return an immutable copy; raises ShapeError for another type than the sensor's."""
+    """Return an immutable copy; raises ShapeError for another type or unit than the sensor's."""
     if sensor.bubble is not None:
         if image.dtype.kind not in "fiu":
             raise ShapeError(
                 f"{what} must hold depth in mm, got {image.dtype}; convert it with astype(float)"
             )
-        return freeze(image.astype(np.float32))
+        depth_mm = image.astype(np.float32)
+        known = depth_mm[np.isfinite(depth_mm) & (depth_mm != 0)]  # cameras write 0 for no value
+        if (known < 0).any():
+            raise ShapeError(
+                f"{what} holds negative depth; give the distance from the camera, positive"
+            )
+        problem = describe_unit_problem(float(np.median(known)), sensor) if known.size else ""
+        if problem:
+            raise ShapeError(f"{what} {problem}; give mm")
+        return freeze(depth_mm)
     if image.dtype != np.uint8:
         raise ShapeError(
             f"{what} must be uint8, got {image.dtype}; convert values from 0 to 1 with (255 * "

@@ -115,7 +115,7 @@ def _pick_best(ways: Iterator[tuple[str, Image, Image]]) -> tuple[str, float]:
 
 def _list_corrections(seen: Image, want: Image) -> Iterator[tuple[str, Image, Image]]:
     """(problem, corrected image, nominal image) of the same sensor."""
-    yield "red and blue look swapped", seen[:, :, ::-1], want
+    yield "red and blue look swapped (in Python give image[..., ::-1])", seen[:, :, ::-1], want
     yield "it looks mirrored", mirror_image(seen, "left to right"), want
     yield "it looks mirrored top to bottom", mirror_image(seen, "top to bottom"), want
     yield "it looks rotated by 180 degrees", seen[::-1, ::-1], want

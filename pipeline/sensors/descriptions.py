@@ -26,6 +26,7 @@ DESCRIPTION = "the sensor description"
 # finite; values derived from it still fit float32
 _Number = Annotated[float, Meta(ge=-1e9, le=1e9)]
 _UNITS = {"px", "mm", "px/mm", "kPa", "N/mm", "1", "deg", "grey", "rgb", "grey/px", "mm^3"}
+_INTRINSICS = {"fx", "fy", "cx", "cy"}
 
 
 class _Entry(msgspec.Struct, kw_only=True, frozen=True, forbid_unknown_fields=True):
@@ -90,6 +91,15 @@ def read_description(path: Path, children: tuple[Path, ...] = ()) -> dict[str, A
     if not file.is_file():
         file = find_descriptions().get(parent, file)
     merged = read_description(file, (*children, path))
+    resized = data.get("image", merged.get("image")) != merged.get("image")
+    camera = data.get("camera")
+    if resized and not (isinstance(camera, dict) and camera.keys() >= _INTRINSICS):
+        raise FileProblem(
+            f"the size of [image] is not that of {parent}, whose optical axis would be off its "
+            f"middle; give {', '.join(sorted(_INTRINSICS))} in [camera] as well",
+            path,
+            field="image",
+        )
     for key, value in data.items():
         before = merged.get(key)
         # another kind replaces
@@ -108,14 +118,14 @@ def refuse_unknown_keys(
 ) -> None:
     """Raise CalibrationError for a key that nothing reads.
 
-    The sentence names the known key that is most like it.
+    The sentence names the known key that is most like it, and all.
     """
     for key in found:
         if key not in known:
             nearest = difflib.get_close_matches(key, known, 1, 0.0)[0]
             raise CalibrationError(
-                f"the sensor description has {within}{key}; do you mean {within}{nearest}?: "
-                f"'{path}'"
+                f"the sensor description has {within}{key}; do you mean {within}{nearest}? Known "
+                f"are {', '.join(sorted(known))}: '{path}'"
             )
 
 

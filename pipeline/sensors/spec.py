@@ -161,7 +161,14 @@ def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None
     image = section("image")
     lens = section("camera")
     align = section("alignment")
-    rows, cols = (int(image.read_number(k, "px", *_SIDES_PX)) for k in ("rows", "cols"))
+    sides_px = [image.read_number(k, "px", *_SIDES_PX) for k in ("rows", "cols")]
+    rows, cols = map(int, sides_px)
+    if [rows, cols] != sides_px:
+        raise CalibrationError(
+            "image.rows and image.cols must be whole numbers, got {:g} and {:g}: '{}'".format(
+                *sides_px, path
+            )
+        )
     least_px = max(rows, cols) / WIDEST_VIEW
     fx_px, fy_px = (lens.read_number(k, "px", least_px, MOST_FOCAL_PX) for k in ("fx", "fy"))
     cx_px, cy_px = (lens.read_number(k, "px", -MOST_FOCAL_PX, MOST_FOCAL_PX) for k in ("cx", "cy"))

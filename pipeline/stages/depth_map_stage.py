@@ -31,6 +31,7 @@ def make_depth_stage(
         title=title,
         sensor_role=sensor_role,
         methods=methods,
+        value_type=DepthMap,
         compute_metrics=compute_metrics,
         make_ground_truth=make_ground_truth,
     )

@@ -42,6 +42,7 @@ class Stage:
     title: str
     sensor_role: SensorRole  # sensor whose frame positions are in
     methods: tuple[Method, ...]  # the first is the default
+    value_type: type[Any] = object  # of what they return
     # name in METRICS -> value
     compute_metrics: Callable[[Any, GroundTruth], Mapping[str, float]] = lambda _v, _f: {}
     # value of this stage

@@ -132,6 +132,7 @@ class Catalogue:
         Raises SettingProblem where there is no such stage, or another method of that name.
         """
         stage = self.stage(method.stage)
+        method = replace(method, value_type=stage.value_type)
         if method in stage.methods:
             return self
         if any(method.name == known.name for known in stage.methods):

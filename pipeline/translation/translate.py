@@ -120,6 +120,10 @@ class Translation:
     # its cache holds the results; its methods are not read
     graph: Graph = field(default_factory=lambda: Graph(()))
 
+    def __repr__(self) -> str:
+        names = f"{self.source.name} -> {self.target.name}"
+        return f"<{self.n_frames} frames of {names}: {self.recording.path.name!r}>"
+
     def __len__(self) -> int:
         return self.n_frames
 
@@ -127,9 +131,16 @@ class Translation:
         return True
 
     def __getitem__(self, index: int) -> TranslatedFrame:
-        number = operator.index(index)
+        try:
+            number = operator.index(index)
+        except TypeError:
+            raise SettingProblem(
+                f"a frame is chosen by its number, got {index!r}; several by a loop over "
+                "range(first, end)"
+            ) from None
+        from_end = -self.n_frames <= number < 0
         return TranslatedFrame(
-            self, self.check_index(number + self.n_frames if number < 0 else number)
+            self, self.check_index(number + self.n_frames if from_end else number)
         )
 
     def __iter__(self) -> Iterator[TranslatedFrame]:
@@ -151,7 +162,8 @@ class Translation:
         Args:
             stage: Stage that `method` and `settings` are about: `depth`, `cloud`, `target_depth`,
                 `touch`, `touch_depth` or `pose`.
-            method: Name of one of its methods (`list_methods`), or a `Method` of your own.
+            method: Name of one of its methods (`list_methods`), or a `Method` of your own, which
+                says its stage.
             settings: Parameters of the stage's method, such as `steps=8` or `guidance=2.0`.
 
         Raises:
@@ -159,6 +171,13 @@ class Translation:
                 range.
         """
         changed = self
+        if isinstance(method, Method):
+            stage = method.stage
+        elif not isinstance(cast("object", method), str):
+            raise SettingProblem(
+                f"a method is a name or a Method, got {method!r}; give "
+                "ts.Method(stage=..., name=..., title=..., run=..., params=..., reads=...)"
+            )
         if method:
             changed = changed._with_method(stage, method)
         if settings:
@@ -497,13 +516,14 @@ def open_translation(
     catalogue: Catalogue = BUILT_IN,
     *,
     recording: Recording | None = None,
+    mesh: Mesh | None = None,
     settings: Sequence[str] = (),
     cache_bytes: int = DEFAULT_MAX_BYTES,
 ) -> Translation:
     """Open and check all that `request` names; raises TouchError with what is wrong and where.
 
-    `recording` is one at hand, in place of the file. `settings` are `stage.parameter=value`.
-    `cache_bytes` bounds the results that are held.
+    `recording` and `mesh` are those at hand, in place of the files. `settings` are
+    `stage.parameter=value`. `cache_bytes` bounds the results that are held.
     """
     # report a wrong name before anything is read
     methods = catalogue.methods(request.route, dict(request.methods))
@@ -516,6 +536,8 @@ def open_translation(
         reference_frames=request.reference_frames,
         depth_unit=request.depth_unit,
     )
+    if mesh is not None:
+        recording = replace(recording, object_mesh=mesh, symmetry=None)
     try:
         opened = _open_with(recording, request, target, methods, catalogue)
         params = with_settings(opened.methods, settings)

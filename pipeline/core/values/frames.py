@@ -126,6 +126,10 @@ class Recording:
     # why its frames are not of one touch; "" = fine
     find_pair_problem: Callable[[int], str] = lambda _i: ""
 
+    def __repr__(self) -> str:
+        streams = ", ".join(f"{s.n_frames} frames of {s.name}" for s in self.streams)
+        return f"<{self.format} {self.path.name!r}: {streams}>"
+
     def stream(self, name_or_sensor: str = "") -> Stream:
         """The stream with this name, else the first of this sensor, the first one for "".
 

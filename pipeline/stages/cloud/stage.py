@@ -1,6 +1,7 @@
 """The stage *cloud*: contact points in the target's frame."""
 
 from pipeline.core.graph import Method, skip_if_exact
+from pipeline.core.values.results import Cloud
 from pipeline.stages.cloud import back_projection
 from pipeline.stages.stage import Stage
 
@@ -21,4 +22,5 @@ STAGE = Stage(
     title="Cloud",
     sensor_role="target",
     methods=(BACK_PROJECTION,),
+    value_type=Cloud,
 )

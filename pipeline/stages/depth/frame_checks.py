@@ -33,7 +33,7 @@ def check_frame(frame: TactileFrame, source: SensorSpec) -> None:
     if reference is None:
         raise MissingReference(
             f"no reference image for {where}; record one frame without contact, or choose its "
-            "image as the reference"
+            "image as the reference (reference=, --reference)"
         )
     camera = frame.camera or source.camera
     kind = source.sensor_kind

@@ -69,6 +69,7 @@ STAGE = Stage(
     title="Object pose",
     sensor_role="target",
     methods=(SIGNED_DISTANCES, PAPER_2D, ICP, NETWORK),
+    value_type=ObjectPose,
     compute_metrics=_compute_metrics,
     make_ground_truth=ground_truth.build_pose,
     has_steps=True,

@@ -1,6 +1,7 @@
 """The stage *target_depth*: the cloud as depth and contact in the target's image."""
 
 from pipeline.core.graph import Method, skip_if_exact
+from pipeline.core.values.results import TargetDepth
 from pipeline.stages import ground_truth
 from pipeline.stages.stage import Stage
 from pipeline.stages.target_depth import surface_projection
@@ -31,5 +32,6 @@ STAGE = Stage(
     title="Target depth",
     sensor_role="target",
     methods=(SURFACE, POINT_SPLAT),
+    value_type=TargetDepth,
     make_ground_truth=ground_truth.build_target_depth,
 )

@@ -153,6 +153,7 @@ STAGE = Stage(
     title="Generated touch",
     sensor_role="target",
     methods=(PHYSICS, T2D2, LATENT_T2D2, T2T, LATENT, VQVAE, OBJECT),
+    value_type=GeneratedTouch,
     compute_metrics=_compute_metrics,
     make_ground_truth=ground_truth.build_touch,
     has_steps=True,

@@ -64,7 +64,10 @@ def test_a_users_sensor_may_extend_one_of_the_project(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("[gel]\nthicknes = {}", r"gel\.thicknes; do you mean gel\.thickness"),
+        (
+            "[gel]\nthicknes = {}",
+            r"gel\.thicknes; do you mean gel\.thickness\? Known are poisson, thickness, youngs",
+        ),
         ("[optics]\nglowz = []", r"optics\.glowz; do you mean optics\.glows"),
         ("[marker]\npitch = {}", "marker; do you mean markers"),
         ('titel = "my digit"', "titel; do you mean title"),
@@ -164,6 +167,9 @@ def entry(key, value, unit):
     return f'{key} = {{ value = {value}, unit = "{unit}", from = "a slip" }}\n'
 
 
+CAMERA = "[camera]\n" + "".join(entry(key, "100.0", "px") for key in ("fx", "fy", "cx", "cy"))
+
+
 @pytest.mark.parametrize(
     ("section", "line", "words"),
     [
@@ -197,7 +203,9 @@ def entry(key, value, unit):
         ("camera", entry("cx", "-1e7", "px"), "within -100000 and 100000 px"),
         ("camera", entry("fy", "true", "px"), "expected a number or a list, got true or false"),
         ("camera", entry("fy", "[[1.0]]", "px"), r"fy\.value\[0\]: expected a number, got a list"),
-        ("image", entry("rows", "1", "px"), "within 8 and 10000 px"),
+        ("image", entry("rows", "1", "px") + CAMERA, "within 8 and 10000 px"),
+        ("image", entry("rows", "80.5", "px") + CAMERA, "must be whole numbers, got 80.5 and 175"),
+        ("image", entry("rows", "80", "px"), "is not that of soft_bubble, .*give cx"),
         ("rest", entry("rim_depth", "1979-05-27", "mm"), r"rim_depth\.value: expected a number"),
     ],
 )

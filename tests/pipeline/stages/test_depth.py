@@ -414,7 +414,7 @@ def test_a_recorded_frame_says_first_what_its_look_up_is_worth():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda p: p[:, :, ::-1], "red and blue look swapped"),
+        (lambda p: p[:, :, ::-1], "red and blue look swapped (in Python give image[..., ::-1])"),
         (lambda p: p[::-1], "mirrored top to bottom"),
         (lambda p: p[::-1, ::-1], "rotated by 180 degrees"),
     ],
