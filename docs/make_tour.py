@@ -39,8 +39,8 @@ from pipeline.sensors.alignment import Offsets
 SIZE_PX = (1600, 950)
 LIMIT_S = 300.0
 QUIET_S = 3.0
-# trial 17 of this seed fails
-TRIALS = (14, 15, 16, 17)
+# trial 21 of this seed fails
+TRIALS = (18, 19, 20, 21)
 SEED = 3
 ROLLOUTS = tempfile.TemporaryDirectory()
 PAIRED = SAMPLE_RECORDING.with_name("digit_gelslim.h5")
@@ -241,14 +241,14 @@ def live(instrument: SessionController, path: Path) -> None:
 
 
 def trial(instrument: SessionController, path: Path) -> None:
-    """Trial 17 at the tick where it jams, and what its controller read."""
-    _open_trial_17(instrument)
+    """Trial 21 at the tick where it jams, and what its controller read."""
+    _open_trial_21(instrument)
     save_window_screenshot(instrument, path)
 
 
 def trial_error(instrument: SessionController, path: Path) -> None:
-    """Why trial 17 fails, from the rollout that is run again."""
-    _open_trial_17(instrument)
+    """Why trial 21 fails, from the rollout that is run again."""
+    _open_trial_21(instrument)
     attribution = next(
         child for child in instrument.children() if isinstance(child, RolloutAttributionController)
     )
@@ -257,14 +257,14 @@ def trial_error(instrument: SessionController, path: Path) -> None:
     save_window_screenshot(instrument, path)
 
 
-def _open_trial_17(instrument: SessionController) -> None:
+def _open_trial_21(instrument: SessionController) -> None:
     folder = record_trials()
     instrument.open_path(folder)
     rollouts = next(
         child for child in instrument.children() if isinstance(child, RolloutController)
     )
     until(lambda: rollouts.shown is not None)
-    rollouts.choose_trial(folder / "hex_key_t2t_0.5mm_017.h5")
+    rollouts.choose_trial(folder / "hex_key_t2t_0.5mm_021.h5")
     until(lambda: rollouts.shown is not None and rollouts.shown.rollout.summary.trial == TRIALS[-1])
     wait_for_views(instrument)
     until(lambda: instrument.window.task.views["truth"].preview is not None)
