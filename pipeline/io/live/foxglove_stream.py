@@ -39,6 +39,7 @@ _CAMERA_SCHEMAS = frozenset({"foxglove.CameraCalibration", "sensor_msgs/msg/Came
 _MESSAGE = struct.Struct("<BIQ")  # kind, subscription, time of sending in ns
 _MESSAGE_DATA = 1
 # of our subscriptions
+_N_INTRINSICS = 9  # of K, row by row
 _IMAGE_ID = 1
 _CAMERA_ID = 2
 _LIST_S = 3.0  # for the channels of a server to be listed
@@ -81,6 +82,7 @@ class FoxgloveSource:
         self._converter: GelImageConverter | None = None
         self._shape: tuple[int, ...] = ()
         self._camera: Camera | None = None
+        self._camera_channel: _Channel | None = None
 
     @property
     def title(self) -> str:
@@ -108,6 +110,7 @@ class FoxgloveSource:
         self._channels = {}
         self._image = None
         self._camera = None
+        self._camera_channel = None
         try:
             link: Any = connect(
                 self._address,
@@ -185,8 +188,8 @@ class FoxgloveSource:
         if len(received) < _MESSAGE.size or received[0] != _MESSAGE_DATA:
             return None
         _, subscription, _ = _MESSAGE.unpack_from(received)
-        if subscription == _CAMERA_ID:
-            self._read_camera(received[_MESSAGE.size :])
+        if subscription == _CAMERA_ID and self._camera_channel is not None:
+            self._read_camera(self._camera_channel, received[_MESSAGE.size :])
         return received[_MESSAGE.size :] if subscription == _IMAGE_ID else None
 
     def _handle_text(self, text: str) -> None:
@@ -213,13 +216,14 @@ class FoxgloveSource:
             self._image = wanted[0]
             self._topic = self._image.mcap.topic
             self._send_subscription(_IMAGE_ID, self._image)
-        if self._image is not None and self._camera is None:
+        if self._image is not None and self._camera_channel is None:
             folder = self._image.mcap.topic.rpartition("/")[0]
             for channel in self._channels.values():
                 if (
                     channel.schema in _CAMERA_SCHEMAS
                     and channel.mcap.topic.rpartition("/")[0] == folder
                 ):
+                    self._camera_channel = channel
                     self._send_subscription(_CAMERA_ID, channel)
                     return
 
@@ -247,24 +251,19 @@ class FoxgloveSource:
             f"'{self._address}' has no topic {self._topic!r} of images; there are {names}"
         )
 
-    def _read_camera(self, content: bytes) -> None:
-        """Keep the intrinsics that the server publishes beside the images."""
-        channels = [c for c in self._channels.values() if c.schema in _CAMERA_SCHEMAS]
-        for channel in channels:
-            try:
-                assert self._decoders is not None
-                told = self._decoders.decode(channel.mcap, content)
-                k = tuple(told.K if hasattr(told, "K") else told.k)
-                self._camera = Camera(
-                    rows=int(told.height),
-                    cols=int(told.width),
-                    fx_px=k[0],
-                    fy_px=k[4],
-                    cx_px=k[2],
-                    cy_px=k[5],
-                )
-            except Exception:  # noqa: BLE001, S112 - a border: another channel's message, or one without intrinsics
-                continue
+    def _read_camera(self, channel: _Channel, content: bytes) -> None:
+        """Keep the intrinsics that the server publishes beside the images.
+
+        Raises CalibrationError for impossible ones; fx of 0 is ROS's word for "not calibrated".
+        """
+        assert self._decoders is not None
+        told = self._decoders.decode(channel.mcap, content)
+        k = tuple(told.K if hasattr(told, "K") else told.k)
+        if len(k) == _N_INTRINSICS and k[0] != 0.0:
+            rows, cols = int(told.height), int(told.width)
+            self._camera = Camera(
+                rows=rows, cols=cols, fx_px=k[0], fy_px=k[4], cx_px=k[2], cy_px=k[5]
+            )
 
     def _find_camera(self, shape: tuple[int, ...]) -> Camera | None:
         """Intrinsics of a depth image: as published, else as its size tells.

@@ -136,7 +136,7 @@ class UsbCameraSource:
     @property
     def title(self) -> str:
         """Name for people."""
-        return self._name
+        return f"camera {self._name}" if self._name.isdecimal() else self._name
 
     @property
     def sensor(self) -> str:

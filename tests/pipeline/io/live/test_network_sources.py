@@ -15,7 +15,7 @@ from foxglove.channels import CameraCalibrationChannel, CompressedImageChannel, 
 from foxglove.messages import CameraCalibration, CompressedImage, RawImage, Timestamp
 from mcap_ros2._dynamic import serialize_dynamic
 
-from pipeline.core.errors import SettingProblem
+from pipeline.core.errors import CalibrationError, SettingProblem
 from pipeline.io.live.reader import LiveReader
 from pipeline.io.live.source import LiveFrame, LiveSourceLost
 from pipeline.io.live.source_parsing import parse_source
@@ -261,6 +261,31 @@ def test_depth_topics_are_a_bubble_in_mm_with_the_published_camera(bridge, encod
         assert np.isnan(frame.image[0, 0])
         np.testing.assert_allclose(frame.image[1:], depth[1:], atol=1e-3)
         assert (frame.camera.fx_px, frame.camera.fy_px) == (250.0, 251.0)
+
+
+@pytest.mark.parametrize("focal_px", [0.0, -250.0])
+def test_a_camera_that_is_not_calibrated_is_not_used_and_an_impossible_one_is_said(
+    bridge, focal_px
+):
+    address, context = bridge
+    raw = np.rint(BUBBLE.rest_depth_mm).astype(np.uint16)
+    images = RawImageChannel("/bubble/image", context=context)
+    cameras = CameraCalibrationChannel("/bubble/camera_info", context=context)
+    rows, cols = raw.shape
+    k = [focal_px, 0.0, cols / 2, 0.0, focal_px, rows / 2, 0.0, 0.0, 1.0]
+
+    def publish(n):
+        cameras.log(CameraCalibration(width=cols, height=rows, K=k))
+        images.log(make_raw(raw, "16UC1", n))
+
+    source = parse_source([address], sensor="soft_bubble")
+    with publishing(publish), closing(source):
+        source.open()
+        if focal_px:
+            with pytest.raises(CalibrationError, match="must be positive"):
+                read_frame(source, lambda _: False)
+        else:
+            assert all(read_frame(source).camera is None for _ in range(5))
 
 
 def test_topics_are_listed_where_none_or_another_is_named(bridge):
