@@ -491,7 +491,9 @@ def _remove_leftovers(folder: Path) -> None:
             descriptor = os.open(rest, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                _remove(rest)
+                # its owner may have made it anew under the same name since it was opened
+                if os.path.samestat(os.fstat(descriptor), rest.stat()):
+                    _remove(rest)
             finally:
                 os.close(descriptor)
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import ast
+import fcntl
 import json
 import math
 import os
@@ -15,6 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.core import files
 from pipeline.core.errors import FileProblem, escape_text
 from pipeline.core.files import (
     open_atomic,
@@ -123,6 +125,22 @@ def test_many_writers_of_one_folder_do_not_take_each_other_for_leftovers(tmp_pat
             writers.map(lambda number: write_json(tmp_path / f"{number}.json", number), range(300))
         )
     assert sorted(json.loads(path.read_text()) for path in tmp_path.iterdir()) == list(range(300))
+
+
+def test_a_temporary_folder_made_anew_under_a_leftovers_name_is_kept(tmp_path, monkeypatch):
+    leftover = tmp_path / f".tactoscope-{files._get_boot()}-1.part"
+    leftover.mkdir()
+    flock = fcntl.flock
+
+    def replace_leftover(descriptor, operation):
+        if operation & fcntl.LOCK_NB:  # another writer removed it, and its owner made it again
+            leftover.rmdir()
+            leftover.mkdir()
+        flock(descriptor, operation)
+
+    monkeypatch.setattr(files.fcntl, "flock", replace_leftover)
+    write_json(tmp_path / "report.json", 1)
+    assert leftover.is_dir()
 
 
 def test_a_replaced_file_keeps_its_permissions_and_a_link_stays_one(tmp_path):
