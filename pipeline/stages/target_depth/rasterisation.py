@@ -1,7 +1,7 @@
 """Rasterisation of a cloud in a camera image, as points or as the surface of its pixel grid."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,6 @@ from pipeline.core.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.core.geometry.membrane import Membrane
 from pipeline.core.values.results import SAME_SURFACE_MM, Cloud
 
-_CELLS_PER_STRIP = 8192  # cells processed at once, so that they stay in cache
 _SPACING_SAMPLES = 1024  # neighbour pairs that the point spacing is estimated from
 
 
@@ -27,50 +26,33 @@ class Rasterisation:
     point_index: Indices  # (rows * cols,) the point drawn there
     contact: Mask  # (rows * cols,) reaches the membrane
     n_drawn_px: int
-    triangle_counts: NDArray[np.int64]  # triangles by outcome, see triangle_batch_kernels
+    triangle_counts: NDArray[np.int64]  # triangles by outcome, see projection_kernels
     n_veiled_px: int = 0  # pixels hidden by omitted triangles
     is_point_splat: bool = False  # the touch was too small for a surface
 
 
 def splat_cloud(cloud: Cloud, camera: Camera, membrane: Membrane, pixel: Indices) -> Rasterisation:
-    """Draw each point in its pixel, the nearest winning; contact is tested for every point."""
-    from pipeline.stages.target_depth import projection_kernels as kernels
-    from pipeline.stages.target_depth.triangle_batch_kernels import N_COUNTS
+    """Draw each point in its pixel (n,); contact is tested for every point.
 
-    depth_mm, source, n_drawn = compute_zbuffer(cloud, camera, pixel)
-    contact = np.zeros(source.size, dtype=np.bool_)
-    kernels.mark_contact_points(
-        flatten_read_only(cloud.points_mm), pixel, _pack_membrane(membrane), contact
-    )
-    return Rasterisation(
-        depth_mm=depth_mm,
-        point_index=source,
-        contact=contact,
-        n_drawn_px=n_drawn,
-        triangle_counts=np.zeros(N_COUNTS, dtype=np.int64),
-    )
-
-
-def compute_zbuffer(cloud: Cloud, camera: Camera, pixel: Indices) -> tuple[Floats, Indices, int]:
-    """(depth of each pixel in mm, NaN = nothing.
-
-    The point in it; number of pixels drawn) of a splat.
-
-    `pixel` (n,) is the pixel of each point. The nearest point wins, ties go to the smaller
-    `source_index`: the order of the points has no effect.
+    The nearest point wins, ties go to the smaller `source_index`: the order of the points has no
+    effect.
     """
     from pipeline.stages.target_depth import projection_kernels as kernels
 
-    n = camera.rows * camera.cols
-    index = flatten_read_only(cloud.source_index, np.int32)
-    depth_mm = np.full(n, np.nan, dtype=np.float32)
-    source = np.full(n, -1, dtype=np.int32)
-    return (
-        depth_mm,
-        source,
-        int(
-            kernels.fill_zbuffer(flatten_read_only(cloud.points_mm), index, pixel, depth_mm, source)
-        ),
+    points = flatten_read_only(cloud.points_mm)
+    image = _make_image(camera)
+    kernels.splat_points(points, pixel, flatten_read_only(cloud.source_index, np.int32), image)
+    contact = np.zeros(image[2].size, dtype=np.bool_)
+    kernels.mark_contact_points(points, pixel, _pack_membrane(membrane), contact)
+    drawn = image[2] >= 0
+    depth_mm = np.full(drawn.size, np.nan, dtype=np.float32)
+    depth_mm[drawn] = cloud.points_mm[image[2][drawn], 2]
+    return Rasterisation(
+        depth_mm=depth_mm,
+        point_index=image[2],
+        contact=contact,
+        n_drawn_px=int(np.count_nonzero(drawn)),
+        triangle_counts=np.zeros(kernels.N_COUNTS, dtype=np.int64),
     )
 
 
@@ -96,34 +78,29 @@ def rasterise_surface(
     `grazing_deg` from their normal, are omitted; the latter still hide what lies behind them.
     """
     from pipeline.stages.target_depth import projection_kernels as kernels
-    from pipeline.stages.target_depth.triangle_batch_kernels import GRAZING
 
-    n = camera.rows * camera.cols
     points = flatten_read_only(cloud.points_mm)
     index = flatten_read_only(cloud.source_index, np.int32)
-    if not index.size:
-        return splat_cloud(cloud, camera, membrane, index)
-    if (index[1:] < index[:-1]).any():
-        return _rasterise_unordered(
-            cloud, camera, membrane, jump_mm=jump_mm, grazing_deg=grazing_deg
-        )
     # the diagonal of a cell on a slope
-    longest_mm = jump_mm + 2.0 * _measure_spacing_mm(points, index, cloud.stride)
-    image = (np.zeros(n), np.zeros(n), np.full(n, -1, dtype=np.int32))
+    longest_mm = jump_mm + 2.0 * _measure_spacing_mm(cloud)
+    image = _make_image(camera)
     limits = (longest_mm * longest_mm, math.cos(math.radians(grazing_deg)))
-    alone, counts = _rasterise_triangles(cloud, pack_camera(camera), limits, image)
-    splats_points = not counts[0].any() and not (image[2] >= 0).any()
+    counts = np.zeros((2, kernels.N_COUNTS), dtype=np.int64)
+    linked = np.zeros(len(index), dtype=np.bool_)
+    kernels.rasterise_grid(
+        points, _lay_out_cells(cloud), pack_camera(camera), limits, image, counts, linked
+    )
     # A pixel without neighbours forms no triangle; it is drawn as a point.
-    if splats_points or alone.any():
-        splats_points &= (
-            kernels.splat_points(points, alone | splats_points, index, pack_camera(camera), image)
-            > 0
-        )
-    depth_mm = np.empty(n, dtype=np.float32)
-    contact = np.empty(n, dtype=np.bool_)
+    splats_points = not counts[0].any() and not (image[2] >= 0).any()
+    pixel, _ = assign_pixels(cloud, camera)
+    if not splats_points:
+        pixel[linked] = -1
+    kernels.splat_points(points, pixel, index, image)
+    depth_mm = np.empty(image[2].size, dtype=np.float32)
+    contact = np.empty(image[2].size, dtype=np.bool_)
     n_drawn, n_veiled = kernels.resolve_depth_and_contact(
         image,
-        bool(counts[:, GRAZING].any()),
+        bool(counts[:, kernels.GRAZING].any()),
         SAME_SURFACE_MM,
         camera.rays(),
         _pack_membrane(membrane),
@@ -137,27 +114,14 @@ def rasterise_surface(
         n_drawn_px=int(n_drawn),
         n_veiled_px=int(n_veiled),
         triangle_counts=counts[0],
-        is_point_splat=splats_points and not bool(alone.all()),
+        is_point_splat=splats_points and bool(linked.any() and (pixel >= 0).any()),
     )
 
 
-def _rasterise_unordered(
-    cloud: Cloud, camera: Camera, membrane: Membrane, *, jump_mm: float, grazing_deg: float
-) -> Rasterisation:
-    """`rasterise_surface` of points that are not in the order of their source pixels."""
-    order = np.argsort(cloud.source_index, kind="stable").astype(np.int32)
-    ordered = replace(
-        cloud, points_mm=cloud.points_mm[order], source_index=cloud.source_index[order]
-    )
-    rasterisation = rasterise_surface(
-        ordered, camera, membrane, jump_mm=jump_mm, grazing_deg=grazing_deg
-    )
-    return replace(
-        rasterisation,
-        point_index=np.where(
-            rasterisation.point_index >= 0, order[rasterisation.point_index], np.int32(-1)
-        ),
-    )
+def _make_image(camera: Camera) -> tuple[Doubles, Doubles, Indices]:
+    """Empty buffers of the kernels: 1/z, 1/z of the veil, and the point drawn."""
+    n = camera.rows * camera.cols
+    return np.zeros(n), np.zeros(n), np.full(n, -1, dtype=np.int32)
 
 
 def flatten_read_only(array: NDArray[Any], kind: type = np.float32) -> NDArray[Any]:
@@ -179,83 +143,33 @@ def _pack_membrane(membrane: Membrane) -> tuple[float, float, float, Doubles]:
     return float(membrane.x0_mm), float(membrane.y0_mm), float(1.0 / membrane.step_mm), z_mm
 
 
-def _rasterise_triangles(
-    cloud: Cloud,
-    lens: tuple[float, ...],
-    limits: tuple[float, float],
-    image: tuple[NDArray[Any], ...],
-) -> tuple[Mask, NDArray[np.int64]]:
-    """Rasterise the triangles of ordered points.
+def _lay_out_cells(cloud: Cloud) -> Indices:
+    """The point of every `stride`-th source pixel (rows, cols), -1 = none, inside a frame of empty
+    cells.
 
-    Returns which points have no neighbours to form a triangle (n,), and counts of triangles by
-    outcome: of the surface, and of its rim.
+    Of several points of one pixel the last is taken.
     """
-    from pipeline.stages.target_depth import triangle_batch_kernels as batch_kernels
-    from pipeline.stages.target_depth import triangle_kernels as triangles
-
-    points = flatten_read_only(cloud.points_mm)
-    index = flatten_read_only(cloud.source_index, np.int32)
-    starts, bounds, n_rows = _lay_out_rows(index, cloud.grid_shape[1], cloud.stride)
-    cols = bounds[3]
-    room = triangles.N_RIM_CORNERS
-    grid = (min(max(_CELLS_PER_STRIP // cols, 8), n_rows + 4), cols)
-    high = min(grid[0] * cloud.stride, len(starts) - 1)  # source rows of a strip
-    n = int((starts[high:] - starts[:-high]).max()) + room
-    corners = (
-        np.empty(4 * room),
-        np.empty((3, n)),
-        np.empty((2, n), np.int32),
-        np.empty(n, np.uint8),
-    )
-    cells = (
-        np.empty(grid, np.uint32),
-        np.empty(grid, np.uint8),
-        np.zeros(grid, np.int64),
-        np.empty(grid, np.uint8),
-    )
-    lists = (
-        np.empty(2 * grid[0] * cols, np.uint32),
-        np.empty(cols, np.uint32),
-        np.empty(batch_kernels.BATCH_LENGTH),
-    )
-    alone = np.zeros(len(index), dtype=np.bool_)
-    counts = np.zeros((2, batch_kernels.N_COUNTS), dtype=np.int64)
-    triangles.rasterise_grid(
-        (points, index, starts), bounds, lens, limits, corners, cells, lists, image, counts, alone
-    )
-    return alone, counts
+    row, col = np.divmod(cloud.source_index, cloud.grid_shape[1])
+    taken = np.flatnonzero((row % cloud.stride == 0) & (col % cloud.stride == 0))
+    row, col = (at[taken] // cloud.stride for at in (row, col))
+    row, col = (at - at.min(initial=max(cloud.grid_shape)) + 1 for at in (row, col))
+    cells = np.full((row.max(initial=0) + 2, col.max(initial=0) + 2), -1, dtype=np.int32)
+    cells[row, col] = taken
+    return cells
 
 
-def _lay_out_rows(
-    index: Indices, grid_cols: int, stride: int
-) -> tuple[NDArray[np.intp], tuple[int, int, int, int, int], int]:
-    """First point of each source row.
-
-    The bounds as `place_corners` takes them; and the number of rows of cells.
-
-    Cells are every `stride`-th source pixel in each direction, with an empty column on either side.
-    """
-    top = int(index[0]) // grid_cols
-    bottom = int(index[-1]) // grid_cols
-    row = np.arange(top, bottom + 2, dtype=np.int32) * np.int32(grid_cols)
-    starts = np.searchsorted(index, row)
-    filled = starts[1:] > starts[:-1]
-    left = int((index[starts[:-1][filled]] - row[:-1][filled]).min())
-    right = int((index[starts[1:][filled] - 1] - row[:-1][filled]).max())
-    cols = right // stride - left // stride + 3
-    return starts, (top, left, grid_cols, cols, stride), bottom // stride - top // stride + 1
-
-
-def _measure_spacing_mm(points: Floats, index: Indices, stride: int) -> float:
-    """Median distance of neighbouring points, 0 if none has a neighbour."""
-    from pipeline.stages.target_depth import quad_kernels as kernels
-
-    squares = np.empty(_SPACING_SAMPLES, dtype=np.float64)
-    for every in (max(1, len(index) // _SPACING_SAMPLES), 1):
-        n = kernels.measure_neighbour_distances(points, index, stride, every, MIN_DEPTH_MM, squares)
-        if n > 0:
-            # np.median takes three times as long
-            low = (n - 1) // 2
-            high = n // 2
-            return float(np.sqrt(np.partition(squares[:n], (low, high))[[low, high]]).sum() / 2.0)
+def _measure_spacing_mm(cloud: Cloud) -> float:
+    """Median distance of neighbouring points, 0 if none has a neighbour; of many only some."""
+    order = np.argsort(cloud.source_index, kind="stable")
+    for every in (max(1, len(order) // _SPACING_SAMPLES), 1):
+        one = order[:-1:every]
+        other = order[1::every]
+        with np.errstate(all="ignore"):
+            steps_mm = cloud.points_mm[other].astype(np.float64) - cloud.points_mm[one]
+            distance_mm = np.linalg.norm(steps_mm, axis=1)
+        near = cloud.source_index[other] - cloud.source_index[one] == cloud.stride
+        near &= (cloud.points_mm[[one, other], 2] > MIN_DEPTH_MM).all(axis=0)
+        near &= np.isfinite(distance_mm)
+        if near.any():
+            return float(np.median(distance_mm[near][:_SPACING_SAMPLES]))
     return 0.0

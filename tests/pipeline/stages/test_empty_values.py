@@ -101,7 +101,6 @@ def rasterise(name: str, kind: str, place: Any) -> Any:
     camera = small(name).camera
     membrane = small(name).membrane
     pixel, _ = rasterisation.assign_pixels(made, camera)
-    rasterisation.compute_zbuffer(made, camera, pixel)
     splat = rasterisation.splat_cloud(made, camera, membrane, pixel)
     surface = rasterisation.rasterise_surface(made, camera, membrane, **SURFACE)
     assert (

@@ -15,7 +15,7 @@ from pipeline.core.values.results import Cloud
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
-from pipeline.stages.target_depth import rasterisation, surface_projection
+from pipeline.stages.target_depth import surface_projection
 from pipeline.stages.target_depth.surface_projection import (
     PointSplatParams,
     SurfaceProjectionParams,
@@ -171,22 +171,6 @@ def test_the_nearest_point_wins_each_pixel_in_any_order(raw, random):
     assert again.contact.tobytes() == view.contact.tobytes()
     won = view.source_index >= 0
     np.testing.assert_array_equal(np.array(order)[again.source_index[won]], view.source_index[won])
-
-
-@pytest.mark.parametrize("stride", [1, 3])
-def test_strips_give_the_same_image_as_one_piece(monkeypatch, stride):
-    cloud = sphere_cloud(30.0, stride=stride)
-    target = target_sensor()
-    # rims and lonely points in every strip
-    holed = np.random.default_rng(0).random(len(cloud.points_mm)) < 0.9
-    cloud = replace(cloud, points_mm=cloud.points_mm[holed], source_index=cloud.source_index[holed])
-    views = []
-    for cells in (1, 1 << 20):
-        monkeypatch.setattr(rasterisation, "_CELLS_PER_STRIP", cells)
-        views.append(project_cloud(cloud, target, SURFACE))
-    for name in ("depth_mm", "contact", "source_index", "pixel_of_point"):
-        np.testing.assert_array_equal(getattr(views[0], name), getattr(views[1], name))
-    assert views[0].notes == views[1].notes
 
 
 def test_pixels_are_half_open_squares():
