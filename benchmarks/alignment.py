@@ -31,8 +31,7 @@ from pipeline.core.geometry import rigid
 from pipeline.sensors.alignment import AXES, Alignment, compose_motion, correct_alignment
 from pipeline.translation.alignment.nudge import nudge
 from pipeline.translation.alignment.refine import refine_alignment
-from pipeline.translation.alignment.score import score_preview
-from pipeline.translation.alignment.target_observation import PREVIEW_FACTOR, observe_target
+from pipeline.translation.alignment.score import PREVIEW_FACTOR, observe_target, score_preview
 from pipeline.translation.alignment.touches import AlignmentTouch, find_pivot, load_paired_touches
 from pipeline.translation.translate import Request, Translation, open_translation
 

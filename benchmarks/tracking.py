@@ -23,7 +23,7 @@ from pipeline.core.values.frames import TactileFrame
 from pipeline.lab.tracking.track import compute_error, track_frames
 from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.physics.simulation import shapes
-from pipeline.physics.simulation.overhang import compute_lowest_mm
+from pipeline.physics.simulation.poses import compute_lowest_mm
 from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors.spec import load_sensor
 

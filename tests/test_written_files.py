@@ -55,7 +55,7 @@ from pipeline.stages.networks.weights import Weights, load_weights, save_weights
 from pipeline.translation.cross_section import SectionLine
 from pipeline.translation.reports.viewer_files import StageSample, write_mcap
 from pipeline.views.display_params import DisplayParams
-from pipeline.views.tile import Tile
+from pipeline.views.preview import Tile
 
 EYE = np.eye(4)
 WORDS = st.text(alphabet=string.ascii_letters + string.digits + " _-äßµ→'\"\\|,;\n\t", max_size=12)

@@ -10,7 +10,7 @@ from app.session.state import Session
 from app.window.jobs import LatestJob
 from pipeline.core.progress import Progress
 from pipeline.stages.networks import network_factory
-from pipeline.stages.networks.first_pass import FirstPassPredictor
+from pipeline.stages.networks.onnx_predictor import FirstPassPredictor
 from pipeline.stages.networks.weights import Weights
 from widgets.style.styling import make_single_shot_timer
 

@@ -19,7 +19,7 @@ from pipeline.sensors.alignment_files import read_alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.photometric import DepthParams
 from pipeline.stages.depth.stage import PHYSICS
-from pipeline.stages.networks.guidance import NO_CONDITION_DROPOUT
+from pipeline.stages.networks.samplers import NO_CONDITION_DROPOUT
 from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.translation.catalogue import Catalogue
 from pipeline.translation.translate import Request, Translation, open_translation

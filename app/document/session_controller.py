@@ -24,7 +24,7 @@ from app.window.main_window import MainWindow
 from pipeline.core.graph import Method
 from pipeline.core.params import list_settings
 from pipeline.sensors.alignment_files import AlignmentMismatch
-from pipeline.stages.networks.guidance import raise_steps
+from pipeline.stages.networks.samplers import raise_steps
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.translate import Request, Translation
 from pipeline.translation.truth_view import ComparisonMode

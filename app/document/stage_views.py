@@ -12,7 +12,7 @@ from app.window.main_window import MainWindow
 from pipeline.core.arrays import Doubles
 from pipeline.core.errors import TouchError
 from pipeline.core.graph import StageResult
-from pipeline.stages.truth_method import TRUTH
+from pipeline.stages.stage import TRUTH
 from pipeline.translation.translate import Request, Translation
 from pipeline.translation.truth_view import ComparisonMode, TruthView
 from pipeline.views.layers import Layer, ViewBounds

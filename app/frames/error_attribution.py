@@ -7,7 +7,7 @@ from PyQt6.QtCore import QEvent
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
 from pipeline.stages.metrics.stage_metrics import describe_metric, is_stage_error
-from pipeline.stages.truth_method import TRUTH
+from pipeline.stages.stage import TRUTH
 from pipeline.translation.error_attribution import DEFAULT_METRIC, ErrorAttribution, ErrorShare
 from pipeline.translation.translate import Translation
 from widgets.frames.error_attribution_panel import make_bars

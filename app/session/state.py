@@ -19,7 +19,7 @@ from pipeline.core.params import list_settings, replace_value
 from pipeline.core.typed_data import FileName, Name, Note, Number, Plain, convert, to_plain
 from pipeline.io.formats import DepthUnit
 from pipeline.sensors.alignment import Offsets
-from pipeline.stages.truth_method import TRUTH
+from pipeline.stages.stage import TRUTH
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.cross_section import SectionLine
 from pipeline.views.display_params import DisplayParams

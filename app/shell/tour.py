@@ -21,7 +21,7 @@ def run_tour(controller: SessionController, out: Path, *, show_frame: int | None
     most contact.
     """
     from pipeline.cli.translate import print_stage_table
-    from pipeline.translation.reports.frame_report import FrameReport
+    from pipeline.translation.translated_frame import FrameReport
     from pipeline.translation.reports.report import write_frame, write_report
 
     if not wait_until_shown(controller) or controller.views.translation is None:

@@ -19,13 +19,11 @@ from pipeline.translation.alignment.nudge import compute_pivot_mm
 from pipeline.translation.alignment.score import (
     AlignmentScore,
     Sensitivity,
-    compute_sensitivities,
-    score_preview,
-)
-from pipeline.translation.alignment.target_observation import (
     TargetObservation,
     choose_preview_factor,
+    compute_sensitivities,
     observe_target,
+    score_preview,
 )
 from pipeline.translation.alignment.touches import AlignmentTouch
 from pipeline.translation.translate import Translation, estimate_camera_shift_mm

@@ -18,10 +18,10 @@ from pipeline.core.files import check_folder_for
 from pipeline.core.frame_lists import parse_frames
 from pipeline.sensors.alignment_files import ALIGNMENT_SUFFIX, AlignmentFile, save_alignment
 from pipeline.translation.alignment import refine as refinement
-from pipeline.translation.alignment.coarse_start import estimate_alignment
 from pipeline.translation.alignment.refine import (
     AlignmentFit,
     Refinement,
+    estimate_alignment,
     hold_out_touches,
     refine_on_recording,
 )
@@ -32,9 +32,9 @@ from pipeline.translation.alignment.score import (
     Sensitivity,
     compute_sensitivities,
     median_score,
+    observe_target,
     score_touches,
 )
-from pipeline.translation.alignment.target_observation import observe_target
 from pipeline.translation.alignment.touches import AlignmentTouch, load_paired_touches
 from pipeline.translation.translate import Request, Translation, open_translation
 

@@ -26,7 +26,7 @@ from pipeline.translation.catalogue import BUILT_IN
 from pipeline.translation.error_attribution import DEFAULT_METRIC
 from pipeline.translation.translate import Translation, open_translation
 from pipeline.views.display_params import DisplayParams
-from pipeline.views.tile import Tile
+from pipeline.views.preview import Tile
 
 _DISPLAY = "display"
 _OptionText = Annotated[str, Parameter(allow_leading_hyphen=True)]

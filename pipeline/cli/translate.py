@@ -32,7 +32,6 @@ from pipeline.core.progress import SILENT, Progress, SubProgress
 from pipeline.core.values.results import ObjectPose
 from pipeline.translation.force import list_force_metrics, measure_force
 from pipeline.translation.object_identification import take_likeliest_mesh
-from pipeline.translation.reports.frame_report import FrameReport
 from pipeline.translation.reports.report import (
     FinishedFrame,
     compute_frame_key,
@@ -41,6 +40,7 @@ from pipeline.translation.reports.report import (
     write_report,
 )
 from pipeline.translation.translate import Request, Translation, open_translation
+from pipeline.translation.translated_frame import FrameReport
 from pipeline.translation.truth_view import add_truth_warnings
 
 CACHE_BYTES = 32 * 1024 * 1024  # a few frames: a run does not return to earlier ones

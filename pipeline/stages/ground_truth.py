@@ -2,11 +2,16 @@
 
 Used for truth views, and put in place of computed values to attribute errors
 (`translation.error_attribution`).
+
+Stages whose value is a `DepthMap`: source depth and touch depth share metrics and truth.
 """
+
+from collections.abc import Mapping
 
 import numpy as np
 
 from pipeline.core.arrays import freeze
+from pipeline.core.graph import Method
 from pipeline.core.values.frames import Truth
 from pipeline.core.values.results import (
     DepthMap,
@@ -17,7 +22,8 @@ from pipeline.core.values.results import (
     make_pixel_index,
 )
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.stage import GroundTruth, SensorRole
+from pipeline.stages.metrics.stage_metrics import compute_surface_metrics
+from pipeline.stages.stage import GroundTruth, SensorRole, Stage
 
 _NOTE = "ground truth of the recording"
 
@@ -101,4 +107,31 @@ def build_pose(ground_truth: GroundTruth, target: SensorSpec) -> ObjectPose | No
         scene_mm=freeze(points.astype(np.float32)),
         source_index=freeze(pixels),
         notes=(_NOTE,),
+    )
+
+
+def make_depth_stage(
+    *, name: str, title: str, sensor_role: SensorRole, methods: tuple[Method, ...]
+) -> Stage:
+    """A stage whose value is the indentation of the membrane of the sensor in `sensor_role`."""
+
+    def compute_metrics(depth: DepthMap, facts: GroundTruth) -> Mapping[str, float]:
+        truth = facts.source_truth if sensor_role == "source" else facts.target_truth
+        return (
+            {}
+            if truth is None
+            else compute_surface_metrics(depth.indentation_mm, depth.contact, truth)
+        )
+
+    def make_ground_truth(facts: GroundTruth, there: SensorSpec) -> DepthMap | None:
+        return build_depth_map(facts, sensor_role, there)
+
+    return Stage(
+        name=name,
+        title=title,
+        sensor_role=sensor_role,
+        methods=methods,
+        value_type=DepthMap,
+        compute_metrics=compute_metrics,
+        make_ground_truth=make_ground_truth,
     )

@@ -19,15 +19,26 @@ from pipeline.core.params import list_settings, replace_value
 from pipeline.stages.cloud.stage import STAGE as CLOUD
 from pipeline.stages.depth.stage import STAGE as DEPTH
 from pipeline.stages.pose.stage import STAGE as POSE
-from pipeline.stages.stage import SensorRole, Stage
+from pipeline.stages.stage import SensorRole, Stage, make_truth_method
 from pipeline.stages.target_depth.stage import STAGE as TARGET_DEPTH
 from pipeline.stages.touch.stage import STAGE as TOUCH
 from pipeline.stages.touch_depth.stage import STAGE as TOUCH_DEPTH
-from pipeline.stages.truth_method import make_truth_method
+from pipeline.views.image_views import TARGET_DEPTH as TARGET_DEPTH_VIEW
+from pipeline.views.image_views import TOUCH as TOUCH_VIEW
+from pipeline.views.image_views import make_depth_view
+from pipeline.views.point_views import CLOUD as CLOUD_VIEW
+from pipeline.views.point_views import POSE as POSE_VIEW
 from pipeline.views.view import View
-from pipeline.views.views import VIEWS
 
 log = logging.getLogger("tactoscope")
+VIEWS: Mapping[str, View] = {
+    "depth": make_depth_view("depth", "measured surface", "source"),
+    "cloud": CLOUD_VIEW,
+    "target_depth": TARGET_DEPTH_VIEW,
+    "touch": TOUCH_VIEW,
+    "touch_depth": make_depth_view("touch_depth", "depth of the generated touch", "target"),
+    "pose": POSE_VIEW,
+}  # stage -> how its value is shown
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -43,8 +43,7 @@ from pipeline.sensors.alignment_files import load_alignment
 from pipeline.sensors.depth_unit import describe_unit_problem
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.stages.networks.weights import NoWeights
-from pipeline.stages.stage import GroundTruth, SensorRole, Stage
-from pipeline.stages.truth_method import TRUTH, get_input_name
+from pipeline.stages.stage import TRUTH, GroundTruth, SensorRole, Stage, get_input_name
 from pipeline.translation.catalogue import BUILT_IN, Catalogue, with_settings
 from pipeline.translation.frame_selection import select_context_frames
 from pipeline.translation.translated_frame import TranslatedFrame

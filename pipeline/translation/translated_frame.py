@@ -5,13 +5,14 @@ from __future__ import annotations
 import base64
 import html
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from pipeline.core.graph import StageResult
 from pipeline.translation.truth_view import add_truth_warnings
 
 if TYPE_CHECKING:
     from pipeline.core.arrays import Floats, Image
-    from pipeline.core.graph import StageResult
     from pipeline.core.values.frames import TactileFrame
     from pipeline.core.values.results import (
         Cloud,
@@ -173,3 +174,21 @@ class TranslatedFrame:
                 f"<figcaption>{caption}</figcaption></figure>"
             )
         return "".join(cells)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameReport:
+    """Stages and metrics of one frame; `problem` is the reason if there are none."""
+
+    index: int
+    results: Mapping[str, StageResult]
+    metrics: Mapping[str, float]
+    problem: str = ""
+    is_user_error: bool = True  # whether the user can mend the problem
+
+    @property
+    def without_arrays(self) -> FrameReport:
+        """Return the report without arrays, small enough to keep thousands of them."""
+        return replace(
+            self, results={name: replace(r, output=None) for name, r in self.results.items()}
+        )

@@ -1,7 +1,11 @@
-"""Preview of a value: pixels with values, positions and outlines as plain arrays, headless."""
+"""Preview of a value: pixels with values, positions and outlines as plain arrays, headless.
+
+Tile of a comparison: a preview with its text.
+"""
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -373,3 +377,19 @@ def match_camera(camera: Camera, shape: tuple[int, ...]) -> Camera:
     if camera.shape == shape[:2]:
         return camera
     return replace(camera.scale(shape[1] / camera.cols), rows=shape[0], cols=shape[1])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tile:
+    """One preview with its text, truth and difference."""
+
+    title: str
+    subtitle: str = ""  # metrics, under the title
+    # metrics that another run has too
+    metrics: Mapping[str, float] = field(default_factory=dict[str, float])
+    preview: Preview | None = None
+    truth: Preview | None = None
+    difference: Preview | None = None  # the preview minus the truth
+    problem: str = ""  # shown over the preview, or in its place
+    starts_row: bool = False  # whether it begins a row
+    default_mode: str = ""  # comparison mode while none is chosen

@@ -26,8 +26,8 @@ from pipeline.core.values.frames import TactileFrame
 from pipeline.io import image_files, open_recording
 from pipeline.io.hdf5_writer import RecordingWriter
 from pipeline.lab.tasks import rollout_file
-from pipeline.stages.networks import network_factory, tensor_files
-from pipeline.stages.networks.tensor_files import read_tensors
+from pipeline.stages.networks import network_factory, published_weights
+from pipeline.stages.networks.published_weights import read_tensors
 from pipeline.stages.networks.weights import Weights, load_weights
 
 SAMPLES = Path(__file__).parents[2] / "sample_data" / "recordings"
@@ -169,7 +169,7 @@ def test_a_tensor_beyond_the_budget_is_refused_by_its_table(tmp_path):
     torch.save(tensors, path)
     table = {name: tensor.expand(1 << 31, 4) for name, tensor in load_torch_file(path).items()}
     with pytest.raises(FileProblem, match="would take"):
-        tensor_files._read_selected(table, {name: name for name in table}, path)
+        published_weights._read_selected(table, {name: name for name in table}, path)
 
 
 def test_weights_that_state_more_than_they_may_hold_are_refused_by_their_head(tmp_path):

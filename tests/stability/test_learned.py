@@ -20,8 +20,7 @@ from pipeline.physics.simulation import shapes, variation
 from pipeline.stages.depth import bubble_network
 from pipeline.stages.depth.bubble_network import NetworkParams
 from pipeline.stages.networks import network_factory, weights_registry
-from pipeline.stages.networks.guidance import MAX_WEIGHT
-from pipeline.stages.networks.samplers import MAX_STEPS
+from pipeline.stages.networks.samplers import MAX_STEPS, MAX_WEIGHT
 from pipeline.stages.pose import network as pose_network
 from pipeline.stages.pose.signed_distances import (
     PoseParams,

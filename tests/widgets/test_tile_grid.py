@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.views.colours import ColourScale
-from pipeline.views.preview import Preview
-from pipeline.views.tile import Tile
+from pipeline.views.preview import Preview, Tile
 from widgets.compare.tile_grid import TileGrid
 
 SCALE = ColourScale(colour_map="viridis", low=0.0, high=1.0, unit="mm", quantity="indentation")

@@ -15,7 +15,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from pipeline.views.tile import Tile
+from pipeline.views.preview import Tile
 from widgets.style.base import EventListener, resize_font
 from widgets.style.styling import fill, make_bold, set_spacing
 from widgets.views.preview_view import SIDE_TEXT_PX, PreviewView

@@ -19,7 +19,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from pipeline.stages.truth_method import TRUTH
+from pipeline.stages.stage import TRUTH
 from widgets.stages.pinned_parameters import PinnedParameters
 from widgets.style.base import ChoiceBox, EventListener, FixedSizeLabel, resize_font
 from widgets.style.icons import StateIcon

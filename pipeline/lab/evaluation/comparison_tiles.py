@@ -12,7 +12,7 @@ from pipeline.core.files import check_folder, open_atomic, require_own, write_fo
 from pipeline.io.image_files import read_rgb
 from pipeline.translation.translate import Translation
 from pipeline.views.layers import Layer
-from pipeline.views.tile import Tile
+from pipeline.views.preview import Tile
 
 TABLE_FILE = "compare.json"
 _NON_ALPHANUMERIC = re.compile(r"[^a-z0-9]+")

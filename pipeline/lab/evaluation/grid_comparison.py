@@ -19,8 +19,7 @@ from pipeline.lab.evaluation.comparison_tiles import Comparison
 from pipeline.lab.evaluation.variants import MethodParams, Variant, VariantResult, VariantRunner
 from pipeline.translation.translate import Translation
 from pipeline.views.display_params import DisplayParams
-from pipeline.views.preview import Preview
-from pipeline.views.tile import Tile
+from pipeline.views.preview import Preview, Tile
 
 # what an axis tries besides parameters; a seed is one of these
 METHOD = "method"

@@ -27,8 +27,7 @@ from pipeline.lab.evaluation.variants import (
 from pipeline.translation.translate import Translation
 from pipeline.views.difference import compute_difference
 from pipeline.views.display_params import DisplayParams
-from pipeline.views.preview import Preview
-from pipeline.views.tile import Tile
+from pipeline.views.preview import Preview, Tile
 
 SortOrder = Literal["worst first", "best first", "in order"]
 _STAGE = "touch"

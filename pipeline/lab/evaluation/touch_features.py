@@ -36,7 +36,7 @@ def encode_change(target: SensorSpec, change: Floats) -> Floats | None:
     import torch
 
     from pipeline.stages.networks.network_factory import load_network
-    from pipeline.stages.networks.square_images import normalise, resize_to_square
+    from pipeline.stages.networks.touch_formats import normalise, resize_to_square
 
     encoder: Any = load_network(known)
     with torch.inference_mode():

@@ -39,8 +39,8 @@ from pipeline.lab.evaluation.recorded_touch import (
 )
 from pipeline.lab.evaluation.touch_metrics import TouchMetrics, compute_touch_metrics
 from pipeline.lab.training.recorded_pairs import derive_contact
+from pipeline.stages.touch.frame_chain import make_touch_from_change
 from pipeline.stages.touch.physical_render import make_reference_touch
-from pipeline.stages.touch.touch_from_change import make_touch_from_change
 from pipeline.translation.catalogue import default_params, with_setting
 from pipeline.translation.translate import Request, Translation, open_translation
 

@@ -15,8 +15,7 @@ from pipeline.views.contrast import share_scale
 from pipeline.views.difference import compute_difference
 from pipeline.views.display_params import DisplayParams
 from pipeline.views.layers import Layer, make_frame_layer
-from pipeline.views.preview import Preview, make_recorded_preview
-from pipeline.views.tile import Tile
+from pipeline.views.preview import Preview, Tile, make_recorded_preview
 
 SOURCE = "source"
 IN_PROGRESS = "working…"

@@ -18,7 +18,7 @@ from pipeline.core.errors import SettingProblem
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.values.results import DepthMap, ObjectPose
-from pipeline.physics.simulation.overhang import compute_lowest_mm
+from pipeline.physics.simulation.poses import compute_lowest_mm
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.pose.registration.search import PoseSearch
 from pipeline.stages.pose.registration.starts import InitialPose

@@ -27,7 +27,7 @@ from pipeline.lab.tasks.scene_view import (
 from pipeline.lab.tasks.task import RecordedRollout, load_task
 from pipeline.lab.tasks.touches import NONE, OWN, TRUE, make_touch_request
 from pipeline.lab.tasks.traces import describe_tick, make_traces
-from pipeline.translation.reports.pane_figures import render_pane
+from pipeline.translation.reports.sheet import render_pane
 from pipeline.translation.reports.video import write_video
 from pipeline.translation.translate import open_translation
 from pipeline.views.colours import Rgb

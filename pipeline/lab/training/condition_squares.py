@@ -24,7 +24,7 @@ from pipeline.lab.training.touch_pairs import (
 from pipeline.physics.sensor_images import render_reference, render_sensor_image
 from pipeline.sensors.alignment import resolve_alignment
 from pipeline.sensors.spec import SensorSpec, load_sensor
-from pipeline.stages.networks.square_images import resize_to_square
+from pipeline.stages.networks.touch_formats import resize_to_square
 from pipeline.stages.touch.depth_condition import build_depth_square, make_working_sensor
 from pipeline.stages.touch.latent_diffusion import build_image_square
 

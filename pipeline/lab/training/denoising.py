@@ -22,8 +22,8 @@ from pipeline.lab.training.distributed import unwrap_network
 from pipeline.lab.training.task import SimulatedPresses
 from pipeline.stages.networks.samplers import make_sigma_schedule, sample
 from pipeline.stages.networks.touch_formats import get_touch_format
-from pipeline.stages.touch.confidence_weighting import compute_wiener_gain
 from pipeline.stages.touch.residual_diffusion import LOG_ERROR_RANGE
+from pipeline.stages.touch.residual_render import compute_wiener_gain
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -87,7 +87,7 @@ def compute_denoising_loss(
     import torch
     from torch.nn import functional
 
-    from pipeline.stages.networks.smooth_noise import correlate_noise
+    from pipeline.stages.networks.residual_denoiser import correlate_noise
 
     net = unwrap_network(network)
     clean = batch["residual"]
@@ -162,7 +162,7 @@ def evaluate_denoiser(
     """
     import torch
 
-    from pipeline.stages.networks.smooth_noise import correlate_noise
+    from pipeline.stages.networks.residual_denoiser import correlate_noise
 
     net = unwrap_network(network)
     rows: list[list[float]] = []

@@ -27,7 +27,7 @@ from pipeline.lab.training.touch_squares import list_pair_sensors, read_square_p
 from pipeline.sensors.kinds import get_kind
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.networks import network_factory
-from pipeline.stages.networks.square_images import SIDE, decode_image, encode_image
+from pipeline.stages.networks.touch_formats import SIDE, decode_image, encode_image
 from pipeline.stages.networks.weights import load_weights
 from pipeline.stages.touch.latent_diffusion import build_image_square
 

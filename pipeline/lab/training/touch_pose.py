@@ -30,7 +30,7 @@ from pipeline.lab.training.task import VALIDATION_SEED, SimulatedPresses, augmen
 from pipeline.lab.training.touch_squares import load_nominal_sensors, simulate_touch_squares
 from pipeline.physics.simulation import poses, shapes
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.networks.square_images import normalise, resize_to_square
+from pipeline.stages.networks.touch_formats import normalise, resize_to_square
 from pipeline.stages.touch.depth_condition import make_working_sensor
 from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch
 

@@ -26,7 +26,7 @@ from pipeline.physics.simulation import poses, variation
 from pipeline.physics.simulation.datasets import BUBBLE_DEEPER_MM
 from pipeline.physics.simulation.press import move_bubble_closer, simulate_press
 from pipeline.sensors.spec import SensorSpec, load_sensor
-from pipeline.stages.networks.square_images import SIDE, resize_to_square
+from pipeline.stages.networks.touch_formats import SIDE, resize_to_square
 
 Direction = Literal["gel_to_bubble", "bubble_to_gel"]
 VERSION = 3  # part of the seeds: incremented when the same number gives another touch

@@ -25,7 +25,7 @@ from pipeline.lab.training.touch_squares import (
 )
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import load_sensor
-from pipeline.stages.networks.square_images import denormalise, normalise
+from pipeline.stages.networks.touch_formats import denormalise, normalise
 from pipeline.stages.touch.image_condition import reproject_square
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from pipeline.calibration.markers import track_markers
 from pipeline.core.arrays import Doubles, Floats, Mask
 from pipeline.core.values.frames import TactileFrame
 from pipeline.physics.contact_force import ContactForce, press_gel_contact
-from pipeline.physics.optics_markers import compute_marker_motion_px
+from pipeline.physics.optics import compute_marker_motion_px
 from pipeline.physics.shear_force import MarkerMotion, estimate_shear_force
 from pipeline.sensors.spec import SensorSpec
 

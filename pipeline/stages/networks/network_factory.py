@@ -21,8 +21,7 @@ from pipeline.core.arrays import Floats
 from pipeline.core.errors import ModelMissing
 from pipeline.core.memo import Memo
 from pipeline.core.params import Value
-from pipeline.stages.networks.first_pass import FirstPassPredictor
-from pipeline.stages.networks.onnx_predictor import OnnxPredictor, export_onnx
+from pipeline.stages.networks.onnx_predictor import FirstPassPredictor, OnnxPredictor, export_onnx
 from pipeline.stages.networks.weights import NoWeights, Weights
 
 if TYPE_CHECKING:
@@ -49,6 +48,7 @@ _loaded_networks: Memo[str, nn.Module] = Memo(
     weigh=lambda net: sum(p.numel() * p.element_size() for p in net.parameters()),
 )
 _RESIDUAL = "residual_denoiser"
+_INITIALISERS = {"kaiming_uniform_", "uniform_", "zero_", "normal_"}
 _predictors: Memo[str, OnnxPredictor | FirstPassPredictor] = Memo(4)
 
 
@@ -159,9 +159,28 @@ def use_channels_last(net: nn.Module) -> nn.Module:
     return convert(memory_format=torch.channels_last)
 
 
-def _build_with_weights(weights: Weights) -> nn.Module:
-    from pipeline.stages.networks.uninitialised import WithoutInitialisation
+def _skip_initialisation() -> contextlib.AbstractContextManager[Any]:
+    """Within the block, on this thread, initialisers leave tensors as they are allocated: random
+    parameters waste memory and time where weights follow.
+    """
+    from torch.overrides import TorchFunctionMode
 
+    class WithoutInitialisation(TorchFunctionMode):
+        def __torch_function__(
+            self, func: Any, types: Any, args: Any = (), kwargs: Any = None
+        ) -> Any:
+            name = getattr(func, "__name__", "")
+            if name not in _INITIALISERS:
+                return func(*args, **(kwargs or {}))
+            tensor = args[0] if args else kwargs["tensor"]
+            if name == "normal_":  # `trunc_normal_` repeats it until all are within its range
+                tensor.detach().fill_(0.0)
+            return tensor
+
+    return WithoutInitialisation()
+
+
+def _build_with_weights(weights: Weights) -> nn.Module:
     tensors = dict(weights.tensors)
     shapes = [side for tensor in tensors.values() for side in tensor.shape]
     most = max(_MOST_COUNT, len(tensors), *shapes)
@@ -171,7 +190,7 @@ def _build_with_weights(weights: Weights) -> nn.Module:
         raise ModelMissing(
             f"the weights {weights.name!r} state a network that their tensors cannot fill"
         )
-    with WithoutInitialisation():
+    with _skip_initialisation():
         net = build_network(weights.kind, weights.config)
     expected: dict[str, Any] = net.state_dict()
     mismatched = expected.keys() ^ tensors.keys()

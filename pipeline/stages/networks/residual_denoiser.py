@@ -9,13 +9,22 @@ so that the first step and one-step inference use the condition alone.
 
 The last channel is the expected error of the clean field. `error_factor_in_view` and
 `error_factor_outside` calibrate it inside and outside the source's contact, `error_exponent` is its
-power. `noise_correlation` is the correlation length of the noise (`smooth_noise`).
+power. `noise_correlation` is the correlation length of the noise (`correlate_noise`).
 `trained_on_recordings`: by recorded pairs, which know how the sensors lie to each other better than
 their descriptions, so that physics is no prior.
+
+Spatially correlated noise for diffusion, as smooth as the fields it is added to.
+
+White noise has little power at the long wavelengths where a membrane has nearly all of its power.
+Whether an object is present would be decided at noise levels hundreds of times the field, where the
+network sees nothing, and all samples would be equal. Noise with the spectrum of the fields hides
+large and small structures at the same level. Diffusion theory holds for any noise covariance, so
+the samplers are unchanged.
 """
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import Literal, cast
 
@@ -23,9 +32,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from pipeline.core.derived import derive_once
 from pipeline.stages.networks.compact_unet import CompactUnet, make_fold_kernel
-from pipeline.stages.networks.first_pass import FIELD_LIMIT
-from pipeline.stages.networks.first_pass import ResidualConstants as Constants
+from pipeline.stages.networks.onnx_predictor import FIELD_LIMIT
+from pipeline.stages.networks.onnx_predictor import ResidualConstants as Constants
 
 PredictionTarget = Literal["clean", "v", "noise"]
 FIELD_CHANNELS = 2  # denoised channels: indentation and contact
@@ -105,7 +115,7 @@ class ResidualDenoiser(nn.Module):
     @torch.no_grad()
     def make_first_pass(self) -> nn.Module:
         """The network at `sigma_max` as a function of the condition alone, for export
-        (`first_pass`).
+        (`onnx_predictor`).
         """
         return _FirstPass(self).eval()
 
@@ -221,3 +231,27 @@ class _FirstPass(CompactUnet):
         gain[: FIELD_CHANNELS * patch] = of_clean
         self.finish.weight.copy_(net.finish.weight * gain[:, None, None, None])
         self.finish.bias = nn.Parameter(cast("Tensor", net.finish.bias) * gain)
+
+
+_POWER = 1.5  # spectrum of an exponential covariance in the plane, as of fields with edges
+
+
+def correlate_noise(white: Tensor, correlation_length: float) -> Tensor:
+    """Turn standard normal numbers (..., rows, cols) into correlated ones with unit variance.
+
+    The correlation falls as exp(-distance / (correlation_length * rows)), periodic at the borders;
+    0 returns the input.
+    """
+    if correlation_length <= 0.0:
+        return white
+    rows, cols = white.shape[-2:]
+    amplitude = _amplitude(rows, cols, correlation_length).to(white.device)
+    return torch.fft.irfft2(torch.fft.rfft2(white) * amplitude, s=(rows, cols))
+
+
+@derive_once
+def _amplitude(rows: int, cols: int, length: float) -> Tensor:
+    """(rows, cols // 2 + 1) factor of each Fourier component, normalised to unit variance."""
+    wave = torch.fft.fftfreq(rows)[:, None] ** 2 + torch.fft.fftfreq(cols)[None] ** 2
+    power = (wave + (2.0 * math.pi * length * rows) ** -2) ** -_POWER
+    return torch.sqrt(power / power.mean())[:, : cols // 2 + 1]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from pipeline.stages.networks.square_images import SIDE
+from pipeline.stages.networks.touch_formats import SIDE
 
 # output unit of the translation: half of the square in which objects are placed
 TRANSLATION_UNIT_MM = 5.0

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pipeline.stages.networks.square_images import SIDE
+from pipeline.stages.networks.touch_formats import SIDE
 
 _INITIAL_RANGE = 1.0  # times 1 / codes: the largest value of an untrained codebook
 _MIN_POSITIONS_PER_ENTRY = 8  # positions per entry from which on unused entries are replaced

@@ -24,7 +24,7 @@ from pipeline.physics.simulation import shapes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.networks import weights_registry
 from pipeline.stages.networks.network_factory import reproducible_inference
-from pipeline.stages.networks.square_images import normalise, resize_to_square
+from pipeline.stages.networks.touch_formats import normalise, resize_to_square
 from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.stages.pose import signed_distances
 from pipeline.stages.pose.signed_distances import PoseParams

@@ -10,8 +10,7 @@ import numpy as np
 
 from pipeline.core.arrays import Floats, Mask, freeze
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.networks.square_images import resize_to_square
-from pipeline.stages.networks.touch_formats import get_touch_format
+from pipeline.stages.networks.touch_formats import get_touch_format, resize_to_square
 
 CONDITION_CHANNELS = 6
 

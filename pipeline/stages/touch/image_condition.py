@@ -19,7 +19,7 @@ from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.networks.square_images import normalise
+from pipeline.stages.networks.touch_formats import normalise
 
 _OVERLAP_UNIT_MM = np.float32(6.0)
 _RELIEF_UNIT_MM = np.float32(1.0)
@@ -60,7 +60,7 @@ def reproject_square(
     """(channels, side, side), normalised: a square of the source's change, resampled to a square of
     the target's view.
 
-    Both as in `square_images.resize_to_square`. A gel's change is 0 outside the view; of a bubble
+    Both as in `touch_formats.resize_to_square`. A gel's change is 0 outside the view; of a bubble
     it is the relief that a gel feels, see `_compute_relief`.
     """
     side = square_change.shape[-1]

@@ -28,27 +28,31 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
 from pipeline.stages.depth.frame_checks import check_frame
 from pipeline.stages.networks import published_weights, weights_registry
-from pipeline.stages.networks.guidance import (
+from pipeline.stages.networks.network_factory import reproducible_inference
+from pipeline.stages.networks.samplers import (
     GUIDED_STEPS,
+    MAX_STEPS,
     MAX_WEIGHT,
     WEIGHTS,
     GuidedDenoiser,
+    Solver,
+    make_timestep_schedule,
     plan_guidance,
+    sample,
 )
-from pipeline.stages.networks.network_factory import reproducible_inference
-from pipeline.stages.networks.samplers import MAX_STEPS, Solver, make_timestep_schedule, sample
-from pipeline.stages.networks.square_images import (
+from pipeline.stages.networks.touch_formats import (
+    answer_for_known_kinds,
     decode_image,
+    get_touch_format,
     normalise,
     resize_from_square,
     resize_to_square,
 )
-from pipeline.stages.networks.touch_formats import answer_for_known_kinds, get_touch_format
 from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.stages.touch import frame_chain, physical_render
 from pipeline.stages.touch.depth_condition import build_depth_square
+from pipeline.stages.touch.frame_chain import check_depth_limit, make_touch_from_change
 from pipeline.stages.touch.image_condition import build_reprojected_square
-from pipeline.stages.touch.touch_from_change import check_depth_limit, make_touch_from_change
 
 if TYPE_CHECKING:
     from torch import Tensor, nn

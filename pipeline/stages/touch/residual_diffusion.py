@@ -22,16 +22,19 @@ import numpy as np
 from pipeline.core.arrays import Floats, freeze
 from pipeline.core.params import setting
 from pipeline.core.progress import SILENT, Progress
-from pipeline.stages.networks.first_pass import FIELD_LIMIT, FirstPassPredictor, ResidualNetwork
-from pipeline.stages.networks.guidance import (
+from pipeline.stages.networks.network_factory import reproducible_inference
+from pipeline.stages.networks.onnx_predictor import FIELD_LIMIT, FirstPassPredictor, ResidualNetwork
+from pipeline.stages.networks.samplers import (
     GUIDED_STEPS,
+    MAX_STEPS,
     MAX_WEIGHT,
     WEIGHTS,
     GuidedDenoiser,
+    Solver,
+    make_sigma_schedule,
     plan_guidance,
+    sample,
 )
-from pipeline.stages.networks.network_factory import reproducible_inference
-from pipeline.stages.networks.samplers import MAX_STEPS, Solver, make_sigma_schedule, sample
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -160,7 +163,7 @@ def sample_residual(
         network = network.load_network()
     import torch
 
-    from pipeline.stages.networks.smooth_noise import correlate_noise
+    from pipeline.stages.networks.residual_denoiser import correlate_noise
 
     net: Any = network
     condition_batch = torch.from_numpy(np.array(condition, np.float32)[None])

@@ -22,20 +22,21 @@ from pipeline.core.progress import SILENT, Progress, SubProgress
 from pipeline.core.values.results import DepthMap, GeneratedTouch, TargetDepth
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.networks import weights_registry
-from pipeline.stages.networks.first_pass import ResidualNetwork
+from pipeline.stages.networks.onnx_predictor import ResidualNetwork
 from pipeline.stages.networks.touch_formats import answer_for_known_kinds, get_touch_format
 from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.stages.touch import physical_render
-from pipeline.stages.touch.confidence_weighting import read_error_calibration, shrink_to_prior
 from pipeline.stages.touch.depth_condition import build_depth_condition, make_working_sensor
 from pipeline.stages.touch.physical_render import PhysicalRenderParams
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual
 from pipeline.stages.touch.residual_render import (
     NO_PRIOR_CONTACT,
     NO_STEPS,
+    read_error_calibration,
     render_correction,
     report_change,
     resample_to_grid,
+    shrink_to_prior,
 )
 
 MAX_PIXEL_RATIO = 1.25  # allowed ratio to the trained pixel size

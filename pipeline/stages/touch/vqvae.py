@@ -23,16 +23,17 @@ from pipeline.stages.depth import photometric as depth
 from pipeline.stages.depth.frame_checks import check_frame
 from pipeline.stages.networks import published_weights, weights_registry
 from pipeline.stages.networks.network_factory import reproducible_inference
-from pipeline.stages.networks.square_images import (
+from pipeline.stages.networks.touch_formats import (
+    answer_for_known_kinds,
     denormalise,
+    get_touch_format,
     normalise,
     resize_from_square,
     resize_to_square,
 )
-from pipeline.stages.networks.touch_formats import answer_for_known_kinds, get_touch_format
 from pipeline.stages.networks.weights import NoWeights, Weights
+from pipeline.stages.touch.frame_chain import check_depth_limit, make_touch_from_change
 from pipeline.stages.touch.image_condition import reproject_square
-from pipeline.stages.touch.touch_from_change import check_depth_limit, make_touch_from_change
 
 if TYPE_CHECKING:
     from torch import nn

@@ -18,7 +18,7 @@ from pipeline.physics.sensor_images import render_reference
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
 from pipeline.stages.depth.photometric import DepthParams
-from pipeline.stages.depth_map_stage import make_depth_stage
+from pipeline.stages.ground_truth import make_depth_stage
 
 _AT_REST = "the target's membrane is at rest"
 NO_MEMBRANE = "depth from the image: the generated touch has no membrane"

@@ -24,13 +24,13 @@ from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame
 from pipeline.translation import cross_section
 from pipeline.translation.force import measure_force
-from pipeline.translation.reports import pane_figures, viewer_files
+from pipeline.translation.reports import sheet, viewer_files
 from pipeline.translation.reports.export_request import SHEET, SOURCE, ExportRequest
-from pipeline.translation.reports.frame_report import FrameReport
 from pipeline.translation.reports.report import collect_stage_arrays
 from pipeline.translation.reports.video import write_video
 from pipeline.translation.reports.viewer_files import StageSample
 from pipeline.translation.translate import Translation, open_translation
+from pipeline.translation.translated_frame import FrameReport
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -157,19 +157,17 @@ class _Work:
             report = FrameReport(index=index, results=results, metrics=metrics)
             return draw_sheet(frame, report, self.translation, display=self.display, timed=False)
         time = f", {frame.time_s:.2f} s" if np.isfinite(frame.time_s) else ""
-        return pane_figures.draw_pane_figure(self._pane(frame, results), f"frame {index}{time}")
+        return sheet.draw_pane_figure(self._pane(frame, results), f"frame {index}{time}")
 
-    def render_pane(self, index: int) -> pane_figures.RenderedPane:
+    def render_pane(self, index: int) -> sheet.RenderedPane:
         """Return the requested pane of a frame."""
         if self.asked.pane == SHEET:
             raise SettingProblem("a sheet is no cloud of points; name one pane of it with --pane")
         return self._pane(*self.evaluate_frame(index))
 
-    def _pane(
-        self, frame: TactileFrame, results: Mapping[str, StageResult]
-    ) -> pane_figures.RenderedPane:
+    def _pane(self, frame: TactileFrame, results: Mapping[str, StageResult]) -> sheet.RenderedPane:
         asked = self.asked
-        return pane_figures.render_pane(
+        return sheet.render_pane(
             asked.pane, frame, results, self.translation, self.display, asked.content
         )
 
@@ -254,7 +252,7 @@ def _section(work: _Work) -> None:
     shown = [
         (
             name,
-            pane_figures.render_pane(name, frame, results, translation, work.display).preview,
+            sheet.render_pane(name, frame, results, translation, work.display).preview,
             None if name == SOURCE else results[name].output,
         )
         for name in wanted
@@ -290,7 +288,7 @@ def _sample_stages(work: _Work) -> Iterator[StageSample]:
     for frame, results, metrics in work.make_each(evaluate):
         target_from_source = translation.alignment.target_from_source
         for name in panes:
-            shown = pane_figures.render_pane(
+            shown = sheet.render_pane(
                 name, frame, results, translation, work.display, work.asked.content
             )
             is_source = name == SOURCE or translation.catalogue.stage(name).sensor_role == "source"

@@ -3,6 +3,8 @@
 Frames that an earlier run completed are recognised by a key of everything they depend on.
 """
 
+from __future__ import annotations
+
 import contextlib
 import json
 from collections.abc import Mapping, Sequence
@@ -25,9 +27,9 @@ from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import ObjectPose
 from pipeline.stages.depth.contact_force import FORCE
 from pipeline.stages.metrics.stage_metrics import METRICS
-from pipeline.stages.truth_method import TRUTH
-from pipeline.translation.reports.frame_report import FrameReport
+from pipeline.stages.stage import TRUTH
 from pipeline.translation.translate import Translation
+from pipeline.translation.translated_frame import FrameReport
 
 FRAME_FILES = ("frame.json", "stages.npz", "sheet.png")  # of one frame's folder
 

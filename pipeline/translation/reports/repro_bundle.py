@@ -43,11 +43,11 @@ from pipeline.sensors.alignment import Offsets
 from pipeline.sensors.alignment_files import AlignmentFile, save_alignment
 from pipeline.translation.frame_selection import select_context_frames
 from pipeline.translation.reports.export_request import format_options
-from pipeline.translation.reports.frame_report import FrameReport
 from pipeline.translation.reports.report import collect_stage_arrays
 from pipeline.translation.reports.sheet import write_sheet
 from pipeline.translation.reports.truth_files import write_truth
 from pipeline.translation.translate import Request, Translation, open_translation
+from pipeline.translation.translated_frame import FrameReport
 
 REPLAY_TOLERANCE = 1e-4  # share of an array's own range: rounding of another processor
 _VERSION = 1

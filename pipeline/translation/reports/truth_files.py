@@ -17,10 +17,10 @@ from pipeline.core.figures import make_figure, save_figure
 from pipeline.core.files import write_arrays, write_json
 from pipeline.core.progress import SILENT, Progress
 from pipeline.translation.error_attribution import DEFAULT_METRIC, attribute_error
-from pipeline.translation.reports.frame_report import FrameReport
 from pipeline.translation.reports.report import collect_value_arrays
 from pipeline.translation.reports.sheet import draw_panel
 from pipeline.translation.translate import Translation
+from pipeline.translation.translated_frame import FrameReport
 from pipeline.translation.truth_view import TruthView, build_truth_view
 
 _PANEL_IN = 4.0  # width of a panel

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from pipeline.stages.networks.residual_denoiser import ResidualDenoiser
-from pipeline.stages.touch.confidence_weighting import (
+from pipeline.stages.touch.residual_diffusion import DenoisingState, ResidualSample
+from pipeline.stages.touch.residual_render import (
     ErrorCalibration,
     compute_wiener_gain,
     read_error_calibration,
     shrink_to_prior,
 )
-from pipeline.stages.touch.residual_diffusion import DenoisingState, ResidualSample
 
 SHAPE = (24, 32)
 LEFT = np.tile(np.arange(SHAPE[1]) < SHAPE[1] // 2, (SHAPE[0], 1))

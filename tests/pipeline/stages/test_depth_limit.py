@@ -13,8 +13,8 @@ from pipeline.physics.simulation.press import move_bubble_closer
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.touch import t2t
+from pipeline.stages.touch.frame_chain import check_depth_limit, make_touch_from_change
 from pipeline.stages.touch.residual_diffusion import DiffusionParams
-from pipeline.stages.touch.touch_from_change import check_depth_limit, make_touch_from_change
 from tests.pipeline.stages.target_views import estimate_views
 from tests.pipeline.stages.test_t2d2_t2t import ConstantDenoiser
 

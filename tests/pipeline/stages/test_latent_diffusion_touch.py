@@ -16,10 +16,10 @@ from pipeline.core.graph import Fallback, Graph
 from pipeline.core.progress import Cancelled
 from pipeline.core.values.results import TargetDepth
 from pipeline.sensors.spec import load_sensor
-from pipeline.stages.networks.guidance import NO_CONDITION_DROPOUT
 from pipeline.stages.networks.latent_diffusion import LatentDiffusion
-from pipeline.stages.networks.square_images import decode_image, encode_image, normalise
+from pipeline.stages.networks.samplers import NO_CONDITION_DROPOUT
 from pipeline.stages.networks.touch_formats import BUBBLE as BUBBLE_FORMAT
+from pipeline.stages.networks.touch_formats import decode_image, encode_image, normalise
 from pipeline.stages.networks.weights import NoWeights, Weights, save_weights
 from pipeline.stages.touch import latent_diffusion
 from pipeline.stages.touch.depth_condition import build_depth_square

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 
 from pipeline.stages.networks import weights_registry
-from pipeline.stages.networks.guidance import MAX_WEIGHT, NO_CONDITION_DROPOUT
 from pipeline.stages.networks.network_factory import load_network
-from pipeline.stages.networks.samplers import MAX_STEPS
+from pipeline.stages.networks.samplers import MAX_STEPS, MAX_WEIGHT, NO_CONDITION_DROPOUT
 from pipeline.stages.networks.weights import load_weights
 from pipeline.stages.touch.latent_diffusion import LatentParams, sample_image
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual

@@ -16,13 +16,13 @@ from pipeline.physics.simulation.shapes import list_labelled_shapes, make_shape
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.networks.network_factory import build_network
-from pipeline.stages.networks.square_images import SIDE, normalise, resize_to_square
+from pipeline.stages.networks.touch_formats import SIDE, normalise, resize_to_square
 from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.stages.pose import network as pose_network
 from pipeline.stages.touch import vqvae
+from pipeline.stages.touch.frame_chain import make_touch_from_change
 from pipeline.stages.touch.image_condition import reproject_square
 from pipeline.stages.touch.physical_render import make_reference_touch
-from pipeline.stages.touch.touch_from_change import make_touch_from_change
 from pipeline.stages.touch_depth.stage import NO_MEMBRANE
 from pipeline.translation.catalogue import BUILT_IN
 

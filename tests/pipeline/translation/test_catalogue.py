@@ -19,9 +19,13 @@ from pipeline.core.params import list_settings
 from pipeline.stages.touch_depth.stage import NO_MEMBRANE
 from pipeline.translation import pixel_trace
 from pipeline.translation.catalogue import BUILT_IN, with_method
-from pipeline.translation.reports.frame_report import FrameReport
-from pipeline.translation.reports.report import collect_stage_arrays, write_frame, write_report
+from pipeline.translation.reports.report import (
+    collect_stage_arrays,
+    write_frame,
+    write_report,
+)
 from pipeline.translation.translate import Request, open_translation
+from pipeline.translation.translated_frame import FrameReport
 from tests.pipeline.translation.toys import TOYS
 
 SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"

@@ -15,11 +15,10 @@ from pipeline.translation.error_attribution import DEFAULT_METRIC, attribute_err
 from pipeline.translation.pixel_trace import trace_to_source
 from pipeline.translation.reports.export import export_file
 from pipeline.translation.reports.export_request import ExportRequest
-from pipeline.translation.reports.frame_report import FrameReport
-from pipeline.translation.reports.pane_figures import render_pane
 from pipeline.translation.reports.report import collect_stage_arrays
-from pipeline.translation.reports.sheet import draw_sheet
+from pipeline.translation.reports.sheet import draw_sheet, render_pane
 from pipeline.translation.translate import Request, open_translation
+from pipeline.translation.translated_frame import FrameReport
 from pipeline.views.display_params import DisplayParams
 
 FRAME = 5

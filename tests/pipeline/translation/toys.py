@@ -13,12 +13,11 @@ from pipeline.core.graph import Method, Skipped
 from pipeline.core.params import NoParams, setting
 from pipeline.core.values.results import GeneratedTouch, make_pixel_index
 from pipeline.stages.stage import Stage
-from pipeline.translation.catalogue import BUILT_IN, Catalogue, Route
+from pipeline.translation.catalogue import BUILT_IN, VIEWS, Catalogue, Route
 from pipeline.views.colours import ColourScale, apply_colour_map
 from pipeline.views.layers import make_grid_layer
 from pipeline.views.preview import Preview
 from pipeline.views.view import ProbePoint, View
-from pipeline.views.views import VIEWS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -157,7 +157,7 @@ def _fit(
 
     Return the history (k, 14) of the last row and its final scale (mm).
     """
-    from pipeline.stages.pose.registration.gauss_newton_kernels import N_BINS, N_SUMS, fit_poses
+    from pipeline.stages.pose.registration.registration_kernels import N_BINS, N_SUMS, fit_poses
 
     history = np.empty((how.n_iterations + 1, 14))
     ended = np.zeros((len(rows), 2))

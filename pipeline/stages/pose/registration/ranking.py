@@ -91,7 +91,7 @@ class PoseJudge:
         """Return (n, 2) mean squares of poses (n, 4, 4), and those of each point for the last
         pose, with the pixels.
         """
-        from pipeline.stages.pose.registration.ranking_kernels import measure_unexplained
+        from pipeline.stages.pose.registration.registration_kernels import measure_unexplained
 
         n_model = len(self.model.points_mm)
         means = np.empty((len(poses), 2))

@@ -28,10 +28,11 @@ from pipeline.stages.pose.registration.gauss_newton import (
 from pipeline.stages.pose.registration.model import PreparedObject
 from pipeline.stages.pose.registration.observability import (
     NORMAL_ERROR_DEG,
+    MatchedPoints,
     Observability,
     Tolerances,
+    match_points,
 )
-from pipeline.stages.pose.registration.point_matching import MatchedPoints, match_points
 from pipeline.stages.pose.registration.ranking import (
     LEAST_SPREAD_MM,
     PoseJudge,

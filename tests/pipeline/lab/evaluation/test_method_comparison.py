@@ -15,7 +15,7 @@ from pipeline.lab.evaluation.variants import VariantRunner, list_method_variants
 from pipeline.stages.networks import weights_registry
 from pipeline.translation.translate import Request, open_translation
 from pipeline.views.display_params import DisplayParams
-from pipeline.views.tile import Tile
+from pipeline.views.preview import Tile
 
 SAMPLE = Path(__file__).parents[4] / "sample_data" / "recordings" / "first_touch.h5"
 FRAME = 5

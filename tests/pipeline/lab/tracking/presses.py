@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.core.geometry import rigid
 from pipeline.core.values.results import DepthMap, make_pixel_index
 from pipeline.physics.simulation import shapes
-from pipeline.physics.simulation.overhang import compute_lowest_mm
+from pipeline.physics.simulation.poses import compute_lowest_mm
 from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors.spec import load_sensor
 

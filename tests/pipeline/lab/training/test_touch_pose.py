@@ -21,7 +21,7 @@ from pipeline.lab.training.touch_squares import simulate_touch_squares
 from pipeline.physics.simulation.press import simulate_press
 from pipeline.physics.simulation.shapes import list_labelled_shapes, make_shape
 from pipeline.stages.networks.network_factory import build_network
-from pipeline.stages.networks.square_images import denormalise, normalise, resize_to_square
+from pipeline.stages.networks.touch_formats import denormalise, normalise, resize_to_square
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from pipeline.core.geometry.meshes import Mesh
 from pipeline.physics import lattice
 from pipeline.physics.lattice import Lattice
 from pipeline.physics.simulation import poses, shapes
-from pipeline.physics.simulation.overhang import HALF_WINDOW_MM, compute_lowest_mm
+from pipeline.physics.simulation.poses import HALF_WINDOW_MM, compute_lowest_mm
 from pipeline.sensors.spec import load_sensor
 
 ROUND_MM = 1e-9

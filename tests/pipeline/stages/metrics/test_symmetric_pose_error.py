@@ -17,7 +17,7 @@ from pipeline.io import open_recording
 from pipeline.io.hdf5_writer import RecordingWriter
 from pipeline.lab import recorder
 from pipeline.physics.simulation import datasets, shapes
-from pipeline.stages.metrics.symmetric_pose_error import (
+from pipeline.stages.metrics.stage_metrics import (
     compute_ambiguity,
     compute_in_plane_error,
     compute_observable_error,

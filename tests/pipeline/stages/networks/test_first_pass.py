@@ -11,14 +11,14 @@ import pytest
 import torch
 
 from pipeline.core.errors import ModelMissing
-from pipeline.stages.networks.first_pass import FirstPassPredictor
-from pipeline.stages.networks.guidance import raise_steps
 from pipeline.stages.networks.network_factory import (
     build_network,
     export_weights,
     load_network,
     load_predictor,
 )
+from pipeline.stages.networks.onnx_predictor import FirstPassPredictor
+from pipeline.stages.networks.samplers import raise_steps
 from pipeline.stages.networks.weights import Weights
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual
 from tests.pipeline.stages.networks.test_residual_denoiser import PREDICTIONS

@@ -12,8 +12,14 @@ from hypothesis import strategies as st
 
 from pipeline.core.errors import SettingProblem
 from pipeline.core.progress import Cancelled
-from pipeline.stages.networks.guidance import MAX_WEIGHT, GuidedDenoiser, plan_guidance
-from pipeline.stages.networks.samplers import make_sigma_schedule, make_timestep_schedule, sample
+from pipeline.stages.networks.samplers import (
+    MAX_WEIGHT,
+    GuidedDenoiser,
+    make_sigma_schedule,
+    make_timestep_schedule,
+    plan_guidance,
+    sample,
+)
 from tests.pipeline.stages.networks.mixtures import PICKED, denoiser, modes
 
 SOLVERS = ("ddim", "dpmpp_2m", "corrected")

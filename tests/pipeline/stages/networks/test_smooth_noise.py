@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
+from pipeline.stages.networks.residual_denoiser import correlate_noise
 from pipeline.stages.networks.samplers import make_sigma_schedule, sample
-from pipeline.stages.networks.smooth_noise import correlate_noise
 
 LENGTH = 0.125
 

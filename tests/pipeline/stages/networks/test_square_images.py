@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.sensors.kinds import get_kind
-from pipeline.stages.networks.square_images import (
+from pipeline.stages.networks.touch_formats import (
     denormalise,
     normalise,
     resize_from_square,

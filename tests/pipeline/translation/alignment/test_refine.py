@@ -14,9 +14,9 @@ from pipeline.sensors.alignment import compose_motion, correct_alignment, resolv
 from pipeline.sensors.spec import load_sensor
 from pipeline.translation.alignment import refine as refining
 from pipeline.translation.alignment import residuals
-from pipeline.translation.alignment.normal_equations import NormalEquations
 from pipeline.translation.alignment.refine import refine_alignment
 from pipeline.translation.alignment.residuals import (
+    NormalEquations,
     collect_evidence,
     compute_outline_distances,
     compute_surface_distances,

@@ -14,15 +14,13 @@ from pipeline.sensors.spec import load_sensor
 from pipeline.translation.alignment.nudge import nudge
 from pipeline.translation.alignment.score import (
     UNIT_STEP,
+    choose_preview_factor,
     compute_sensitivities,
+    find_edge,
     median_score,
+    observe_target,
     score_preview,
     score_touches,
-)
-from pipeline.translation.alignment.target_observation import (
-    choose_preview_factor,
-    find_edge,
-    observe_target,
 )
 from pipeline.translation.alignment.touches import AlignmentTouch, find_pivot, load_paired_touch
 from pipeline.translation.translate import Request, open_translation

@@ -181,7 +181,7 @@ def held_by_the_kernel(information, asked):
     """(how many directions are held, (6, 6) that takes the motion the points ask for to the
     step).
     """
-    from pipeline.stages.pose.registration.step_kernels import solve_step
+    from pipeline.stages.pose.registration.registration_kernels import solve_step
 
     sums = np.zeros(28)
     columns = []
