@@ -18,7 +18,7 @@ from scipy.sparse import linalg
 from benchmarks.harness.results import BenchmarkResult, PlotPoint
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, time_in_turns
-from pipeline.physics import bubble, multigrid
+from pipeline.physics import bubble
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.spec import load_sensor
 
@@ -78,7 +78,7 @@ def _raced(step_mm: float, runs: int):
     grid, load = problem(on)
     truth, solves = active_set(grid, load)
     methods = {
-        f"ours, to {t:.0e} mm a cycle": lambda t=t: multigrid.solve(
+        f"ours, to {t:.0e} mm a cycle": lambda t=t: bubble.solve_obstacle(
             grid, np.zeros(on.shape), load, t
         )[0]
         for t in _TOLERANCES_MM
@@ -90,7 +90,7 @@ def _raced(step_mm: float, runs: int):
     return f"{on.shape[0]} x {on.shape[1]}", errors, times, solves
 
 
-def problem(on: Lattice) -> tuple[multigrid.ObstacleProblem, float]:
+def problem(on: Lattice) -> tuple[bubble.ObstacleProblem, float]:
     """(the room around the rest dome and the free nodes, load per mm) of the ball."""
     x = on.x_mm()[None, :]
     y = on.y_mm()[:, None]
@@ -99,12 +99,12 @@ def problem(on: Lattice) -> tuple[multigrid.ObstacleProblem, float]:
     ceiling = _BUBBLE.height_mm - _REACH_MM + _RADIUS_MM - np.sqrt(np.maximum(low, 0.0))
     free = bubble.find_free_nodes(_BUBBLE, on)
     room = np.where(low > 0, ceiling - rest, np.inf)
-    return multigrid.ObstacleProblem(
+    return bubble.ObstacleProblem(
         clearance_mm=room, free=free, step_mm=on.step_mm
     ), _OVER_KPA * 1e-3 / bubble.compute_tension_n_per_mm(_BUBBLE)
 
 
-def active_set(grid: multigrid.ObstacleProblem, load: float):
+def active_set(grid: bubble.ObstacleProblem, load: float):
     """(v, number of sparse solves) on the free nodes."""
     index = np.full(grid.free.shape, -1)
     index[grid.free] = np.arange(grid.free.sum())

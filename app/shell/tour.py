@@ -21,8 +21,8 @@ def run_tour(controller: SessionController, out: Path, *, show_frame: int | None
     most contact.
     """
     from pipeline.cli.translate import print_stage_table
-    from pipeline.translation.translated_frame import FrameReport
     from pipeline.translation.reports.report import write_frame, write_report
+    from pipeline.translation.translated_frame import FrameReport
 
     if not wait_until_shown(controller) or controller.views.translation is None:
         print_line(f"the recording could not be shown: {controller.window.banner.text}")

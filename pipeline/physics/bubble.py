@@ -7,6 +7,8 @@ solved as the deviation from the rest dome, which solves the equation at rest ex
 follows Boyle: (p_atm + p) (V_dead + V(w)) stays what it was untouched.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass, replace
 
@@ -16,7 +18,6 @@ from numpy.typing import NDArray
 from pipeline.core.arrays import Doubles, Mask, freeze
 from pipeline.core.derived import derive_once
 from pipeline.core.errors import SettingProblem, ShapeError
-from pipeline.physics import multigrid
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.parts import Bubble
 
@@ -28,6 +29,7 @@ _MAX_PRESSURES = 25  # tried in the secant search
 # mean distance of the nearest clamped nodes beyond a curved rim, in lattice steps
 _RIM_STEPS = 0.36
 _KPA_TO_N_MM2 = 1e-3
+N_HALVINGS = 4  # every lattice side is a multiple of 2^4 steps, so that it can be halved this often
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,11 +45,30 @@ class BubbleContact:
     converged: bool
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObstacleProblem:
+    """Clearance above every node, and which nodes may move."""
+
+    clearance_mm: Doubles  # (ny, nx), +inf = open
+    free: Mask  # (ny, nx) inside the rim
+    step_mm: float
+    n_halvings: int = N_HALVINGS
+
+    def coarsen(self) -> ObstacleProblem:
+        """The same problem on every second node."""
+        return ObstacleProblem(
+            clearance_mm=self.clearance_mm[::2, ::2],
+            free=self.free[::2, ::2],
+            step_mm=2 * self.step_mm,
+            n_halvings=self.n_halvings - 1,
+        )
+
+
 def make_lattice(bubble: Bubble, step_mm: float = STEP_MM) -> Lattice:
     """The lattice centred on the optical axis that holds the whole rim and can be halved for
     multigrid.
     """
-    halves = 2**multigrid.N_HALVINGS
+    halves = 2**N_HALVINGS
     ny, nx = (
         halves * math.ceil(2 * a / (step_mm * halves)) + 1
         for a in (bubble.half_height_mm, bubble.half_width_mm)
@@ -107,7 +128,7 @@ def press_bubble(
     room = np.where(
         np.isfinite(ceiling_mm), ceiling_mm - compute_rest_height_mm(bubble, on), np.inf
     )
-    grid = multigrid.ObstacleProblem(clearance_mm=room, free=free, step_mm=on.step_mm)
+    grid = ObstacleProblem(clearance_mm=room, free=free, step_mm=on.step_mm)
     # kPa mm, so that load = pressure / tension is 1 / mm
     tension = compute_tension_n_per_mm(bubble) / _KPA_TO_N_MM2
     v = np.zeros(on.shape)
@@ -119,12 +140,12 @@ def press_bubble(
             bubble, half, tension, tolerance_mm, _SealedState(v=np.zeros(half.free.shape))
         )
         answer = _solve_sealed(
-            bubble, grid, tension, tolerance_mm, replace(rough, v=multigrid.refine(rough.v))
+            bubble, grid, tension, tolerance_mm, replace(rough, v=refine(rough.v))
         )
         v = answer.v
         over_kpa = answer.over_kpa
         settled = answer.converged
-    force = multigrid.compute_contact_load(grid, v, over_kpa / tension) * tension
+    force = compute_contact_load(grid, v, over_kpa / tension) * tension
     return BubbleContact(
         deviation_mm=freeze(v),
         contact_pressure_kpa=freeze(force),
@@ -152,7 +173,7 @@ class _SealedState:
 
 def _solve_sealed(
     bubble: Bubble,
-    grid: multigrid.ObstacleProblem,
+    grid: ObstacleProblem,
     tension: float,
     tolerance_mm: float,
     start: _SealedState,
@@ -168,7 +189,7 @@ def _solve_sealed(
     def compute_missing_pressure(over_kpa: float) -> float:
         """Pressure in kPa that Boyle's law adds for the volume at this pressure."""
         nonlocal v, settled
-        v, settled = multigrid.solve(grid, v, over_kpa / tension, tolerance_mm)
+        v, settled = solve_obstacle(grid, v, over_kpa / tension, tolerance_mm)
         left = max(air + grid.step_mm**2 * float(v.sum()), 1e-3 * air)
         return absolute * air / left - absolute - over_kpa
 
@@ -196,3 +217,40 @@ def _dome(bubble: Bubble, on: Lattice) -> Doubles:
         - (on.x_mm()[None, :] / bubble.half_width_mm) ** 2
         - (on.y_mm()[:, None] / bubble.half_height_mm) ** 2
     )
+
+
+def solve_obstacle(
+    grid: ObstacleProblem, start_mm: Doubles, load_per_mm: float, tolerance_mm: float
+) -> tuple[Doubles, bool]:
+    """(v, converged) under a uniform load, from a starting shape."""
+    from pipeline.physics import multigrid_kernels as kernels
+
+    room = np.array(grid.clearance_mm, order="C")
+    free = np.array(grid.free, order="C")
+    v = np.where(free, np.minimum(start_mm, room), 0.0)
+    load = np.full_like(v, load_per_mm)
+    converged = kernels.solve_obstacle(
+        v, load, room, free, grid.step_mm**2, grid.n_halvings, tolerance_mm
+    )
+    return v, converged
+
+
+def refine(v: Doubles) -> Doubles:
+    """A shape on a halved grid, interpolated to the full one (bilinear)."""
+    fine = np.empty((2 * v.shape[0] - 1, 2 * v.shape[1] - 1))
+    fine[::2, ::2] = v
+    fine[1::2, ::2] = 0.5 * (v[:-1] + v[1:])
+    fine[:, 1::2] = 0.5 * (fine[:, :-2:2] + fine[:, 2::2])
+    return fine
+
+
+def compute_contact_load(grid: ObstacleProblem, v: Doubles, load_per_mm: float) -> Doubles:
+    """Load (ny, nx) of the object on the membrane (1/mm), 0 outside contact."""
+    force = np.zeros_like(v)
+    inner = (slice(1, -1), slice(1, -1))
+    lap = (
+        v[:-2, 1:-1] + v[2:, 1:-1] + v[1:-1, :-2] + v[1:-1, 2:] - 4.0 * v[inner]
+    ) / grid.step_mm**2
+    holds = grid.free[inner] & (v[inner] >= grid.clearance_mm[inner])
+    force[inner] = np.where(holds, np.maximum(load_per_mm + lap, 0.0), 0.0)
+    return force

@@ -7,6 +7,7 @@ instead of about twenty.
 """
 
 import math
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,6 @@ from numpy.typing import NDArray
 from pipeline.core.arrays import Floats, Mask, freeze
 from pipeline.core.errors import ShapeError
 from pipeline.physics import gel_layer
-from pipeline.physics.multigrid import compute_dot, generate_steps
 from pipeline.sensors.parts import Gel
 
 TOLERANCE_MM = 1e-4  # 0.1 um: far below the resolution of any camera
@@ -212,3 +212,44 @@ def _result(
         residual_mm=residual_mm,
         converged=converged,
     )
+
+
+def generate_steps(
+    residual: Floats, apply: Callable[[Floats], Floats], precondition: Callable[[Floats], Floats]
+) -> Generator[Floats]:
+    """Yield the conjugate gradient steps whose sum solves A x = b.
+
+    The caller adds them up and stops.
+
+    The flexible form (Notay 2000): a direction is made orthogonal to the last by A itself, so that
+    the preconditioner may be unsymmetric or inexact.
+
+    `residual` is b at first, and b - A x in place after each step. `apply` is x -> A x, symmetric
+    and positive on the directions that `precondition` gives. Both may return buffers of their own:
+    a step is valid until the next one, and no array is allocated in it. Ends where no step reduces
+    the residual any more.
+    """
+    direction = np.zeros_like(residual)
+    moved = np.zeros_like(residual)
+    reduced = 1.0
+    while True:
+        guided = precondition(residual)
+        direction *= -compute_dot(guided, moved) / reduced
+        direction += guided
+        moved = apply(direction)
+        reduced = compute_dot(direction, residual)
+        curvature = compute_dot(direction, moved)
+        if not (reduced > 0.0 and curvature > 0.0):
+            return
+        moved *= reduced / curvature
+        residual -= moved
+        np.multiply(direction, reduced / curvature, out=guided)
+        yield guided
+
+
+def compute_dot(a: Floats, b: Floats) -> float:
+    """The dot product of two fields in double precision and in a fixed order.
+
+    BLAS distributes it over threads.
+    """
+    return float(np.einsum("i,i->", a.ravel(), b.ravel(), dtype=np.float64))

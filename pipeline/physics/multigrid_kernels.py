@@ -1,6 +1,11 @@
 # pyright: basic
-"""Compiled cycle of the multigrid solver (`multigrid`) for -lap v = load, v <= room, v = 0 at the
-rim.
+"""Compiled multigrid solver for -lap v = load, v <= room, v = 0 at the rim.
+
+Truncated cycles detect the contact: the finest level is smoothed against the object, the coarser
+ones correct only free nodes (after Graeser and Kornhuber, 2009). Once the contact stays the same,
+the rest is a linear problem, which conjugate gradients with such a cycle as preconditioner solve in
+a few steps. If the contact keeps changing, monotone cycles (Kornhuber 1994) take over, which are
+slower but always converge.
 
 Fields are (rows, cols). `free`: nodes that may move, False at the rim and beyond; `loose`: those of
 them that coarse levels correct.
@@ -13,9 +18,68 @@ from pipeline.core.cached_kernels import FAST, inner_kernel, kernel
 # of smoothing; the latter are enough for 17 x 14 nodes
 _SWEEPS = 2
 _COARSEST_SWEEPS = 40
+_MAX_CYCLES = 160
+_TRUNCATED_CYCLES = 40  # of these; a dozen are usually enough
+# with coarse levels up to the contact: fast on smooth objects, overshooting on rough ones
+_BOLD_CYCLES = 6
+_FEW_NODES = 2  # that still enter or leave the contact when the linear problem is tried
+_MAX_STEPS = 30
+_STEP_SHARE = 0.3  # of the tolerance: the error is well below it after a step of this size
 
 
 @kernel(fastmath=FAST)
+def solve_obstacle(v, load, room, free, step_sq, n_halvings, tolerance):
+    """Solve in place from a shape `v`, until a whole cycle changes nothing; returns whether it
+    did.
+    """
+    before = v.copy()
+    loose = free.copy()
+    was_loose = free.copy()
+    for cycle in range(_MAX_CYCLES):
+        was_loose[:] = loose
+        truncated = cycle < _TRUNCATED_CYCLES
+        careful = cycle >= _BOLD_CYCLES
+        run_cycle(v, load, room, free, loose, step_sq, n_halvings, truncated, truncated and careful)
+        if np.abs(v - before).max() <= tolerance:
+            return True
+        if 0 < cycle < _TRUNCATED_CYCLES and (loose != was_loose).sum() <= _FEW_NODES:
+            _solve_linear(v, load, loose, step_sq, n_halvings, careful, tolerance)
+            v[:] = np.where(free, np.minimum(v, room), v)
+        before[:] = v
+    return False
+
+
+@inner_kernel(fastmath=FAST)
+def _solve_linear(v, load, loose, step_sq, n_halvings, careful, tolerance):
+    """Solve the linear problem on the loose nodes by flexible conjugate gradients (Notay 2000):
+    a cycle, the preconditioner, is not symmetric.
+    """
+    left = np.empty_like(v)
+    direction = np.zeros_like(v)
+    moved = np.zeros_like(v)
+    unbound = np.full_like(v, np.inf)
+    nothing = np.zeros_like(v)
+    still_loose = loose.copy()
+    reduced = 1.0
+    compute_residual(v, load, unbound, loose, step_sq, left)
+    for _ in range(_MAX_STEPS):
+        guided = np.zeros_like(v)
+        run_cycle(guided, left, unbound, loose, still_loose, step_sq, n_halvings, True, careful)
+        direction = guided - (guided * moved).sum() / reduced * direction
+        compute_residual(direction, nothing, unbound, loose, step_sq, moved)
+        reduced = (direction * left).sum()
+        curvature = -(direction * moved).sum()
+        if not (reduced > 0.0 and curvature > 0.0):
+            return
+        moved *= -reduced / curvature
+        left -= moved
+        step = reduced / curvature * direction
+        v += step
+        if np.abs(step).max() <= _STEP_SHARE * tolerance:
+            return
+
+
+@inner_kernel(fastmath=FAST)
 def run_cycle(v, load, room, free, loose, step_sq, n_halvings, truncated, careful):
     """Run one V-cycle on `v` in place, and write `loose`.
 
@@ -23,21 +87,28 @@ def run_cycle(v, load, room, free, loose, step_sq, n_halvings, truncated, carefu
     `careful`. Otherwise they correct all free nodes and stay below the object: coarse nodes have
     the least clearance nearby.
     """
-    if n_halvings == 0:
-        _smooth(v, load, room, free, step_sq, _COARSEST_SWEEPS)
-        return
-    _smooth(v, load, room, free, step_sq, _SWEEPS)
-    left = np.empty_like(v)
-    compute_residual(v, load, room, free, step_sq, left)
-    for r in range(v.shape[0]):
-        for c in range(v.shape[1]):
-            loose[r, c] = free[r, c] and (
-                not truncated or v[r, c] < room[r, c] or left[r, c] != 0.0
-            )
-    coarse = _coarsen(left, room, v, loose, not truncated, careful)
-    run_cycle(*coarse, 4.0 * step_sq, n_halvings - 1, truncated, careful)
-    _prolong(coarse[0], v, room, loose)
-    _smooth(v, load, room, free, step_sq, _SWEEPS)
+    # a loop: numba does not load a cached kernel that calls itself
+    levels = [(v, load, room, free, loose)]
+    for _ in range(n_halvings):
+        v, load, room, free, loose = levels[-1]
+        _smooth(v, load, room, free, step_sq, _SWEEPS)
+        left = np.empty_like(v)
+        compute_residual(v, load, room, free, step_sq, left)
+        for r in range(v.shape[0]):
+            for c in range(v.shape[1]):
+                loose[r, c] = free[r, c] and (
+                    not truncated or v[r, c] < room[r, c] or left[r, c] != 0.0
+                )
+        levels.append(_coarsen(left, room, v, loose, not truncated, careful))
+        step_sq = 4.0 * step_sq
+    v, load, room, free, loose = levels[-1]
+    _smooth(v, load, room, free, step_sq, _COARSEST_SWEEPS)
+    for level in range(n_halvings - 1, -1, -1):
+        step_sq = 0.25 * step_sq
+        correction = levels[level + 1][0]
+        v, load, room, free, loose = levels[level]
+        _prolong(correction, v, room, loose)
+        _smooth(v, load, room, free, step_sq, _SWEEPS)
 
 
 @inner_kernel(fastmath=FAST)
@@ -59,7 +130,7 @@ def _smooth(v, load, room, free, step_sq, sweeps):
                         v[r, c] = min(new, room[r, c])
 
 
-@kernel(fastmath=FAST)
+@inner_kernel(fastmath=FAST)
 def compute_residual(v, load, room, free, step_sq, out):
     """Write load + lap v at free nodes, 0 in contact and at the rim."""
     rows, cols = v.shape

@@ -80,6 +80,9 @@ class Catalogue:
 
         Raises SettingProblem that lists the stage's methods.
         """
+        for method in self.stage(stage).methods:
+            if method.name == name:
+                return method
         return _find_by_name(
             self.list_choices(stage), name, f"method {name!r} for the stage {stage!r}"
         )

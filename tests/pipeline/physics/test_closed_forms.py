@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.physics import bubble, gel, multigrid
+from pipeline.physics import bubble, gel
 from pipeline.sensors.parts import Gel
 from pipeline.sensors.spec import load_sensor
 
@@ -159,12 +159,12 @@ def test_a_mirrored_object_leaves_the_mirrored_mark(turned):
 
 
 def inflated(on, membrane, load_per_mm):
-    grid = multigrid.ObstacleProblem(
+    grid = bubble.ObstacleProblem(
         clearance_mm=np.full(on.shape, np.inf),
         free=bubble.find_free_nodes(membrane, on),
         step_mm=on.step_mm,
     )
-    return multigrid.solve(grid, np.zeros(on.shape), load_per_mm, 1e-8)
+    return bubble.solve_obstacle(grid, np.zeros(on.shape), load_per_mm, 1e-8)
 
 
 @pytest.mark.parametrize("membrane", [ROUND, BUBBLE], ids=["circle", "ellipse"])
@@ -226,10 +226,10 @@ def test_a_bubble_on_pins_is_solved_as_by_an_active_set():
     ceiling = np.full(on.shape, np.inf)
     ceiling[rng.integers(10, 90, 30), rng.integers(10, 110, 30)] = rng.uniform(-5, 18, 30)
     free = bubble.find_free_nodes(BUBBLE, on)
-    grid = multigrid.ObstacleProblem(
+    grid = bubble.ObstacleProblem(
         clearance_mm=ceiling - bubble.compute_rest_height_mm(BUBBLE, on), free=free, step_mm=1.0
     )
-    v, settled = multigrid.solve(grid, np.zeros(on.shape), 0.003, 1e-7)
+    v, settled = bubble.solve_obstacle(grid, np.zeros(on.shape), 0.003, 1e-7)
     left = np.zeros(on.shape)
     left[1:-1, 1:-1] = (
         0.003 + v[2:, 1:-1] + v[:-2, 1:-1] + v[1:-1, 2:] + v[1:-1, :-2] - 4 * v[1:-1, 1:-1]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.physics.multigrid import compute_dot, generate_steps
+from pipeline.physics.gel import compute_dot, generate_steps
 
 
 def draw_problem(seed, n):

@@ -14,7 +14,7 @@ from pipeline.core.geometry import rigid
 from pipeline.core.geometry.screws import SLIDE_ROTATION_LIMIT, describe_direction
 from pipeline.core.progress import SILENT, Progress
 from pipeline.stages.pose.registration.observability import Observability
-from pipeline.stages.pose.registration.ranking import PoseJudge, outline_constrains
+from pipeline.stages.pose.registration.ranking import outline_constrains
 from pipeline.stages.pose.registration.search import SAME_DEG, SAME_MM, PoseMinimum, PoseSearch
 
 OUTLINE_ONLY = "determined only by the outline of the contact"
@@ -64,7 +64,7 @@ def select_pose(
     others = search.find_equal_poses(
         first, [m.fit.sensor_from_object for m in found[1:]], unseen, progress, explained=explained
     )
-    chosen = _centre_on_contact(search, found[0], unseen, search.make_fine_judge())
+    chosen = _centre_on_contact(search, found[0], unseen)
     notes = tuple(
         f"{words}: {OUTLINE_ONLY}"
         if seen
@@ -83,12 +83,6 @@ def select_pose(
     )
 
 
-def find_unobservable_motions(search: PoseSearch, pose: Doubles) -> Doubles:
-    """Return motions (k, 6) that neither surface nor outline determines."""
-    known = search.assess_observability(pose)
-    return known.weak_motions[[not shown for shown in _shown_by_outline(search, pose, known)]]
-
-
 def _describe_placement(words: str) -> str:
     """Return how a motion that nothing determines was set."""
     done = "where the contact's middle is" if words.startswith("slides") else "as first guessed"
@@ -103,9 +97,7 @@ def _shown_by_outline(search: PoseSearch, pose: Doubles, known: Observability) -
     return [outline_constrains(pose, motion, search.middle_mm, by) for motion in known.weak_motions]
 
 
-def _centre_on_contact(
-    search: PoseSearch, minimum: PoseMinimum, unseen: Doubles, by: PoseJudge
-) -> PoseMinimum:
+def _centre_on_contact(search: PoseSearch, minimum: PoseMinimum, unseen: Doubles) -> PoseMinimum:
     """Move the object's centre toward the contact's along undetermined motions, as far as the
     misfit allows.
     """
@@ -118,7 +110,7 @@ def _centre_on_contact(
         along = motion[3:] / length
         far_mm = float(along @ (search.middle_mm - rigid.apply(pose, search.object.middle_mm)))
         slid = rigid.translation(*(far_mm * along)) @ pose
-        if not by.distinguishes(pose, slid):
+        if not search.fine.distinguishes(pose, slid):
             pose = slid
     if pose is before.sensor_from_object:
         return minimum

@@ -26,7 +26,7 @@ LEAST_SPREAD_MM = 0.02  # smallest std of the membrane's shape
 _MAX_DEVIATIONS = 3.0  # standard deviations of depth that may put the membrane behind a near object
 _SIGNIFICANT = 2.0  # standard errors above which two misfits differ
 _FIRST_STEP_MM = 0.8
-_LAST_STEP_MM = 0.02
+_N_SIZES = 6  # each half of the one before, the last 0.025 mm
 _MAX_ROUNDS = 40
 # translation (mm) that must raise the misfit for the outline to determine the place
 _TRIAL_MM = 0.5
@@ -49,7 +49,19 @@ class PoseJudge:
         area.
         """
         means, _ = self._measure_unexplained(np.array(poses, dtype=np.float64).reshape(-1, 4, 4))
-        return np.sqrt(means[:, 0] + means[:, 1] * (self.model.area_mm2 / self.scene.area_mm2))
+        return np.sqrt(means[:, 0] + means[:, 1] * self.area_ratio)
+
+    @property
+    def area_ratio(self) -> float:
+        """Area of the object over that of the contact."""
+        return self.model.area_mm2 / self.scene.area_mm2
+
+    def make_buffers(self) -> tuple[Doubles, Doubles, Indices]:
+        """Buffers of the kernels: squares of contact points and model points, and the latter's
+        pixels.
+        """
+        n_model = len(self.model.points_mm)
+        return np.empty(len(self.points_mm)), np.empty(n_model), np.empty(n_model, np.int32)
 
     def distinguishes(self, better: Doubles, other: Doubles) -> bool:
         """Return whether one pose fits better than the other by more than the touch's own error.
@@ -93,9 +105,8 @@ class PoseJudge:
         """
         from pipeline.stages.pose.registration.registration_kernels import measure_unexplained
 
-        n_model = len(self.model.points_mm)
         means = np.empty((len(poses), 2))
-        last = (np.empty(len(self.points_mm)), np.empty(n_model), np.empty(n_model, np.int32))
+        last = self.make_buffers()
         measure_unexplained(poses, *self.kernel_inputs, means, last)
         return means, last
 
@@ -138,23 +149,13 @@ def align_to_outline(
     """Return `pose` moved along the weak motions (k, 6) to the least misfit, by pattern search
     with step halving.
     """
-    if len(weak_motions) == 0:
-        return pose
+    from pipeline.stages.pose.registration.registration_kernels import search_pattern
+
     steps = np.concatenate([weak_motions, -weak_motions])
-    best = pose
-    least = float(by.misfit_mm([pose])[0])
-    size_mm = _FIRST_STEP_MM
-    for _round in range(_MAX_ROUNDS):
-        tried = rigid.apply_screw(best, steps * size_mm, about_mm)
-        misfits = by.misfit_mm(tried)
-        k = int(np.argmin(misfits))
-        if misfits[k] < least:
-            best = tried[k]
-            least = float(misfits[k])
-            continue
-        size_mm /= 2
-        if size_mm < _LAST_STEP_MM:
-            break
+    sizes_mm = _FIRST_STEP_MM * 0.5 ** np.arange(_N_SIZES)
+    motions = rigid.apply_screw(np.eye(4), np.multiply.outer(sizes_mm, steps), about_mm)
+    best = np.array(pose)
+    search_pattern(best, motions, _MAX_ROUNDS, by.area_ratio, by.kernel_inputs, by.make_buffers())
     return best
 
 

@@ -22,6 +22,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from pipeline.core.cached_kernels import inner_kernel, kernel
 from pipeline.core.geometry.distance_grid_kernels import look_up
 
@@ -449,3 +451,41 @@ def measure_unexplained(poses, contact, contact_normals, grid, model, view, limi
     for n in range(poses.shape[0]):
         means[n, 0] = _measure_contact(poses, n, contact, contact_normals, grid, limit, of_felt)
         means[n, 1] = _measure_free_space(poses, n, model, view, limit, of_points, pixel)
+
+
+@kernel()
+def search_pattern(best, motions, most, area_ratio, inputs, last):
+    """Move the pose `best` (4, 4) in place to less misfit, by pattern search.
+
+    motions (sizes, n, 4, 4) of the sensor frame: the best one of a size is followed as long as it
+    helps, then the next size is tried; at most `most` rounds. inputs: of `measure_unexplained`
+    after its poses.
+    """
+    contact, contact_normals, grid, model, view, limit = inputs
+    n = motions.shape[1]
+    tried = np.empty((n, 4, 4))
+    tried[:1] = best
+    means = np.empty((n, 2))
+    measure_unexplained(tried[:1], contact, contact_normals, grid, model, view, limit, means, last)
+    least = math.sqrt(means[0, 0] + means[0, 1] * area_ratio)
+    size = 0
+    for _ in range(most):
+        for k in range(n):
+            for i in range(4):
+                for j in range(4):
+                    tried[k, i, j] = 0.0
+                    for m in range(4):
+                        tried[k, i, j] += motions[size, k, i, m] * best[m, j]
+        measure_unexplained(tried, contact, contact_normals, grid, model, view, limit, means, last)
+        chosen = -1
+        for k in range(n):
+            misfit = math.sqrt(means[k, 0] + means[k, 1] * area_ratio)
+            if misfit < least:
+                least = misfit
+                chosen = k
+        if chosen >= 0:
+            best[:] = tried[chosen]
+            continue
+        size += 1
+        if size == motions.shape[0]:
+            return

@@ -6,7 +6,7 @@ free space; each step is more exact on fewer poses.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import permutations, product
 
 import numpy as np
@@ -25,7 +25,7 @@ from pipeline.stages.pose.registration.gauss_newton import (
     register_from_starts,
     trace_iterations,
 )
-from pipeline.stages.pose.registration.model import PreparedObject
+from pipeline.stages.pose.registration.model import ObjectModel, PreparedObject
 from pipeline.stages.pose.registration.observability import (
     NORMAL_ERROR_DEG,
     MatchedPoints,
@@ -122,6 +122,15 @@ class PoseSearch:
     max_distance_mm: float
     n_iterations: int
     keep_steps: bool
+    # judges on the whole object: of where the best starts converge, and of the results
+    rough: PoseJudge = field(init=False)
+    fine: PoseJudge = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Thin scene and object once for all comparisons."""
+        model = self.object.model
+        object.__setattr__(self, "rough", self._make_judge(model, _MIDDLE_CONTACT, _MIDDLE_MODEL))
+        object.__setattr__(self, "fine", self._make_judge(model, _FINE_CONTACT, _FINE_MODEL))
 
     @property
     def middle_mm(self) -> Doubles:
@@ -135,14 +144,7 @@ class PoseSearch:
     def select_likeliest(self, tried: Sequence[InitialPose]) -> Doubles:
         """Return the best poses of each orientation (n, 4, 4), best first."""
         n_model = int(np.clip(self.object.model.area_mm2 / _COARSE_MM2, *_COARSE_MODEL))
-        by = make_judge(
-            self.scene,
-            self.object.grid,
-            self.object.model,
-            _COARSE_CONTACT,
-            n_model,
-            self.max_distance_mm,
-        )
+        by = self._make_judge(self.object.model, _COARSE_CONTACT, n_model)
         poses = np.array([s.sensor_from_object for s in tried])
         asked: dict[tuple[str, int], int] = {}
         chosen: list[int] = []
@@ -194,7 +196,7 @@ class PoseSearch:
         )
 
     def _distinct(self, poses: Doubles) -> list[Doubles]:
-        misfits_mm = self._middle().misfit_mm(poses)
+        misfits_mm = self.rough.misfit_mm(poses)
         kept: list[Doubles] = []
         for k in np.argsort(misfits_mm, kind="stable"):
             if all(
@@ -229,7 +231,7 @@ class PoseSearch:
         if isinstance(fit, NotDetermined):
             return None
         return PoseMinimum(
-            fit=fit, misfit_mm=float(self.make_fine_judge().misfit_mm([fit.sensor_from_object])[0])
+            fit=fit, misfit_mm=float(self.fine.misfit_mm([fit.sensor_from_object])[0])
         )
 
     def explains(self, minimum: PoseMinimum) -> bool:
@@ -269,22 +271,22 @@ class PoseSearch:
         explains the touch, many fit equally badly: few are tried.
         """
         left = _MAX_ROTATED if explained else _MAX_ROTATED_DRAFT
-        fine = self.make_fine_judge()
-        rough = self._middle()
-        limit_mm = _NEAR * float(rough.misfit_mm([first])[0]) + LEAST_SPREAD_MM
+        limit_mm = _NEAR * float(self.rough.misfit_mm([first])[0]) + LEAST_SPREAD_MM
         way = None if self.outward is None else np.array(self.outward)
         turns = [turn for turn in _TURNED_OVER if way is None or way @ turn @ way > 0]
         equal = list[Doubles]()
         tried = [*found, *(first @ self._about_middle(turn) for turn in turns)]
         for _round in range(_MAX_ITERATIONS):
             n_before = len(equal)
-            for turned in (tried[k] for k in np.flatnonzero(rough.misfit_mm(tried) <= limit_mm)):
+            for turned in (
+                tried[k] for k in np.flatnonzero(self.rough.misfit_mm(tried) <= limit_mm)
+            ):
                 progress.step(1.0, "comparing poses that fit as well")
                 pose = turned
                 if len(equal) == _MAX_EQUAL or left == 0:
                     break
                 new = all(self.poses_differ_beyond(pose, other, free) for other in (first, *equal))
-                if new and fine.distinguishes(first, pose):
+                if new and self.fine.distinguishes(first, pose):
                     left -= 1
                     # after the rotation, a better fit may be nearby
                     better = self.polish(pose, dense=True)
@@ -292,7 +294,7 @@ class PoseSearch:
                     new = all(
                         self.poses_differ_beyond(pose, other, free) for other in (first, *equal)
                     )
-                if new and not fine.distinguishes(first, pose):
+                if new and not self.fine.distinguishes(first, pose):
                     equal.append(pose)
             if len(equal) == n_before:
                 break
@@ -333,15 +335,9 @@ class PoseSearch:
         out[:3, 3] = self.object.middle_mm - turn @ self.object.middle_mm
         return out
 
-    def _middle(self) -> PoseJudge:
-        model = self.object.model
+    def _make_judge(self, model: ObjectModel, n_contact: int, n_model: int) -> PoseJudge:
         return make_judge(
-            self.scene,
-            self.object.grid,
-            model,
-            _MIDDLE_CONTACT,
-            _MIDDLE_MODEL,
-            self.max_distance_mm,
+            self.scene, self.object.grid, model, n_contact, n_model, self.max_distance_mm
         )
 
     def _tolerances(self, pose: Doubles, slopes: Doubles) -> Tolerances:
@@ -355,17 +351,6 @@ class PoseSearch:
         lattice_sq = float(np.where(short_sq > _BENT_SQ, short_sq, 0.0).mean()) / 2.0
         deg = _CORRELATED * math.degrees(math.sqrt(float(near.facet_error_sq.mean()) + lattice_sq))
         return Tolerances(normal_error_deg=float(np.clip(deg, _STRAIGHT_DEG, NORMAL_ERROR_DEG)))
-
-    def make_fine_judge(self) -> PoseJudge:
-        """Return a judge on the whole object."""
-        return make_judge(
-            self.scene,
-            self.object.grid,
-            self.object.model,
-            _FINE_CONTACT,
-            _FINE_MODEL,
-            self.max_distance_mm,
-        )
 
     def find_minima(
         self, starts: Sequence[Doubles], progress: Progress = SILENT
@@ -393,12 +378,9 @@ class PoseSearch:
     def make_outline_judge(self, pose: Doubles, *, dense: bool = False) -> PoseJudge:
         """Return a judge on the part of the object around the contact, with dense points."""
         part = select_in_reach(self.scene, self.object.model, pose, _OUTLINE_REACH_MM)
-        n_contact, n_model = (
-            (_DENSE_CONTACT, _DENSE_MODEL) if dense else (_OUTLINE_CONTACT, _OUTLINE_MODEL)
-        )
-        return make_judge(
-            self.scene, self.object.grid, part, n_contact, n_model, self.max_distance_mm
-        )
+        if dense:
+            return self._make_judge(part, _DENSE_CONTACT, _DENSE_MODEL)
+        return self._make_judge(part, _OUTLINE_CONTACT, _OUTLINE_MODEL)
 
     def match(self, pose: Doubles) -> MatchedPoints:
         """Match the scene to the object at `pose`."""
