@@ -797,7 +797,6 @@ WRITERS = {
     "pipeline/translation/reports/export.py": "arrays",
     "pipeline/translation/reports/report.py": "report",
     "pipeline/translation/reports/repro_bundle.py": "report",
-    "pipeline/translation/reports/truth_files.py": "report",
     "pipeline/translation/reports/video.py": "no reader: its frames are counted before it is moved",
     "pipeline/translation/reports/viewer_files.py": "viewer file",
     "pipeline/sensors/alignment_files.py": "alignment",

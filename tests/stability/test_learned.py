@@ -207,11 +207,9 @@ def test_vqvae(way, picture, seed):
     st.sampled_from(STEPS[1:]),
     st.sampled_from(GUIDANCE),
     st.sampled_from(SOLVERS),
-    st.booleans(),
-    st.sampled_from(["yes", "no", "as trained"]),
     seeds,
 )
-def test_latent(picture, steps, guidance, sampler, twice, raw, seed):
+def test_latent(picture, steps, guidance, sampler, seed):
     source = small(GEL)
     target = small(BUBBLE)
     how = LatentParams(
@@ -219,8 +217,6 @@ def test_latent(picture, steps, guidance, sampler, twice, raw, seed):
         guidance=guidance,
         sampler=sampler,
         seed=seed % 2**31,
-        double_mapping=twice,
-        raw_condition=raw,
     )
     network = shipped(f"latent_{GEL}_to_{BUBBLE}")
     network.trained_on_recordings = True  # its own answer, also where physics would replace it

@@ -206,16 +206,15 @@ def test_window(poison, share, seed):
     st.sampled_from(["depth_mm", "indentation_mm", "both"]),
     poisons,
     shares,
-    st.sampled_from(["press", "follow"]),
     seeds,
 )
-def test_generate(name, field, poison, share, surface, seed):
+def test_generate(name, field, poison, share, seed):
     rng = np.random.default_rng(seed)
     spec = small(name)
     clean = view(spec, 0.3 * indentation_mm(spec, "sphere", rng))
     fields = ("depth_mm", "indentation_mm") if field == "both" else (field,)
     bad = replace(clean, **{f: poisoned(getattr(clean, f), poison, share, rng) for f in fields})
-    result, _ = outcome(render_touch, bad, spec, PhysicalRenderParams(surface=surface))
+    result, _ = outcome(render_touch, bad, spec, PhysicalRenderParams())
     if result is not None:
         sound(result)
 

@@ -85,8 +85,6 @@ class TargetDepth:
     notes: tuple[str, ...] = ()
     # (n,) of Cloud -> its pixel; -1 = outside, hidden or cut away
     pixel_of_point: Indices | None = None
-    # (rows, cols) 0..1, share of each pixel in contact; None = not computed
-    coverage: Floats | None = None
     error: DepthErrorModel | None = None  # of the source depth
 
 

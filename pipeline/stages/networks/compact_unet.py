@@ -6,8 +6,9 @@ Encoder and decoder are joined by a sum at every level; a level halves the image
 widens the channels. 0.3 to 1 million parameters.
 """
 
+from collections.abc import Callable
 from itertools import pairwise
-from typing import cast
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -55,25 +56,37 @@ class CompactUnet(nn.Module):
 
     def forward(self, image: Tensor) -> Tensor:
         """The fields (n, outputs, rows, cols) of a batch of images."""
-        rows, cols = (int(n) for n in image.shape[-2:])
-        padding = (0, -cols % self.fold, 0, -rows % self.fold)
-        if any(padding):
-            image = functional.pad(image, padding, mode="replicate")
-        folded = functional.conv2d(
-            image, cast("Tensor", self.fold_kernel), stride=self.fold, groups=self.inputs
+        kernel = cast("Tensor", self.fold_kernel)
+
+        def fold(padded: Tensor) -> Tensor:
+            return functional.conv2d(padded, kernel, stride=self.fold, groups=self.inputs)
+
+        return run_unet(self, image, fold)
+
+
+def run_unet(
+    net: Any, image: Tensor, fold: Callable[[Tensor], Tensor], *embedding: Tensor
+) -> Tensor:
+    """The fields (n, outputs, rows, cols) of a network with the parts of a `CompactUnet`.
+
+    `fold` turns patches of the padded image into channels; every block gets the `embedding`, too.
+    """
+    rows, cols = (int(n) for n in image.shape[-2:])
+    padding = (0, -cols % net.fold, 0, -rows % net.fold)
+    if any(padding):
+        image = functional.pad(image, padding, mode="replicate")
+    skips: list[Tensor] = [net.start(fold(image), *embedding)]
+    for down in net.down:
+        skips.append(down(functional.max_pool2d(skips[-1], 2, ceil_mode=True), *embedding))
+    field = skips.pop()
+    for thin, merge in zip(reversed(net.thin), reversed(net.merge), strict=True):
+        skip = skips.pop()
+        field = functional.interpolate(
+            thin(field), size=skip.shape[-2:], mode="bilinear", align_corners=False
         )
-        skips = [cast("Tensor", self.start(folded))]
-        for down in self.down:
-            skips.append(down(functional.max_pool2d(skips[-1], 2, ceil_mode=True)))
-        field = skips.pop()
-        for thin, merge in zip(reversed(self.thin), reversed(self.merge), strict=True):
-            skip = skips.pop()
-            field = functional.interpolate(
-                thin(field), size=skip.shape[-2:], mode="bilinear", align_corners=False
-            )
-            field = merge(skip + field)
-        fields = functional.pixel_shuffle(self.finish(field), self.fold)
-        return fields[..., :rows, :cols] if any(padding) else fields
+        field = merge(skip + field, *embedding)
+    fields = functional.pixel_shuffle(net.finish(field), net.fold)
+    return fields[..., :rows, :cols] if any(padding) else fields
 
 
 def make_fold_kernel(inputs: int, fold: int) -> Tensor:

@@ -33,7 +33,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from pipeline.core.derived import derive_once
-from pipeline.stages.networks.compact_unet import CompactUnet, make_fold_kernel
+from pipeline.stages.networks.compact_unet import CompactUnet, make_fold_kernel, run_unet
 from pipeline.stages.networks.onnx_predictor import FIELD_LIMIT
 from pipeline.stages.networks.onnx_predictor import ResidualConstants as Constants
 
@@ -102,8 +102,11 @@ class ResidualDenoiser(nn.Module):
         scaled = torch.where(
             level < self.sigma_max, noisy / torch.sqrt(1.0 + level**2), torch.zeros_like(noisy)
         )
-        output = self._network(
-            torch.cat([scaled, condition], 1), self.noise_embedding(_embed_sigma(sigma))
+        output = run_unet(
+            self,
+            torch.cat([scaled, condition], 1),
+            lambda padded: functional.pixel_unshuffle(padded, self.fold),
+            self.noise_embedding(_embed_sigma(sigma)),
         ).float()
         clean = output[:, :FIELD_CHANNELS]
         if self.prediction == "noise":
@@ -118,24 +121,6 @@ class ResidualDenoiser(nn.Module):
         (`onnx_predictor`).
         """
         return _FirstPass(self).eval()
-
-    def _network(self, inputs: Tensor, embedding: Tensor) -> Tensor:
-        rows, cols = inputs.shape[-2:]
-        padding = (0, -cols % self.fold, 0, -rows % self.fold)
-        padded = functional.pad(inputs, padding, mode="replicate") if any(padding) else inputs
-        skips = [
-            cast("Tensor", self.start(functional.pixel_unshuffle(padded, self.fold), embedding))
-        ]
-        for down in self.down:
-            skips.append(down(functional.max_pool2d(skips[-1], 2, ceil_mode=True), embedding))
-        field = skips.pop()
-        for thin, merge in zip(reversed(self.thin), reversed(self.merge), strict=True):
-            skip = skips.pop()
-            field = functional.interpolate(
-                thin(field), size=skip.shape[-2:], mode="bilinear", align_corners=False
-            )
-            field = merge(skip + field, embedding)
-        return functional.pixel_shuffle(self.finish(field), self.fold)[..., :rows, :cols]
 
 
 class _Block(nn.Module):

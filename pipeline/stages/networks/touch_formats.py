@@ -152,17 +152,12 @@ def encode_image(square_change: Floats, kind: str) -> Floats:
     return np.repeat(np.clip(2.0 * share - 1.0, -1.0, 1.0).astype(np.float32), 3, axis=-3)
 
 
-def decode_image(encoded: Floats, kind: str, *, map_twice: bool = False) -> Floats:
+def decode_image(encoded: Floats, kind: str) -> Floats:
     """Invert `encode_image`; an imprint is the mean of the channels, mapped to mm (paper, steps 1
     and 2).
-
-    `map_twice` reproduces the released scripts, which map -1..1 to 0..1 twice: every imprint then
-    lies in the upper half of the range.
     """
     mapped = get_touch_format(kind).image_range
     if mapped is None:
         return encoded
     share = 0.5 * (np.clip(encoded, -1.0, 1.0).mean(axis=-3, keepdims=True) + 1.0)
-    if map_twice:
-        share = 0.5 * (share + 1.0)
     return (mapped[0] + share * (mapped[1] - mapped[0])).astype(np.float32)

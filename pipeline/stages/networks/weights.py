@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -32,7 +32,6 @@ _VERSION = "1"
 # name of the tensor of bytes that holds the ONNX file, compressed by zlib or as it is
 _ONNX = "onnx"
 _ZLIB = b"\x78"  # first byte of a zlib stream; no ONNX file begins with it
-_MAX_HEADER_BYTES = 16 << 20  # of a header; one of 2,000 tensors takes 0.2 MB
 _MAX_ONNX_BYTES = 1 << 28  # of an unpacked ONNX file; the largest that is shipped has 8 MB
 _FLOATS = {"F64": np.float64, "F32": np.float32, "F16": np.float16}
 _COUNTS = {
@@ -258,32 +257,21 @@ def _read_entries(path: Path) -> tuple[dict[str, str], dict[str, Mapping[str, An
 
     Raises FileProblem.
     """
-    from safetensors import SafetensorError, safe_open
+    from safetensors import SafetensorError, deserialize, safe_open
 
     _refuse_torch_archive(path)
+    require_file(path, _WHAT, most_bytes=MOST_NETWORK_BYTES)
     try:
-        length = int.from_bytes(read_head(path)[:8], "little")
-        if length > _MAX_HEADER_BYTES:
-            raise ValueError(length)
-        # checks the places of all tensors
-        with safe_open(path, framework="numpy"), path.open("rb") as file:
-            header = cast("dict[str, Any]", json.loads(file.read(8 + length)[8:]))
-            metadata = cast("dict[str, Any]", header.pop("__metadata__", None) or {})
-            require_budget(
-                4 * sum(math.prod(e["shape"]) for e in header.values()),
-                _WHAT,
-                path,
-                most=MOST_NETWORK_BYTES,
-            )
-            for entry in header.values():
-                start, end = entry["data_offsets"]
-                file.seek(8 + length + start)
-                entry["data"] = file.read(end - start)
+        with safe_open(path, framework="numpy") as file:
+            metadata = file.metadata() or {}
+        entries = dict(deserialize(path.read_bytes()))
     except (SafetensorError, ValueError, RecursionError, OSError) as error:
         raise FileProblem(
             f"cannot read {_WHAT}: the file is truncated, damaged or not safetensors", path
         ) from error
-    return {str(k): str(v) for k, v in metadata.items()}, header
+    n_bytes = 4 * sum(math.prod(entry["shape"]) for entry in entries.values())
+    require_budget(n_bytes, _WHAT, path, most=MOST_NETWORK_BYTES)
+    return metadata, entries
 
 
 def is_safetensors(path: Path) -> bool:

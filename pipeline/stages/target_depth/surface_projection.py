@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats, Mask, freeze
 from pipeline.core.errors import AlignmentWarning, ShapeError, StageWarning, describe_no_contact
-from pipeline.core.geometry.camera import MIN_DEPTH_MM, Camera
+from pipeline.core.geometry.camera import MIN_DEPTH_MM
 from pipeline.core.params import setting
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.results import SAME_SURFACE_MM, Cloud, TargetDepth
@@ -28,7 +28,6 @@ from pipeline.stages.target_depth.rasterisation import (
 _EMPTY = "the target depth is empty"
 _NEXT_CORNER = [1, 2, 3, 0]  # next corner of a quadrilateral
 _MANY = 0.05  # share of points outside the image from which on it is a warning
-_SUBPIXELS = 4  # per side of a pixel, for sub-pixel coverage
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,12 +58,6 @@ class SurfaceProjectionParams:
         step=1.0,
         help="triangles whose normal is farther than this from the line of sight are omitted",
         source="the paper, eqs. D_T'' and M_T'', on surfaces",
-    )
-    compute_coverage: bool = setting(
-        False,
-        "Sub-pixel coverage",
-        help="also compute the share of each target pixel in contact, in sixteenths",
-        source="the paper's M_T'', evaluated at 16 points per pixel",
     )
 
 
@@ -104,7 +97,13 @@ def project_checked_cloud(
     if surface is None:
         rasterisation = splat_cloud(cloud, target.camera, target.membrane, pixel)
     else:
-        rasterisation = _rasterise(cloud, target.camera, target, surface)
+        rasterisation = rasterise_surface(
+            cloud,
+            target.camera,
+            target.membrane,
+            jump_mm=surface.jump_mm,
+            grazing_deg=surface.grazing_deg,
+        )
     shape = target.camera.shape
     pushed = target.rest_depth_mm.reshape(-1) - rasterisation.depth_mm
     indentation = np.where(rasterisation.contact & (pushed > 0.0), pushed, 0.0).astype(np.float32)
@@ -143,21 +142,19 @@ def project_checked_cloud(
             ),
         ),
         pixel_of_point=freeze(pixel),
-        coverage=_compute_coverage(cloud, target, surface)
-        if surface is not None and surface.compute_coverage
-        else None,
         error=cloud.error,
     )
 
 
 def skip_without_contact(
-    cloud: Cloud, target: SensorSpec, params: ProjectionParams
+    cloud: Cloud,
+    target: SensorSpec,
+    params: ProjectionParams,  # noqa: ARG001 - a method's arguments
 ) -> TargetDepth | None:
     """The empty target depth if the cloud is empty, else None; same inputs as `project_cloud`."""
     if cloud.points_mm.shape[0] > 0:
         return None
     shape = target.camera.shape
-    with_coverage = isinstance(params, SurfaceProjectionParams) and params.compute_coverage
     return TargetDepth(
         depth_mm=freeze(np.full(shape, np.nan, dtype=np.float32)),
         contact=freeze(np.zeros(shape, dtype=np.bool_)),
@@ -167,7 +164,6 @@ def skip_without_contact(
         in_view=_compute_field_of_view(cloud, target),
         notes=(describe_no_contact(_EMPTY, cloud.notes),),
         pixel_of_point=freeze(np.empty(0, dtype=np.int32)),
-        coverage=freeze(np.zeros(shape, dtype=np.float32)) if with_coverage else None,
     )
 
 
@@ -232,23 +228,6 @@ def _measure_gap_mm(
         z = rasterisation.depth_mm[rasterisation.point_index >= 0].astype(np.float64)
         seen = np.stack([z * ray_x[col], z * ray_y[row], z], axis=-1)
     return float(target.membrane.signed_distance_mm(seen).min(initial=np.inf))
-
-
-def _rasterise(
-    cloud: Cloud, camera: Camera, target: SensorSpec, params: SurfaceProjectionParams
-) -> Rasterisation:
-    return rasterise_surface(
-        cloud, camera, target.membrane, jump_mm=params.jump_mm, grazing_deg=params.grazing_deg
-    )
-
-
-def _compute_coverage(cloud: Cloud, target: SensorSpec, params: SurfaceProjectionParams) -> Floats:
-    """Share of each pixel (rows, cols) covered by the surface in contact, from 4 x 4 sub-pixels."""
-    (rows, cols), fine = target.camera.shape, target.camera.scale(_SUBPIXELS)
-    contact = _rasterise(cloud, fine, target, params).contact
-    return freeze(
-        contact.reshape(rows, _SUBPIXELS, cols, _SUBPIXELS).mean(axis=(1, 3), dtype=np.float32)
-    )
 
 
 def _note_visibility(

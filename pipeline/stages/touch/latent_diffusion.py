@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -63,7 +63,6 @@ OUTSIDE_VIEW = (
     "over all is three times "
     "that of physics; compare with touch=physics"
 )
-RawCondition = Literal["as trained", "yes", "no"]
 NOTE = "image only, sampled from {}: the membrane is not known"
 
 
@@ -113,25 +112,6 @@ class LatentParams:
         source="torch.Generator",
         pinned="Seed",
         sweep=tuple(range(8)),
-    )
-    renormalise_depth: bool = setting(
-        True,
-        "Match training statistics",
-        help="rescale a bubble's imprint to mean and standard deviation of the training data",
-        source="the paper, touch to touch, third step",
-    )
-    raw_condition: RawCondition = setting(
-        "as trained",
-        "Condition in greys",
-        choices=RawCondition,
-        help="scale the input change to 0..255, as the published weights were trained",
-        source="the released code and weights",
-    )
-    double_mapping: bool = setting(
-        False,
-        "Map to mm twice",
-        help="as in the released scripts: imprints lie in the upper half of the range",
-        source="the released code",
     )
     threads: int = setting(
         1,
@@ -231,9 +211,7 @@ def generate_touch(
     square = resize_to_square(
         source.sensor_kind.compute_relative_change(frame.image, frame.reference), net.side
     )
-    if params.raw_condition == "yes" or (
-        params.raw_condition == "as trained" and net.raw_condition
-    ):
+    if net.raw_condition:
         square = square * np.float32(source.sensor_kind.full_change)
     condition = build_image_square(square, net.condition, source, target, alignment)
     checks_depth = target.sensor_kind.is_depth and not getattr(net, "trained_on_recordings", False)
@@ -285,8 +263,8 @@ def _sample_touch(
 ) -> GeneratedTouch:
     """Sample an image and add it to the target's reference image."""
     encoded, notes = sample_image(net, condition, params, progress)
-    generated = decode_image(encoded, target.kind, map_twice=params.double_mapping)
-    if target.sensor_kind.is_depth and params.renormalise_depth:
+    generated = decode_image(encoded, target.kind)
+    if target.sensor_kind.is_depth:
         generated = _renormalise_depth(generated, net.generated_stats, net.true_stats)
     if net.half_turn:
         generated = generated[:, ::-1, ::-1]

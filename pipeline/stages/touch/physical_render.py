@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal, assert_never
 
 import numpy as np
 
@@ -38,8 +37,6 @@ from pipeline.physics.sensor_images import render_reference
 from pipeline.sensors.kinds import BubbleSensor, GelSensor, KindTable
 from pipeline.sensors.spec import SensorSpec
 
-GelSurfaceMode = Literal["press", "follow"]
-
 _REFERENCE = "the target's reference image"
 _MISSED = (
     f"{_REFERENCE}: by the alignment, the source's touch does not reach the target; "
@@ -62,14 +59,6 @@ _NARROW_RATIO = 2.5
 class PhysicalRenderParams:
     """Settings of the simulation."""
 
-    surface: GelSurfaceMode = setting(
-        "press",
-        "Gel surface",
-        choices=GelSurfaceMode,
-        help="press: contact simulation, the gel may bridge dents; follow: the gel takes every "
-        "depth value",
-        source="contact of a bonded layer: Johnson 1985, Polonsky and Keer 1999",
-    )
     add_noise: bool = setting(
         False,
         "Sensor noise",
@@ -236,17 +225,12 @@ def render_gel_touch(
     margin = int(np.ceil(target.gel.thickness_mm / target.pixel_mm)) if is_cut else 0
     mask = np.pad(view.contact, margin, mode="edge")
     padded = np.pad(indentation_mm, margin, mode="edge")
-    tolerance_mm = 1e-3 * params.tolerance_um
-    if params.surface == "follow":
-        solution = gel.relax_gel(
-            target.gel, target.pixel_mm, padded, mask, tolerance_mm=tolerance_mm
-        )
-    elif params.surface == "press":
-        solution = gel.press_gel(
-            target.gel, target.pixel_mm, np.where(mask, padded, -np.inf), tolerance_mm=tolerance_mm
-        )
-    else:
-        assert_never(params.surface)
+    solution = gel.press_gel(
+        target.gel,
+        target.pixel_mm,
+        np.where(mask, padded, -np.inf),
+        tolerance_mm=1e-3 * params.tolerance_um,
+    )
     rows, cols = target.camera.shape
     inner = (slice(margin, margin + rows), slice(margin, margin + cols))
     surface: Floats = np.ascontiguousarray(solution.indentation_mm[inner])
@@ -266,8 +250,6 @@ def render_gel_touch(
             )
         )
     contact: Mask = np.ascontiguousarray(solution.contact[inner])
-    if params.surface == "follow":
-        contact = view.contact.copy()
     return _make_touch(view, target, image, surface, contact, notes)
 
 

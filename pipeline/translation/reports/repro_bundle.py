@@ -7,7 +7,6 @@ context frames
 alignment.toml   the alignment in use, with offsets
 expected.npz     every array of every stage
 sheet.png        the same as an image
-truth.npz, difference.npz, truth.png, attribution.json   what is known of the truth, `truth_files`
 mesh.*, calibration.npz, weights_*, source.toml, target.toml   where they were given as files
 """
 
@@ -34,7 +33,7 @@ from pipeline.core.files import (
 )
 from pipeline.core.geometry import urdf
 from pipeline.core.graph import StageResult
-from pipeline.core.progress import SILENT, Progress, SubProgress
+from pipeline.core.progress import SILENT, Progress
 from pipeline.core.typed_data import FileName, Name, Note, convert
 from pipeline.core.values.frames import TactileFrame
 from pipeline.io.formats import DepthUnit
@@ -45,13 +44,12 @@ from pipeline.translation.frame_selection import select_context_frames
 from pipeline.translation.reports.export_request import format_options
 from pipeline.translation.reports.report import collect_stage_arrays
 from pipeline.translation.reports.sheet import write_sheet
-from pipeline.translation.reports.truth_files import write_truth
 from pipeline.translation.translate import Request, Translation, open_translation
 from pipeline.translation.translated_frame import FrameReport
 
 REPLAY_TOLERANCE = 1e-4  # share of an array's own range: rounding of another processor
 _VERSION = 1
-_CACHE_BYTES = 64 * 1024 * 1024  # one frame's stages, with and without truth in their place
+_CACHE_BYTES = 64 * 1024 * 1024  # one frame's stages
 _VERSION_KEY = "tactoscope bundle"
 _WORDS = ("source", "target", "stream", "route", "mesh_unit", "depth_unit")
 _FILES = ("recording", "mesh", "calibration", "alignment")
@@ -182,18 +180,17 @@ def replay_bundle(folder: Path, progress: Progress = SILENT) -> ReplayResult:
 def _write_results(
     part: Path, inside: Request, settings: tuple[str, ...], index: int, progress: Progress
 ) -> dict[str, float]:
-    """Translate the copied frame, write what was computed and what is known of the truth.
+    """Translate the copied frame, write what was computed.
 
     Returns the metrics.
 
     `index` is the frame's number in the recording, by which the sheets name it.
     """
     with _open(inside, settings) as translation:
-        frame, results, metrics = _translate(translation, SubProgress(progress, 0.0, 0.6))
+        frame, results, metrics = _translate(translation, progress)
         write_arrays(part / "expected.npz", collect_stage_arrays(frame, results))
         report = FrameReport(index=index, results=results, metrics=metrics)
         write_sheet(part / "sheet.png", frame, report, translation)
-        write_truth(part, report, translation, 0, SubProgress(progress, 0.6, 0.4))
         return metrics
 
 

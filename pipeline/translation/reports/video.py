@@ -6,12 +6,11 @@ MJPEG.
 
 import contextlib
 import os
-import select
 import shutil
 import signal
 import subprocess
 import tempfile
-import time
+import threading
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
 from itertools import chain
@@ -28,9 +27,8 @@ from pipeline.core.native_stderr import silence_native_libraries
 # OpenCV's name of the codec, and the usual one
 CODECS = {".mp4": ("mp4v", "MPEG-4"), ".avi": ("MJPG", "MJPEG")}
 _LIST_S = 10.0  # in which ffmpeg lists its encoders
-# without progress of ffmpeg, after which it is given up; it may take any time as long as it works
-_STALL_S = 30.0
-_POLL_S = 0.2
+_STALL_S = 30.0  # that ffmpeg may take for one image
+_FINISH_S = 600.0  # and to end after the last
 _H264 = ("-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart")
 _WriteImage = Callable[[Image], object]
 
@@ -132,48 +130,32 @@ def _encode_by_ffmpeg(
     with _start(command, subprocess.PIPE, subprocess.DEVNULL) as process:
         pipe = process.stdin
         assert pipe is not None
-        os.set_blocking(pipe.fileno(), False)
+
+        def write(pixels: Image) -> None:
+            with _ending_after_stall(process):
+                pipe.write(np.ascontiguousarray(pixels).tobytes())
+
         try:
-            yield lambda pixels: _feed(pipe.fileno(), np.ascontiguousarray(pixels).tobytes(), path)
-        except BrokenPipeError as error:
+            yield write
+            pipe.close()
+            process.wait(_FINISH_S)
+        except (BrokenPipeError, subprocess.TimeoutExpired) as error:
             raise FileProblem(
-                "ffmpeg stopped before the video was complete (no room for it?)", path
+                "ffmpeg stopped (no room for the video?), or did nothing for "
+                f"{_STALL_S:g} s; free some room, take it from the PATH, or write .avi",
+                path,
             ) from error
-        pipe.close()
-        _wait_until_written(process, path)
 
 
-def _feed(pipe: int, content: bytes, path: Path) -> None:
-    """Write all of `content`; raises FileProblem where nothing is read for `_STALL_S`."""
-    left = memoryview(content)
-    while left:
-        if not select.select([], [pipe], [], _STALL_S)[1]:
-            raise _make_stall_problem(path)
-        left = left[os.write(pipe, left) :]
-
-
-def _wait_until_written(process: subprocess.Popen[bytes], path: Path) -> None:
-    """Wait for the end of a process as long as its file changes; raises FileProblem."""
-    seen = None
-    changed_s = time.monotonic()
-    while process.poll() is None:
-        now = (
-            (found.st_size, found.st_mtime_ns) if path.exists() and (found := path.stat()) else None
-        )
-        if now != seen:
-            seen = now
-            changed_s = time.monotonic()
-        elif time.monotonic() - changed_s > _STALL_S:
-            raise _make_stall_problem(path)
-        time.sleep(_POLL_S)
-
-
-def _make_stall_problem(path: Path) -> FileProblem:
-    return FileProblem(
-        f"ffmpeg did nothing for {_STALL_S:g} s and was ended; take it from the PATH, or write "
-        ".avi",
-        path,
-    )
+@contextmanager
+def _ending_after_stall(process: subprocess.Popen[bytes]) -> Generator[None]:
+    """End the process where the block takes `_STALL_S`."""
+    watch = threading.Timer(_STALL_S, os.killpg, (process.pid, signal.SIGKILL))
+    watch.start()
+    try:
+        yield
+    finally:
+        watch.cancel()
 
 
 def count_frames(video: Path) -> int:

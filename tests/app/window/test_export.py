@@ -189,7 +189,6 @@ def test_a_repro_bundle_replays_and_reports_changes(edited, tmp_path, capsys):
     expected = dict(np.load(folder / "expected.npz"))
     on_screen = edited.latest_frame.results["target_depth"].output
     assert np.allclose(expected["target_depth.indentation_mm"], on_screen.indentation_mm, atol=1e-6)
-    _check_truth(folder, expected, frame=edited.session.frame)
     moved = tmp_path / "moved"
     folder.rename(moved)
     said = json.loads((moved / "bundle.json").read_text())
@@ -200,27 +199,6 @@ def test_a_repro_bundle_replays_and_reports_changes(edited, tmp_path, capsys):
     code = run_app(build_app(), ["replay", str(moved)])
     assert code in (1, 2)
     assert code == 1 or "contact_mm" in capsys.readouterr().err
-
-
-def _check_truth(folder, expected, *, frame):
-    """Truth, difference and shares of the error agree with each other, and name the frame of the
-    recording.
-    """
-    truth = np.load(folder / "truth.npz")
-    gap = np.load(folder / "difference.npz")
-    both = expected["target_depth.indentation_mm"] - truth["target_depth.indentation_mm"]
-    seen = np.isfinite(gap["target_depth"])
-    assert seen.any()
-    assert np.allclose(gap["target_depth"][seen], both[seen], atol=1e-5)
-    assert (folder / "truth.png").stat().st_size > 10_000
-    said = json.loads((folder / "bundle.json").read_text())
-    shares = json.loads((folder / "attribution.json").read_text())
-    assert frame > 0
-    assert frame == said["frame"] == shares["frame"]
-    assert shares["total"] == pytest.approx(said["metrics"][shares["metric"]], rel=1e-6)
-    assert shares["total"] == pytest.approx(
-        sum(part["share"] for part in shares["shares"]) + shares["remainder"]
-    )
 
 
 def test_an_impossible_export_is_reported(edited, tmp_path):

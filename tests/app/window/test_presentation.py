@@ -218,8 +218,9 @@ def test_an_ffmpeg_that_does_nothing_is_ended_with_all_that_it_started(
     program.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
     monkeypatch.setattr(video, "_STALL_S", 0.5)
+    monkeypatch.setattr(video, "_FINISH_S", 0.5)
     frames = (np.zeros((480, 640, 3), np.uint8) for _ in range(3))
-    with pytest.raises(FileProblem, match=r"ffmpeg did nothing for .*out\.mp4"):
+    with pytest.raises(FileProblem, match=r"did nothing for .*out\.mp4"):
         video.write_video(tmp_path / "out.mp4", frames, 10.0)
     assert (
         subprocess.run(["pgrep", "-f", f"^sleep {mark}"], check=False, capture_output=True).stdout

@@ -107,9 +107,7 @@ def rasterise(name: str, kind: str, place: Any) -> Any:
         splat.n_drawn_px == surface.n_drawn_px == (kind == "one pixel" and bool((pixel >= 0).any()))
     )
     assert np.isfinite(surface.depth_mm).sum() == surface.n_drawn_px
-    return surface_projection.project_checked_cloud(
-        made, small(name), projection("surface", compute_coverage=True)
-    )
+    return surface_projection.project_checked_cloud(made, small(name), projection("surface"))
 
 
 def touch_of(name: str, kind: str, place: Any) -> Any:

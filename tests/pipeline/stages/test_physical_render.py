@@ -74,8 +74,7 @@ def test_the_same_view_and_seed_give_the_same_bytes(name):
     assert one.image.dtype == (np.uint8 if spec.kind == "gel" else np.float32)
 
 
-@pytest.mark.parametrize("surface", ["press", "follow"])
-def test_a_true_contact_reproduces_the_true_gel_surface(surface):
+def test_a_true_contact_reproduces_the_true_gel_surface():
     spec = load_sensor("digit")
     y, x = np.mgrid[: spec.camera.rows, : spec.camera.cols]
     overlap = 0.5 - ((x - 110.0) ** 2 + (y - 170.0) ** 2) * spec.pixel_mm**2 / (2 * 4.0)
@@ -83,7 +82,7 @@ def test_a_true_contact_reproduces_the_true_gel_surface(surface):
     touch = render_touch(
         view_of(spec, true.contact, true.indentation_mm),
         spec,
-        PhysicalRenderParams(surface=surface),
+        PhysicalRenderParams(),
     )
     assert np.abs(touch.membrane.indentation_mm - true.indentation_mm).max() < SURFACE_MM
     assert (touch.membrane.contact & true.contact).sum() > 0.97 * (
@@ -167,12 +166,8 @@ def test_ragged_masks_and_contacts_at_the_border_stay_finite():
     single[0, 0] = True
     for mask in (ragged, edge, everything, single):
         view = view_of(spec, mask, 0.4 + 0.05 * rng.standard_normal(mask.shape))
-        for surface in ("press", "follow"):
-            assert np.isfinite(
-                render_touch(
-                    view, spec, PhysicalRenderParams(surface=surface)
-                ).membrane.indentation_mm
-            ).all()
+        touch = render_touch(view, spec, PhysicalRenderParams())
+        assert np.isfinite(touch.membrane.indentation_mm).all()
 
 
 def test_an_object_at_the_image_border_continues_outside():
@@ -198,18 +193,17 @@ def test_contact_without_depth_is_left_out_with_a_note(name, value):
     row, col = (n // 2 for n in camera.shape)
     pushed[row, col] = np.nan if value == 3e38 else value
     depth[row, col] = value
-    for surface in ("press", "follow"):
-        bad = replace(clean, indentation_mm=pushed, depth_mm=depth)
-        touch = render_touch(bad, spec, PhysicalRenderParams(surface=surface))
-        near = render_touch(clean, spec, PhysicalRenderParams(surface=surface))
-        assert any("1 contact pixels" in note for note in touch.notes)
-        made = touch.membrane.indentation_mm
-        wanted = near.membrane.indentation_mm
-        assert np.isfinite(made).all()
-        off_mm = np.abs(made - wanted)
-        assert 0 < off_mm[row, col] < LEFT_OUT_MM
-        off_mm[row - 3 : row + 4, col - 3 : col + 4] = 0.0
-        assert off_mm.max() < SURFACE_MM
+    bad = replace(clean, indentation_mm=pushed, depth_mm=depth)
+    touch = render_touch(bad, spec, PhysicalRenderParams())
+    near = render_touch(clean, spec, PhysicalRenderParams())
+    assert any("1 contact pixels" in note for note in touch.notes)
+    made = touch.membrane.indentation_mm
+    wanted = near.membrane.indentation_mm
+    assert np.isfinite(made).all()
+    off_mm = np.abs(made - wanted)
+    assert 0 < off_mm[row, col] < LEFT_OUT_MM
+    off_mm[row - 3 : row + 4, col - 3 : col + 4] = 0.0
+    assert off_mm.max() < SURFACE_MM
 
 
 def test_a_view_of_another_size_is_refused():
@@ -217,10 +211,3 @@ def test_a_view_of_another_size_is_refused():
     view = view_of(spec, corner(spec), 0.4)
     with pytest.raises(ShapeError, match="digit"):
         render_touch(replace(view, contact=view.contact[:-1]), spec, PhysicalRenderParams())
-
-
-def test_an_unknown_surface_mode_is_refused():
-    spec = load_sensor("digit")
-    mask = corner(spec)
-    with pytest.raises(AssertionError, match="hold"):
-        render_touch(view_of(spec, mask, 0.3 * mask), spec, PhysicalRenderParams(surface="hold"))

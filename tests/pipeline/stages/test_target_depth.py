@@ -360,25 +360,6 @@ def test_the_index_maps_agree_both_ways():
     assert (surface >= 0).mean() > 0.95
 
 
-@pytest.mark.parametrize("rest_mm", [40.2, 40.5])
-def test_coverage_is_that_of_a_disc(rest_mm):
-    """The sphere is cut by a level pad in a disc of known radius, seen at the pad's depth."""
-    target = target_sensor(rest_mm=rest_mm)
-    view = project_cloud(sphere_cloud(), target, SurfaceProjectionParams(compute_coverage=True))
-    radius_px = np.sqrt(RADIUS_MM**2 - (CENTRE_MM[2] - rest_mm) ** 2) / rest_mm * 200.0
-    fine = (np.arange(32) + 0.5) / 32 - 0.5
-    x = np.arange(90)[:, None] + fine - 44.5
-    y = np.arange(70)[:, None] + fine - 34.5
-    inside = (x.ravel() ** 2)[None, :] + (y.ravel() ** 2)[:, None] <= radius_px**2
-    exact = inside.reshape(70, 32, 90, 32).mean(axis=(1, 3))
-    assert view.coverage is not None
-    # 4 x 4 samples: half a sixteenth's row on an edge that runs along the pixels, and they cancel
-    # over the disc.
-    assert np.abs(view.coverage - exact).max() < 0.17
-    assert abs(view.coverage.sum() / (np.pi * radius_px**2) - 1.0) < 5e-3
-    assert project_cloud(sphere_cloud(), target, SURFACE).coverage is None
-
-
 def test_the_field_of_view_may_be_rotated_or_larger_than_the_image():
     target = target_sensor()
     rows, cols = target.camera.shape

@@ -1,21 +1,11 @@
 # pyright: basic
-"""Compiled loops of the registration: robust Gauss-Newton on signed distances.
-
-Undetermined directions are held.
+"""Compiled loops of the registration: robust Gauss-Newton on signed distances, where undetermined
+directions are held, and what a placed object leaves unexplained of a touch, point by point.
 
 Everything runs on one thread and adds up in the order of the points, so that results are
-reproducible.
-
-Compiled steps of the registration: the motion that solves the normal equations, and the pose
-after it.
-
-Nothing is allocated here: work arrays are arguments. Decompositions are written out: six by six,
-they take a third of the time of `np.linalg`'s and a tenth of its compilation.
-
-Compiled loops of the ranking: what a placed object leaves unexplained of a touch, point by
-point.
-
-Everything runs on one thread and adds up in the order of the points.
+reproducible. Steps of the registration allocate nothing: work arrays are arguments. Decompositions
+are written out: six by six, they take a third of the time of `np.linalg`'s and a tenth of its
+compilation.
 """
 
 from __future__ import annotations
