@@ -28,11 +28,11 @@ from pipeline.core.values.results import Cloud, DepthMap, TargetDepth
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
-from pipeline.stages.target_depth.rasterisation import rasterise_surface
 from pipeline.stages.target_depth.surface_projection import (
     PointSplatParams,
     SurfaceProjectionParams,
     project_cloud,
+    rasterise_surface,
 )
 
 SURFACE = SurfaceProjectionParams()

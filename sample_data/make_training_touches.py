@@ -21,7 +21,7 @@ from pipeline.core.files import write_arrays
 from pipeline.lab.training.target_touches import simulate_target_touch
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.networks.weights_registry import WEIGHTS_FOLDER
-from pipeline.stages.touch.depth_condition import make_working_sensor
+from pipeline.stages.touch.t2d2 import make_working_sensor
 from pipeline.translation.round_trip import describe_touch
 
 SENSORS = ("soft_bubble", "gelslim")

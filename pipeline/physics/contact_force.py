@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.core.arrays import Floats, Mask
 from pipeline.core.values.frames import TactileFrame
-from pipeline.physics import bubble, bubble_camera, gel
+from pipeline.physics import bubble, gel
 from pipeline.sensors.spec import SensorSpec
 
 _GEL_STEP_MM = 0.25  # an eighth of a gel's thickness; 0.1 mm changes a force by 0.2 %
@@ -89,6 +89,6 @@ def estimate_bubble_force(
     assert sensor.bubble is not None
     on = bubble.make_lattice(sensor.bubble, _BUBBLE_STEP_MM)
     surface_mm = np.where(contact, sensor.rest_depth_mm - indentation_mm, np.nan)
-    ceiling_mm = bubble_camera.compute_ceiling_from_depth(sensor, surface_mm, on)
+    ceiling_mm = bubble.compute_ceiling_from_depth(sensor, surface_mm, on)
     pressed = bubble.press_bubble(sensor.bubble, ceiling_mm, on, tolerance_mm=10 * _TOLERANCE_MM)
     return ContactForce(normal_n=pressed.force_n)

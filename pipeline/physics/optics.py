@@ -7,6 +7,8 @@ corners (vignette). Where a dent stands between an LED and a point, that LED's l
 there (cast shadow).
 
 Markers of a gel: their motion, and how they darken the image.
+
+Slopes of height images.
 """
 
 import math
@@ -19,9 +21,24 @@ from pipeline.core.arrays import Floats, Image, freeze
 from pipeline.core.derived import derive_once
 from pipeline.core.errors import SettingProblem, ShapeError
 from pipeline.core.geometry.camera import Camera
-from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.parts import Gel, Markers, Optics, compute_reference_light
 from pipeline.sensors.spec import SensorSpec
+
+
+def compute_slopes(height_mm: NDArray[np.floating], pixel_mm: float) -> tuple[Floats, Floats]:
+    """(d/dx, d/dy) in mm/mm of height images (..., rows, cols): central differences, one-sided
+    at the border.
+    """
+    from pipeline.physics.slope_kernels import write_slopes
+
+    # a copy: the kernel is compiled again for read-only arrays
+    height = np.array(height_mm, np.float32, order="C")
+    gx = np.empty_like(height)
+    gy = np.empty_like(height)
+    images, out_x, out_y = (a.reshape(-1, *height.shape[-2:]) for a in (height, gx, gy))
+    write_slopes(images, np.float32(1.0) / np.float32(pixel_mm), out_x, out_y)
+    return gx, gy
+
 
 _SHEAR_PER_THICKNESS = 0.15  # motion of markers out of a dent, per gel thickness and unit of slope
 _COARSE = 4  # pixels to a node: the motion is smooth

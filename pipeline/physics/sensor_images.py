@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Floats, Image
 from pipeline.core.errors import SettingProblem
-from pipeline.physics import bubble_camera, optics
+from pipeline.physics import bubble, optics
 from pipeline.sensors.kinds import BubbleSensor, GelSensor, KindTable
 from pipeline.sensors.spec import SensorSpec
 
@@ -67,7 +67,7 @@ def _render_bubble_image(
     seed: int | None,
     _shear_mm: Floats | None,
 ) -> Floats:
-    return bubble_camera.simulate_depth_frame(sensor, depth_mm, seed)
+    return bubble.simulate_depth_frame(sensor, depth_mm, seed)
 
 
 IMAGE_RENDERERS: KindTable[RenderImage] = KindTable(

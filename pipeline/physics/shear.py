@@ -9,7 +9,7 @@ the wave (L) and across it (T), with
                                       12v + 8v^2)
 
 (plane elasticity of the layer, as in Johnson, Contact Mechanics; the tangential counterpart of
-`gel_layer`). Both are t / G for long waves. The coupling between pressure and tangential motion is
+`gel`). Both are t / G for long waves. The coupling between pressure and tangential motion is
 neglected: it vanishes for an incompressible half-space. The traction moves the contact with the
 object and is limited to friction times pressure (Coulomb): the contact slips from its rim inward.
 """
@@ -25,7 +25,7 @@ from pipeline.core.arrays import Doubles, Floats, Mask, freeze
 from pipeline.core.derived import derive_once
 from pipeline.core.errors import SettingProblem, ShapeError
 from pipeline.core.geometry.camera import Camera
-from pipeline.physics.gel_layer import find_fast_length
+from pipeline.physics.gel import find_fast_length
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.parts import Gel
 

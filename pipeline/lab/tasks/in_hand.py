@@ -20,8 +20,8 @@ from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.values.results import DepthMap, ObjectPose
 from pipeline.physics.simulation.poses import compute_lowest_mm
 from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.pose.registration.scene import InitialPose
 from pipeline.stages.pose.registration.search import PoseSearch
-from pipeline.stages.pose.registration.starts import InitialPose
 from pipeline.stages.pose.signed_distances import PoseParams, prepare_search
 
 FINGERS = ("left", "right")

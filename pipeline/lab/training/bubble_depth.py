@@ -13,7 +13,7 @@ from pipeline.core.params import setting
 from pipeline.lab.training import bubble_presses
 from pipeline.lab.training.bubble_presses import BubblePress
 from pipeline.lab.training.task import VALIDATION_SEED, SimulatedPresses
-from pipeline.physics import bubble_camera
+from pipeline.physics import bubble
 from pipeline.physics.simulation.poses import DEPTH_RANGE_MM
 from pipeline.stages.depth.bubble_depth import compute_displacement
 from pipeline.stages.depth.bubble_network_input import make_network_input
@@ -68,7 +68,7 @@ class BubbleDepthTask(SimulatedPresses):
                 indentation_mm=zero,
                 contact=np.zeros_like(press.contact),
                 gap_mm=np.full_like(zero, bubble_presses.MAX_GAP_MM),
-                incidence_cosine=bubble_camera.compute_rest_cosine(press.sensor).astype(np.float32),
+                incidence_cosine=bubble.compute_rest_cosine(press.sensor).astype(np.float32),
             )
         example = _make_example(press, rng, plain=False)
         rows, cols = press.indentation_mm.shape

@@ -15,7 +15,7 @@ from pipeline.core.geometry import membrane, rigid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.geometry.rasterisation import render_mesh
 from pipeline.lab.training.object_sampling import DATA_SPLITS, DataSplit, SampleCache, sample_object
-from pipeline.physics import bubble_camera
+from pipeline.physics import bubble
 from pipeline.physics.simulation import poses, variation
 from pipeline.physics.simulation.datasets import BUBBLE_DEEPER_MM
 from pipeline.physics.simulation.press import move_bubble_closer, simulate_press
@@ -120,9 +120,7 @@ def _simulate_press(
         indentation_mm=press.indentation_mm,
         contact=press.contact,
         gap_mm=np.minimum(gap, MAX_GAP_MM).astype(np.float32),
-        incidence_cosine=bubble_camera.compute_incidence_cosine(sensor.camera, depth).astype(
-            np.float32
-        ),
+        incidence_cosine=bubble.compute_incidence_cosine(sensor.camera, depth).astype(np.float32),
     )
 
 
@@ -158,9 +156,9 @@ def simulate_noisy_depth_pair(
         rest = rest + texture
         now = now + texture
     seeds = rng.integers(0, 1 << 62, 2)
-    cosines = (bubble_camera.compute_rest_cosine(sensor), press.incidence_cosine)
+    cosines = (bubble.compute_rest_cosine(sensor), press.incidence_cosine)
     first, second = (
-        np.array(bubble_camera.simulate_depth_frame(sensor, depth, int(seed), cosine=cosine))
+        np.array(bubble.simulate_depth_frame(sensor, depth, int(seed), cosine=cosine))
         for depth, seed, cosine in zip((rest, now), seeds, cosines, strict=True)
     )
     if not plain and rng.random() < 0.25:  # the mean of several reference frames

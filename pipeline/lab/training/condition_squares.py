@@ -25,8 +25,8 @@ from pipeline.physics.sensor_images import render_reference, render_sensor_image
 from pipeline.sensors.alignment import resolve_alignment
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.stages.networks.touch_formats import resize_to_square
-from pipeline.stages.touch.depth_condition import build_depth_square, make_working_sensor
 from pipeline.stages.touch.latent_diffusion import build_image_square
+from pipeline.stages.touch.t2d2 import build_depth_square, make_working_sensor
 
 # of one depth frame of a bubble
 _NOISE_MM = 0.4

@@ -22,8 +22,7 @@ from pipeline.lab.training.distributed import unwrap_network
 from pipeline.lab.training.task import SimulatedPresses
 from pipeline.stages.networks.samplers import make_sigma_schedule, sample
 from pipeline.stages.networks.touch_formats import get_touch_format
-from pipeline.stages.touch.residual_diffusion import LOG_ERROR_RANGE
-from pipeline.stages.touch.residual_render import compute_wiener_gain
+from pipeline.stages.touch.residual_diffusion import LOG_ERROR_RANGE, compute_wiener_gain
 
 if TYPE_CHECKING:
     from torch import Tensor, nn

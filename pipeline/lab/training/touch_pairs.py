@@ -26,7 +26,7 @@ from pipeline.physics.simulation import poses, variation
 from pipeline.physics.simulation.datasets import BUBBLE_DEEPER_MM
 from pipeline.physics.simulation.press import move_bubble_closer, simulate_press
 from pipeline.sensors.spec import SensorSpec, load_sensor
-from pipeline.stages.touch.depth_condition import make_working_sensor
+from pipeline.stages.touch.t2d2 import make_working_sensor
 
 VERSION = 4  # part of the seeds: incremented when the same number gives another pair
 GEL = "gelslim"

@@ -31,8 +31,8 @@ from pipeline.lab.training.touch_squares import load_nominal_sensors, simulate_t
 from pipeline.physics.simulation import poses, shapes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.networks.touch_formats import normalise, resize_to_square
-from pipeline.stages.touch.depth_condition import make_working_sensor
 from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch
+from pipeline.stages.touch.t2d2 import make_working_sensor
 
 if TYPE_CHECKING:
     from torch import Tensor, nn

@@ -17,7 +17,7 @@ from pipeline.lab.training.target_touches import TargetTouchSample, simulate_tar
 from pipeline.lab.training.task import VALIDATION_SEED, augmentation_setting
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.networks.touch_formats import get_touch_format
-from pipeline.stages.touch.depth_condition import build_depth_condition
+from pipeline.stages.touch.t2d2 import build_depth_condition
 
 if TYPE_CHECKING:
     from pipeline.lab.training.task import Example, Split

@@ -27,9 +27,9 @@ from pipeline.lab.training.touch_residual import make_residual_example
 from pipeline.sensors import alignment
 from pipeline.stages.depth import photometric as depth
 from pipeline.stages.touch import t2t
-from pipeline.stages.touch.depth_condition import make_working_sensor
 from pipeline.stages.touch.image_condition import build_image_condition
-from pipeline.stages.touch.residual_render import resample_to_grid
+from pipeline.stages.touch.residual_diffusion import resample_to_grid
+from pipeline.stages.touch.t2d2 import make_working_sensor
 
 if TYPE_CHECKING:
     from pipeline.lab.training.task import Example, Split

@@ -18,7 +18,7 @@ from pipeline.core.errors import SettingProblem
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.values.frames import Truth
-from pipeline.physics import bubble, bubble_camera, gel, lattice, shear
+from pipeline.physics import bubble, gel, lattice, shear
 from pipeline.physics.lattice import Lattice
 from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.physics.shear import TangentialLoad
@@ -185,11 +185,9 @@ def simulate_bubble_press(
         raise SettingProblem(f"{sensor.name} has no [bubble] in its description")
     # no finer than the camera sees
     on = bubble.make_lattice(sensor.bubble, max(bubble.STEP_MM, sensor.pixel_mm))
-    ceiling = lattice.rasterise_mesh(vertices_mm, mesh.triangles, on) - bubble_camera.get_rim_z_mm(
-        sensor
-    )
+    ceiling = lattice.rasterise_mesh(vertices_mm, mesh.triangles, on) - bubble.get_rim_z_mm(sensor)
     answer = bubble.press_bubble(sensor.bubble, ceiling, on)
-    depth = bubble_camera.compute_depth_from_deviation(sensor, answer.deviation_mm, on)
+    depth = bubble.compute_depth_from_deviation(sensor, answer.deviation_mm, on)
     contact = lattice.sample_mask_at_pixels(sensor.camera, answer.contact, on, depth)
     return PressedSurface(
         depth_mm=depth, contact=contact, force_n=answer.force_n, converged=answer.converged

@@ -27,7 +27,7 @@ from pipeline.core.arrays import Doubles, Floats, Image, freeze
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthMap
-from pipeline.physics.slopes import compute_slopes
+from pipeline.physics.optics import compute_slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth, estimate_gel_depth

@@ -29,7 +29,7 @@ import numpy as np
 
 from pipeline.core.arrays import Floats, Indices, Mask, freeze, percentile
 from pipeline.core.memo import memoise
-from pipeline.physics.slopes import compute_slopes
+from pipeline.physics.optics import compute_slopes
 
 # threads, and the pixels above which they save time
 _WORKERS = 2

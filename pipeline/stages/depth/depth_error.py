@@ -20,7 +20,7 @@ import numpy as np
 from pipeline.calibration.calibration_table import USUAL_STD, Calibration
 from pipeline.core.arrays import percentile
 from pipeline.core.values.results import DepthErrorModel, DepthMap
-from pipeline.physics.slopes import compute_slopes
+from pipeline.physics.optics import compute_slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.light import Illumination
 

@@ -5,7 +5,7 @@ touch.
 import numpy as np
 
 from pipeline.core.arrays import Floats, Mask, median, percentile
-from pipeline.physics.slopes import compute_slopes
+from pipeline.physics.optics import compute_slopes
 
 # mm/mm of a flank, and its least share of a region's pixels
 _FLANK = 0.12

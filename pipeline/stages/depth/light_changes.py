@@ -3,7 +3,7 @@
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats, Indices, Mask
-from pipeline.physics.slopes import compute_slopes
+from pipeline.physics.optics import compute_slopes
 from pipeline.stages.depth.gel.slopes import ChangedImage
 from pipeline.stages.depth.illumination import selection
 from pipeline.stages.depth.illumination.light import (

@@ -11,8 +11,8 @@ import numpy as np
 
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.core.arrays import Image
+from pipeline.physics.optics import compute_slopes
 from pipeline.physics.reference_colours import MirrorDirection, compare_colours, mirror_image
-from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.gel.slopes import ChangedImage
 from pipeline.stages.depth.illumination.light import ImagePatch, look_up_slopes

@@ -5,7 +5,7 @@ from pipeline.core.params import NoParams
 from pipeline.stages.depth import bubble_network, depth_anything, photometric, unet
 from pipeline.stages.depth.gel.chain import NODES, READS
 from pipeline.stages.ground_truth import make_depth_stage
-from pipeline.stages.network_fallback import fall_back_without_weights
+from pipeline.stages.networks.network_factory import fall_back_without_weights
 
 _NO_NETWORK = "physics: no network for this sensor"
 PHYSICS = Method(

@@ -48,7 +48,7 @@ class LatentDiffusion(nn.Module):
 
     Defaults are those of the paper.
 
-    `condition` (`stages.touch.image_condition`, `stages.touch.depth_condition`) has
+    `condition` (`stages.touch.image_condition`, `stages.touch.t2d2`) has
     `condition_inputs` channels, which `condition_encoder` brings to the latents' grid; only
     "resnet" has `condition_channels`. `raw_condition`: trained on changes of 0..255 normalised by
     statistics of 0..1, as the published weights were. `half_turn`: the output has to be rotated by

@@ -1,5 +1,8 @@
 """Builds networks from weights. A network is one module of this package and one line of
 `NETWORK_CLASSES`.
+
+Fallback of methods by network: another method computes the value where weights are missing,
+with the reason.
 """
 
 from __future__ import annotations
@@ -9,9 +12,9 @@ import importlib
 import importlib.metadata
 import inspect
 import warnings
-from collections.abc import Container, Generator, Mapping
+from collections.abc import Callable, Container, Generator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar, TypeVarTuple, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +22,10 @@ from numpy.typing import NDArray
 from pipeline.core import disk_store
 from pipeline.core.arrays import Floats
 from pipeline.core.errors import ModelMissing
+from pipeline.core.graph import EarlyAnswer, Fallback, Method, Skipped
 from pipeline.core.memo import Memo
 from pipeline.core.params import Value
+from pipeline.core.progress import Progress
 from pipeline.stages.networks.onnx_predictor import FirstPassPredictor, OnnxPredictor, export_onnx
 from pipeline.stages.networks.weights import NoWeights, Weights
 
@@ -262,3 +267,44 @@ def reproducible_inference(n_threads: int = 1) -> Generator[None, None, None]:
             yield
     finally:
         torch.set_num_threads(before)
+
+
+Params = TypeVar("Params")
+Output = TypeVar("Output")
+Reads = TypeVarTuple("Reads")
+
+
+def fall_back_without_weights(
+    run: Callable[
+        [Unpack[Reads], Any, Params, Progress], Output | Skipped[Output] | Fallback[Output]
+    ],
+    fallback: Method[Any, Output, *Reads],
+    reason: str = "physics: no network for this pair",
+) -> Callable[
+    [Unpack[Reads], Weights | NoWeights, Params, Progress],
+    Output | Skipped[Output] | Fallback[Output],
+]:
+    """Wrap `run` (*reads, network, params, progress) as a method's function whose last input is
+    weights.
+
+    Where the weights are missing or do not fit, `fallback`, which has the same inputs without
+    weights, computes the value, and the result states `reason` and what is missing. Parameters of
+    another class are replaced by the defaults of `fallback`.
+    """
+
+    def run_or_fall_back(
+        *args: *tuple[*Reads, Weights | NoWeights, Params, Progress],
+    ) -> Output | Skipped[Output] | Fallback[Output]:
+        *_, weights, params, progress = args
+        reads = args[:-3]
+        try:
+            network = load_predictor(weights)
+        except ModelMissing as problem:
+            fallback_params = params if isinstance(params, fallback.params) else fallback.params()
+            answer = fallback.run(*reads, fallback_params, progress)
+            answer = answer.result if isinstance(answer, Fallback) else answer
+            answer = answer.output if isinstance(answer, EarlyAnswer) else answer
+            return Fallback(result=answer, reason=f"{reason}; {problem}")
+        return run(*reads, network, params, progress)
+
+    return run_or_fall_back

@@ -13,8 +13,7 @@ from pipeline.core.geometry.meshes import Mesh, sample_surface
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.results import ObjectPose, PoseStep
 from pipeline.stages.pose.registration.model import ObjectModel
-from pipeline.stages.pose.registration.scene import ContactScene
-from pipeline.stages.pose.registration.starts import InitialPose, list_starts
+from pipeline.stages.pose.registration.scene import ContactScene, InitialPose, list_starts
 
 NOTE = (
     "icp: the result with the largest fitness, then the least rmse; pose ambiguity is not estimated"

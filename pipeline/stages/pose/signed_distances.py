@@ -23,10 +23,19 @@ from pipeline.stages.pose.icp import register_icp
 from pipeline.stages.pose.registration.gauss_newton import CentredPoints, NotDetermined
 from pipeline.stages.pose.registration.model import prepare_object
 from pipeline.stages.pose.registration.planar import estimate_planar_pose
-from pipeline.stages.pose.registration.pose_selection import SelectedPose, select_pose
-from pipeline.stages.pose.registration.scene import ContactScene, extract_scene
-from pipeline.stages.pose.registration.search import PoseMinimum, PoseSearch
-from pipeline.stages.pose.registration.starts import FACES, list_edge_starts, list_starts
+from pipeline.stages.pose.registration.scene import (
+    FACES,
+    ContactScene,
+    extract_scene,
+    list_edge_starts,
+    list_starts,
+)
+from pipeline.stages.pose.registration.search import (
+    PoseMinimum,
+    PoseSearch,
+    SelectedPose,
+    select_pose,
+)
 
 _NO_POSE = "there is no pose"
 NO_MESH = "no object mesh is given; a pose needs one"

@@ -6,7 +6,7 @@ from pipeline.core.graph import Method, skip_if_exact
 from pipeline.core.values.results import ObjectPose
 from pipeline.stages import ground_truth
 from pipeline.stages.metrics.stage_metrics import compute_pose_metrics
-from pipeline.stages.network_fallback import fall_back_without_weights
+from pipeline.stages.networks.network_factory import fall_back_without_weights
 from pipeline.stages.pose import network, signed_distances
 from pipeline.stages.stage import GroundTruth, Stage
 

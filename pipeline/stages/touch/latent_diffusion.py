@@ -50,9 +50,9 @@ from pipeline.stages.networks.touch_formats import (
 )
 from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.stages.touch import frame_chain, physical_render
-from pipeline.stages.touch.depth_condition import build_depth_square
 from pipeline.stages.touch.frame_chain import check_depth_limit, make_touch_from_change
 from pipeline.stages.touch.image_condition import build_reprojected_square
+from pipeline.stages.touch.t2d2 import build_depth_square
 
 if TYPE_CHECKING:
     from torch import Tensor, nn

@@ -30,8 +30,8 @@ from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.physics.simulation.press import PressedSurface, press_membrane
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.pose.registration.scene import list_starts
 from pipeline.stages.pose.registration.search import PoseSearch
-from pipeline.stages.pose.registration.starts import list_starts
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_or_track_pose, prepare_search
 from pipeline.stages.touch.membrane_fit import MembraneFit, fit_membrane, measure_residuals_mm
 from pipeline.stages.touch.object_posterior import PosePosterior, sample_poses

@@ -32,7 +32,7 @@ from pipeline.core.values.results import (
     make_depth_map,
     make_pixel_index,
 )
-from pipeline.physics import bubble, bubble_camera, gel, lattice, optics
+from pipeline.physics import bubble, gel, lattice, optics
 from pipeline.physics.sensor_images import render_reference
 from pipeline.sensors.kinds import BubbleSensor, GelSensor, KindTable
 from pipeline.sensors.spec import SensorSpec
@@ -265,7 +265,7 @@ def render_bubble_touch(
         raise SettingProblem(f"{target.name} has no membrane: its description lacks [bubble]")
     on = bubble.make_lattice(target.bubble)
     surface_depth = np.where(view.contact, target.rest_depth_mm - indentation_mm, view.depth_mm)
-    ceiling = bubble_camera.compute_ceiling_from_depth(target, surface_depth, on)
+    ceiling = bubble.compute_ceiling_from_depth(target, surface_depth, on)
     solution = bubble.press_bubble(
         target.bubble, ceiling, on, tolerance_mm=1e-3 * params.tolerance_um
     )
@@ -278,7 +278,7 @@ def render_bubble_touch(
         )
     # Lattice cells end at the centres of the object's outermost pixels, so the membrane falls off
     # half a pixel early: it is nowhere behind the measured surface.
-    depth = bubble_camera.compute_depth_from_deviation(target, solution.deviation_mm, on)
+    depth = bubble.compute_depth_from_deviation(target, solution.deviation_mm, on)
     depth = np.where(view.contact, np.minimum(depth, surface_depth), depth)
     touching = lattice.sample_mask_at_pixels(target.camera, solution.contact, on, depth)
     # On a noisy surface the contact force acts on noise peaks only: pixels within the gap are
@@ -289,9 +289,7 @@ def render_bubble_touch(
         f"air pressure {target.bubble.pressure_kpa:.2f} -> {solution.pressure_kpa:.2f} kPa"
     )
     notes.extend(warn_of_unseen_object(view, target))
-    image = bubble_camera.simulate_depth_frame(
-        target, depth, params.seed if params.add_noise else None
-    )
+    image = bubble.simulate_depth_frame(target, depth, params.seed if params.add_noise else None)
     return _make_touch(
         view, target, image, (target.rest_depth_mm - depth).astype(np.float32), contact, notes
     )

@@ -14,7 +14,7 @@ from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages import ground_truth
 from pipeline.stages.metrics.stage_metrics import compute_image_metrics
-from pipeline.stages.network_fallback import fall_back_without_weights
+from pipeline.stages.networks.network_factory import fall_back_without_weights
 from pipeline.stages.stage import GroundTruth, Stage
 from pipeline.stages.touch import latent_diffusion, object_touch, physical_render, t2d2, t2t, vqvae
 from pipeline.stages.touch.frame_chain import DEFAULTS, GUARDED_READS, RENDER, guard_contact

@@ -4,6 +4,11 @@ samples.
 What a bubble feels outside the source's contact cannot be computed by physics; it needs knowledge
 of objects. The network is trained on touches of the target sensor alone, without sensor pairs. With
 no step the result is the physical render, to the byte.
+
+Input of the T2D2 networks, for training and inference.
+
+The compact denoiser gets physical render, contact, view, and fine relief on the working grid;
+latent diffusion gets the target depth, its contact mask and the source's view as a square.
 """
 
 from __future__ import annotations
@@ -13,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.core.arrays import Floats
+from pipeline.core.arrays import Floats, Mask, freeze
 from pipeline.core.digests import compute_cached_digest
 from pipeline.core.graph import Fallback
 from pipeline.core.memo import Memo
@@ -23,19 +28,23 @@ from pipeline.core.values.results import DepthMap, GeneratedTouch, TargetDepth
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.networks import weights_registry
 from pipeline.stages.networks.onnx_predictor import ResidualNetwork
-from pipeline.stages.networks.touch_formats import answer_for_known_kinds, get_touch_format
+from pipeline.stages.networks.touch_formats import (
+    answer_for_known_kinds,
+    get_touch_format,
+    resize_to_square,
+)
 from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.stages.touch import physical_render
-from pipeline.stages.touch.depth_condition import build_depth_condition, make_working_sensor
 from pipeline.stages.touch.physical_render import PhysicalRenderParams
-from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual
-from pipeline.stages.touch.residual_render import (
+from pipeline.stages.touch.residual_diffusion import (
     NO_PRIOR_CONTACT,
     NO_STEPS,
+    DiffusionParams,
     read_error_calibration,
     render_correction,
     report_change,
     resample_to_grid,
+    sample_residual,
     shrink_to_prior,
 )
 
@@ -184,4 +193,57 @@ def build_condition(view: TargetDepth, physical: DepthMap, target: SensorSpec) -
         resample_to_grid(view.in_view, shape) > _HALF,
         resample_to_grid(physical.indentation_mm, shape),
         resample_to_grid(physical.contact, shape) > _HALF,
+    )
+
+
+CONDITION_CHANNELS = 6
+
+
+def make_working_sensor(target: SensorSpec) -> SensorSpec:
+    """The target with the camera of the working grid."""
+    factor = get_touch_format(target.kind).grid_factor
+    return target if factor == 1 else target.with_camera(target.camera.scale(1.0 / factor))
+
+
+def build_depth_condition(
+    kind: str,
+    indentation_mm: Floats,
+    contact: Mask,
+    in_view: Mask,
+    physical_mm: Floats,
+    physical_contact: Mask,
+) -> Floats:
+    """(CONDITION_CHANNELS, rows, cols) float32 for a target of that kind.
+
+    All arguments on the working grid.
+    """
+    known = get_touch_format(kind)
+    deepest = float(indentation_mm[contact].max()) if contact.any() else 0.0
+    lowest = np.float32(-known.max_relief_mm)
+    relief = np.where(contact, np.clip(indentation_mm - deepest, lowest, 0.0), lowest)
+    return freeze(
+        np.stack(
+            [
+                physical_mm / known.indentation_unit_mm,
+                np.where(contact, indentation_mm, 0.0) / known.indentation_unit_mm,
+                relief / known.relief_unit_mm,
+                contact,
+                in_view,
+                physical_contact,
+            ]
+        ).astype(np.float32)
+    )
+
+
+def build_depth_square(
+    kind: str, indentation_mm: Floats, contact: Mask, in_view: Mask, side: int
+) -> Floats:
+    """(3, side, side) of the target depth's fields (rows, cols): indentation in contact,
+    contact, the source's view.
+    """
+    indentation = np.where(contact, indentation_mm, np.float32(0.0)) / np.float32(
+        get_touch_format(kind).indentation_unit_mm
+    )
+    return resize_to_square(
+        np.stack([indentation, contact, in_view], axis=-1).astype(np.float32), side
     )

@@ -24,11 +24,15 @@ from pipeline.stages.networks.onnx_predictor import ResidualNetwork
 from pipeline.stages.networks.touch_formats import answer_for_known_kinds
 from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.stages.touch import frame_chain, physical_render, t2d2
-from pipeline.stages.touch.depth_condition import make_working_sensor
 from pipeline.stages.touch.frame_chain import check_depth_limit
 from pipeline.stages.touch.image_condition import build_image_condition
-from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual
-from pipeline.stages.touch.residual_render import NO_STEPS, render_correction
+from pipeline.stages.touch.residual_diffusion import (
+    NO_STEPS,
+    DiffusionParams,
+    render_correction,
+    sample_residual,
+)
+from pipeline.stages.touch.t2d2 import make_working_sensor
 
 SHIPPED_WEIGHTS = {("gelslim", "bubble"): "t2t_bubble"}
 TASK = "touch_to_touch"

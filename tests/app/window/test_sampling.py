@@ -14,8 +14,7 @@ from PyQt6.QtWidgets import QDoubleSpinBox, QLabel, QSlider, QSpinBox
 from app.shell.tour import wait_until_shown
 from pipeline.core.graph import Graph
 from pipeline.stages.networks.weights import Weights, save_weights
-from pipeline.stages.touch.depth_condition import CONDITION_CHANNELS
-from pipeline.stages.touch.t2d2 import T2D2Params
+from pipeline.stages.touch.t2d2 import CONDITION_CHANNELS, T2D2Params
 from widgets.shell.command_palette import CommandPalette
 
 LIMIT_S = 240

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from pipeline.core.errors import SettingProblem, ShapeError
-from pipeline.physics import bubble, bubble_camera, lattice
+from pipeline.physics import bubble, lattice
 from pipeline.sensors.spec import load_sensor
 
 SPEC = load_sensor("soft_bubble")
@@ -36,7 +36,7 @@ def test_at_rest_it_is_the_dome_of_the_sensor_to_the_bit():
     assert not at_rest.deviation_mm.any()
     assert at_rest.pressure_kpa == BUBBLE.pressure_kpa
     assert np.array_equal(
-        bubble_camera.compute_depth_from_deviation(SPEC, at_rest.deviation_mm, ON),
+        bubble.compute_depth_from_deviation(SPEC, at_rest.deviation_mm, ON),
         SPEC.rest_depth_mm,
     )
 
@@ -143,8 +143,8 @@ def test_extreme_depths_stay_finite(height):
 
 def test_depth_to_ceiling_and_back_returns_the_surface():
     pressed = bubble.press_bubble(BUBBLE, ball(14.0, 20.0), ON)
-    depth = bubble_camera.compute_depth_from_deviation(SPEC, pressed.deviation_mm, ON)
-    again = bubble_camera.compute_ceiling_from_depth(SPEC, depth, ON)
+    depth = bubble.compute_depth_from_deviation(SPEC, pressed.deviation_mm, ON)
+    again = bubble.compute_ceiling_from_depth(SPEC, depth, ON)
     seen = np.isfinite(again)
     w = bubble.compute_rest_height_mm(BUBBLE, ON) + pressed.deviation_mm
     assert seen.sum() > 3000
@@ -154,21 +154,21 @@ def test_depth_to_ceiling_and_back_returns_the_surface():
 
 def test_rays_meet_the_surface_to_the_nanometre():
     pressed = bubble.press_bubble(BUBBLE, ball(10.0, x_mm=12.0), ON)
-    z = bubble_camera.compute_depth_from_deviation(SPEC, pressed.deviation_mm, ON)
+    z = bubble.compute_depth_from_deviation(SPEC, pressed.deviation_mm, ON)
     ray_x, ray_y = SPEC.camera.rays()
     surface = replace(
         SPEC.membrane,
         x0_mm=ON.x0_mm,
         y0_mm=ON.y0_mm,
         step_mm=ON.step_mm,
-        z_mm=bubble_camera.compute_rest_z_mm(SPEC, ON) + pressed.deviation_mm,
+        z_mm=bubble.compute_rest_z_mm(SPEC, ON) + pressed.deviation_mm,
     )
     assert np.abs(surface.depth_at(z * ray_x[None, :], z * ray_y[:, None]) - z).max() < 1e-6
 
 
 def test_contact_is_in_its_place_in_the_image():
     pressed = bubble.press_bubble(BUBBLE, ball(13.0, x_mm=10.0, y_mm=-5.0), ON)
-    depth = bubble_camera.compute_depth_from_deviation(SPEC, pressed.deviation_mm, ON)
+    depth = bubble.compute_depth_from_deviation(SPEC, pressed.deviation_mm, ON)
     seen = lattice.sample_mask_at_pixels(SPEC.camera, pressed.contact, ON, depth)
     points = SPEC.camera.back_project(depth)[seen]
     where = pressed.contact.nonzero()

@@ -106,9 +106,7 @@ def test_far_away_presses_add_up():
 
     Far away only the sum of a load counts.
     """
-    from pipeline.physics import gel_layer
-
-    layer = gel_layer.make_elastic_layer(HALF_SPACE, 0.1, (96, 128))
+    layer = gel.make_elastic_layer(HALF_SPACE, 0.1, (96, 128))
     one, other, both = (np.zeros((96, 128), np.float32) for _ in range(3))
     one[20, 30] = 50.0
     other[70, 100] = 20.0

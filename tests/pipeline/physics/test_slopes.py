@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.physics.slopes import compute_slopes
+from pipeline.physics.optics import compute_slopes
 
 
 @pytest.mark.parametrize("shape", [(7, 9), (2, 2), (3, 2)])

@@ -11,8 +11,8 @@ from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.calibration_table import BallFit, ExpectedError, make_built_in
 from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import optics
+from pipeline.physics.optics import compute_slopes
 from pipeline.physics.simulation.variation import vary_sensor
-from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth import ball_calibration
 from pipeline.stages.depth.ball_calibration import (

@@ -11,7 +11,7 @@ from pipeline.core.errors import select_warnings
 from pipeline.core.geometry import rigid
 from pipeline.core.values.frames import TactileFrame
 from pipeline.io import open_recording
-from pipeline.physics import bubble_camera
+from pipeline.physics import bubble
 from pipeline.physics.simulation import shapes
 from pipeline.physics.simulation.press import simulate_press
 from pipeline.physics.simulation.variation import vary_sensor
@@ -104,7 +104,7 @@ def test_a_finer_camera_is_resampled_to_the_working_pixels_and_back():
 
 
 def test_the_rest_surface_has_no_noise_of_the_reference():
-    noisy = np.array(bubble_camera.simulate_depth_frame(SPEC, SPEC.rest_depth_mm, 3))
+    noisy = np.array(bubble.simulate_depth_frame(SPEC, SPEC.rest_depth_mm, 3))
     calm = estimate_rest_surface(noisy, np.ones(noisy.shape, bool), SPEC.pixel_mm)
     assert np.std(noisy - REST) > 0.3
     assert np.std(calm - REST) < 0.06
@@ -128,7 +128,7 @@ def test_unmeasured_pixels_are_marked_and_large_gaps_have_no_value():
 
 def test_noise_of_the_reference_is_in_two_channels_with_opposite_signs():
     """A network can only take it out if it is there twice."""
-    noisy = np.array(bubble_camera.simulate_depth_frame(SPEC, SPEC.rest_depth_mm, 3))
+    noisy = np.array(bubble.simulate_depth_frame(SPEC, SPEC.rest_depth_mm, 3))
     seen = np.ones(noisy.shape, bool)
     looked_at = make_network_input(
         (noisy - REST).astype(np.float32), noisy, seen, SPEC.pixel_mm
@@ -140,7 +140,7 @@ def test_noise_of_the_reference_is_in_two_channels_with_opposite_signs():
 
 
 def test_physics_removes_the_noise_of_the_reference_as_well():
-    noisy = np.array(bubble_camera.simulate_depth_frame(SPEC, SPEC.rest_depth_mm, 3))
+    noisy = np.array(bubble.simulate_depth_frame(SPEC, SPEC.rest_depth_mm, 3))
     pressed = TactileFrame(
         sensor="soft_bubble", image=(REST - BALL).astype(np.float32), reference=noisy
     )
@@ -174,8 +174,8 @@ def test_shipped_weights_are_nearer_than_physics_on_an_unseen_object(shipped):
     thing = shapes.make_shape("marble").mesh
     truth = simulate_press(thing, rigid.translation(2.0, -1.0, -0.6), closer, seed=None).truth
     exact = SPEC.rest_depth_mm - truth.indentation_mm
-    seen = frame(np.array(bubble_camera.simulate_depth_frame(unit, SPEC.rest_depth_mm, 7)), 0.0)
-    seen = replace(seen, image=bubble_camera.simulate_depth_frame(unit, exact, 8))
+    seen = frame(np.array(bubble.simulate_depth_frame(unit, SPEC.rest_depth_mm, 7)), 0.0)
+    seen = replace(seen, image=bubble.simulate_depth_frame(unit, exact, 8))
     found = bubble_network.estimate_frame(seen, SPEC, None, shipped, NetworkParams())
     physics = estimate_depth(seen, SPEC, None, DepthParams())
     off, theirs = (np.abs(d.depth_mm - exact)[truth.contact].mean() for d in (found, physics))
@@ -188,13 +188,13 @@ def test_shipped_weights_are_nearer_than_physics_on_an_unseen_object(shipped):
 
 def test_shipped_weights_find_no_contact_in_drift_and_noise(shipped):
     rng = np.random.default_rng(4)
-    noisy = np.array(bubble_camera.simulate_depth_frame(SPEC, SPEC.rest_depth_mm, 1))
+    noisy = np.array(bubble.simulate_depth_frame(SPEC, SPEC.rest_depth_mm, 1))
     for k in range(4):
         hump = rng.uniform(-0.6, 0.6) * np.exp(
             -((np.hypot(*np.mgrid[-70:70, -87:88]) / rng.uniform(20, 60)) ** 2)
         )
         image = np.array(
-            bubble_camera.simulate_depth_frame(SPEC, SPEC.rest_depth_mm, 10 + k)
+            bubble.simulate_depth_frame(SPEC, SPEC.rest_depth_mm, 10 + k)
         ) - hump.astype(np.float32)
         found = bubble_network.estimate_frame(
             replace(frame(noisy, 0.0), image=image), SPEC, None, shipped, NetworkParams()

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from pipeline.stages.networks.residual_denoiser import ResidualDenoiser
-from pipeline.stages.touch.residual_diffusion import DenoisingState, ResidualSample
-from pipeline.stages.touch.residual_render import (
+from pipeline.stages.touch.residual_diffusion import (
+    DenoisingState,
     ErrorCalibration,
+    ResidualSample,
     compute_wiener_gain,
     read_error_calibration,
     shrink_to_prior,

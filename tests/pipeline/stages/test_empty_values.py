@@ -25,7 +25,7 @@ from pipeline.stages.cloud import back_projection
 from pipeline.stages.depth import bubble_depth, contact_force
 from pipeline.stages.pose import signed_distances
 from pipeline.stages.pose.registration import scene
-from pipeline.stages.target_depth import rasterisation, surface_projection
+from pipeline.stages.target_depth import surface_projection
 from pipeline.stages.touch import physical_render
 from pipeline.stages.touch_depth import stage as touch_depth
 from tests.stability.checks import sound
@@ -100,9 +100,9 @@ def rasterise(name: str, kind: str, place: Any) -> Any:
     made = make_cloud(name, kind, place)
     camera = small(name).camera
     membrane = small(name).membrane
-    pixel, _ = rasterisation.assign_pixels(made, camera)
-    splat = rasterisation.splat_cloud(made, camera, membrane, pixel)
-    surface = rasterisation.rasterise_surface(made, camera, membrane, **SURFACE)
+    pixel, _ = surface_projection.assign_pixels(made, camera)
+    splat = surface_projection.splat_cloud(made, camera, membrane, pixel)
+    surface = surface_projection.rasterise_surface(made, camera, membrane, **SURFACE)
     assert (
         splat.n_drawn_px == surface.n_drawn_px == (kind == "one pixel" and bool((pixel >= 0).any()))
     )

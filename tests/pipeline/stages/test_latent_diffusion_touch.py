@@ -22,8 +22,8 @@ from pipeline.stages.networks.touch_formats import BUBBLE as BUBBLE_FORMAT
 from pipeline.stages.networks.touch_formats import decode_image, encode_image, normalise
 from pipeline.stages.networks.weights import NoWeights, Weights, save_weights
 from pipeline.stages.touch import latent_diffusion
-from pipeline.stages.touch.depth_condition import build_depth_square
 from pipeline.stages.touch.latent_diffusion import LatentParams, sample_image
+from pipeline.stages.touch.t2d2 import build_depth_square
 from pipeline.translation.catalogue import BUILT_IN
 from tests.pipeline.stages.target_views import estimate_views
 

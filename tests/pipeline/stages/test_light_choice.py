@@ -16,9 +16,9 @@ from pipeline.core.geometry.rigid import translation
 from pipeline.core.progress import SILENT
 from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import optics
+from pipeline.physics.optics import compute_slopes
 from pipeline.physics.simulation import shapes
 from pipeline.physics.simulation.press import simulate_press
-from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.gel import light as light_node
 from pipeline.stages.depth.gel import rest

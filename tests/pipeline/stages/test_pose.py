@@ -17,9 +17,9 @@ from pipeline.physics.simulation.shapes import make_shape
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.pose.registration.model import prepare_object
 from pipeline.stages.pose.registration.observability import assess_observability
-from pipeline.stages.pose.registration.pose_selection import MISSING_CONTACT_WARNING
 from pipeline.stages.pose.registration.ranking import make_judge
 from pipeline.stages.pose.registration.scene import extract_scene
+from pipeline.stages.pose.registration.search import MISSING_CONTACT_WARNING
 from pipeline.stages.pose.signed_distances import (
     PoseParams,
     estimate_or_track_pose,

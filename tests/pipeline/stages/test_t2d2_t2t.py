@@ -28,11 +28,10 @@ from pipeline.stages.networks.network_factory import load_network, load_predicto
 from pipeline.stages.networks.weights import NoWeights, load_weights, save_weights
 from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
 from pipeline.stages.touch import frame_chain, physical_render, t2d2, t2t
-from pipeline.stages.touch.depth_condition import CONDITION_CHANNELS, make_working_sensor
 from pipeline.stages.touch.image_condition import IMAGE_CHANNELS
 from pipeline.stages.touch.residual_diffusion import DiffusionParams
 from pipeline.stages.touch.stage import PHYSICS, T2D2, T2T
-from pipeline.stages.touch.t2d2 import T2D2Params
+from pipeline.stages.touch.t2d2 import CONDITION_CHANNELS, T2D2Params, make_working_sensor
 from pipeline.translation.catalogue import BUILT_IN
 from tests.pipeline.stages.target_views import estimate_views
 

@@ -15,8 +15,8 @@ from pipeline.core.arrays import freeze
 from pipeline.core.errors import SettingProblem
 from pipeline.core.graph import Graph, Method
 from pipeline.stages.depth.stage import PHYSICS
-from pipeline.stages.network_fallback import fall_back_without_weights
 from pipeline.stages.networks import network_factory, weights_registry
+from pipeline.stages.networks.network_factory import fall_back_without_weights
 from pipeline.stages.networks.weights import NoWeights, Weights, save_weights
 from pipeline.translation.catalogue import BUILT_IN, Catalogue, with_weights
 from pipeline.translation.translate import Request, open_translation

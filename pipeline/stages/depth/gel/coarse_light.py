@@ -19,7 +19,8 @@ from pipeline.core.arrays import Doubles, Floats, Image, Mask, freeze
 from pipeline.core.digests import compute_cached_digest
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.memo import Memo, memoise
-from pipeline.physics import gel_layer, optics
+from pipeline.physics import gel as gel_layer
+from pipeline.physics import optics
 from pipeline.sensors.parts import Gel, Markers
 from pipeline.sensors.spec import SensorSpec
 

@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.core.arrays import Floats, freeze
 from pipeline.core.params import NoParams
 from pipeline.core.progress import Progress
-from pipeline.physics.slopes import compute_slopes
+from pipeline.physics.optics import compute_slopes
 from pipeline.stages.depth.gel.change import FrameChange
 from pipeline.stages.depth.gel.result import NOT_SCALED
 from pipeline.stages.depth.gel.slopes import ChangedImage, FrameSlopes

@@ -36,7 +36,7 @@ from pipeline.calibration.shading_field import (
 )
 from pipeline.core.arrays import Doubles, Floats
 from pipeline.physics import optics
-from pipeline.physics.slopes import compute_slopes
+from pipeline.physics.optics import compute_slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.constants import CONSTANTS, FIELD_STEP
 from pipeline.stages.depth.illumination.light import ImagePatch, Light, RenderedChange

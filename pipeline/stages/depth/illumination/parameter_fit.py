@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Floats
 from pipeline.physics import optics
-from pipeline.physics.slopes import compute_slopes
+from pipeline.physics.optics import compute_slopes
 from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.constants import CONSTANTS

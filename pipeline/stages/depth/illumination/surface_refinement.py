@@ -27,7 +27,7 @@ instance's own, colours are less certain than they are clear, and this would fol
 import numpy as np
 
 from pipeline.core.arrays import Floats, percentile
-from pipeline.physics.slopes import compute_slopes
+from pipeline.physics.optics import compute_slopes
 from pipeline.stages.depth.illumination.constants import CONSTANTS
 from pipeline.stages.depth.illumination.light import (
     ImagePatch,

@@ -21,8 +21,7 @@ from pipeline.core.geometry.meshes import Mesh, sample_surface
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.results import ObjectPose, PoseStep
 from pipeline.stages.pose.registration.model import ObjectModel
-from pipeline.stages.pose.registration.scene import ContactScene
-from pipeline.stages.pose.registration.starts import list_starts
+from pipeline.stages.pose.registration.scene import ContactScene, list_starts
 
 N_MODEL = 5000  # points sampled on the model's surface
 MIN_POINTS = 4  # contact points; with fewer the start is returned

@@ -37,8 +37,8 @@ from pipeline.lab.training.vqvae import VqVaeTask
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.networks.depth_anything import DepthAnything
 from pipeline.stages.networks.weights import Weights, save_weights
-from pipeline.stages.touch.depth_condition import make_working_sensor
-from pipeline.stages.touch.residual_render import resample_to_grid
+from pipeline.stages.touch.residual_diffusion import resample_to_grid
+from pipeline.stages.touch.t2d2 import make_working_sensor
 from tests.pipeline.io.test_tensors import depth_dictionary, saved
 from tests.pipeline.io.touch2touch_files import write_grasps
 

@@ -16,7 +16,7 @@ from pipeline.lab.training.touch_to_touch import TouchToTouchTask
 from pipeline.physics.simulation import shapes
 from pipeline.stages.networks.network_factory import build_network
 from pipeline.stages.networks.touch_formats import BUBBLE, GEL
-from pipeline.stages.touch.depth_condition import CONDITION_CHANNELS
+from pipeline.stages.touch.t2d2 import CONDITION_CHANNELS
 
 SPLITS = ("unseen_grasps", "unseen_tools")
 MIRROR_MM = 0.02  # difference between an object and its mirror on a lattice
