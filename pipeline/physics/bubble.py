@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Floats, Mask, freeze
 from pipeline.core.derived import derive_once
-from pipeline.core.errors import SettingProblem, ShapeError
+from pipeline.core.errors import SettingProblem
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.geometry.normals import compute_area_vectors
 from pipeline.physics import lattice
@@ -93,7 +93,12 @@ def make_lattice(bubble: Bubble, step_mm: float = STEP_MM) -> Lattice:
 
 def compute_rest_height_mm(bubble: Bubble, on: Lattice) -> Doubles:
     """Height (ny, nx) in mm of the rest dome over the rim plane."""
-    return bubble.height_mm * np.maximum(_dome(bubble, on), 0.0)
+    dome = (
+        1.0
+        - (on.x_mm()[None, :] / bubble.half_width_mm) ** 2
+        - (on.y_mm()[:, None] / bubble.half_height_mm) ** 2
+    )
+    return bubble.height_mm * np.maximum(dome, 0.0)
 
 
 def find_free_nodes(bubble: Bubble, on: Lattice) -> Mask:
@@ -127,13 +132,7 @@ def press_bubble(
     """The bubble under an object at `ceiling_mm` (ny, nx) over the rim plane.
 
     Not finite = no object.
-
-    Raises ShapeError for another shape than the lattice's.
     """
-    if ceiling_mm.shape != on.shape:
-        raise ShapeError(
-            f"the ceiling must have the shape {on.shape} of the lattice, got {ceiling_mm.shape}"
-        )
     free = find_free_nodes(bubble, on)
     room = np.where(
         np.isfinite(ceiling_mm), ceiling_mm - compute_rest_height_mm(bubble, on), np.inf
@@ -218,15 +217,6 @@ def _solve_sealed(
         over = new
         short = new_short
     return _SealedState(v=v, over_kpa=over, slope=slope, converged=False)
-
-
-@derive_once
-def _dome(bubble: Bubble, on: Lattice) -> Doubles:
-    return freeze(
-        1.0
-        - (on.x_mm()[None, :] / bubble.half_width_mm) ** 2
-        - (on.y_mm()[:, None] / bubble.half_height_mm) ** 2
-    )
 
 
 def solve_obstacle(

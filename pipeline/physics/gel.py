@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Floats, Mask, freeze
 from pipeline.core.derived import derive_once
-from pipeline.core.errors import ShapeError
 from pipeline.sensors.parts import Gel
 
 _LARGEST_X = 40.0  # K is 1 to double precision long before sinh overflows
@@ -198,7 +197,7 @@ def press_gel(
     Where the overlap is not finite there is no object; where it is negative the object is above the
     rest surface.
     """
-    overlap = _check_overlap(overlap_mm, pixel_mm)
+    overlap = _clean_overlap(overlap_mm)
     deepest = float(overlap.max(initial=-np.inf))
     if deepest <= 0:
         return _no_contact(overlap.shape, pixel_mm)
@@ -231,7 +230,7 @@ def relax_gel(
 
     Conjugate gradients on the masked operator, preconditioned with the inverse of the unmasked one.
     """
-    target = _check_overlap(np.where(mask, prescribed_mm, 0.0), pixel_mm)
+    target = _clean_overlap(np.where(mask, prescribed_mm, 0.0))
     if not mask.any():
         return _no_contact(target.shape, pixel_mm)
     box = _bound_mask(mask)
@@ -311,13 +310,8 @@ def _solve_contact(
     return pressure, max_steps, residual
 
 
-def _check_overlap(overlap_mm: NDArray[np.floating], pixel_mm: float) -> Floats:
-    if overlap_mm.ndim != 2 or min(overlap_mm.shape) < 2:
-        raise ShapeError(
-            f"a gel needs a grid of at least 2 x 2 pixels, got shape {overlap_mm.shape}"
-        )
-    if not (math.isfinite(pixel_mm) and pixel_mm > 0):
-        raise ShapeError(f"the pixel width must be a positive length in mm, got {pixel_mm!r}")
+def _clean_overlap(overlap_mm: NDArray[np.floating]) -> Floats:
+    """The overlap in single precision, far below the surface where it is not finite."""
     overlap = np.asarray(overlap_mm, dtype=np.float32)
     overlap = np.where(np.isfinite(overlap), overlap, np.float32(-1e6))
     overlap[np.abs(overlap) < _NOTHING_MM] = 0.0

@@ -54,7 +54,6 @@ def compute_marker_motion_px(
     """
     if sensor.gel is None:
         raise SettingProblem(f"{sensor.name} has no gel with markers; choose a gel sensor")
-    check_surface(sensor, indentation_mm, shear_mm)
     x, y = _compute_pressed_motion(
         np.ascontiguousarray(indentation_mm, dtype=np.float32),
         sensor.camera,
@@ -141,8 +140,6 @@ _PENUMBRA_MM = 0.25  # depth below an LED's light at which a point is fully in s
 _NO_SHADOW_MM = 0.02  # shallower surfaces cast no visible shadow
 _N_QUANTILES = 4096
 
-_Scene = tuple[np.float32, Floats, Floats, Floats, np.float32]
-
 
 def compute_colour_change(
     sensor: SensorSpec, gx: NDArray[np.floating], gy: NDArray[np.floating]
@@ -155,10 +152,6 @@ def compute_colour_change(
     NaN.
     """
     optics = require_optics(sensor)
-    if gx.shape != sensor.camera.shape or gy.shape != gx.shape:
-        raise ShapeError(
-            f"slopes must have the shape {sensor.camera.shape} of {sensor.name}, got {gx.shape}"
-        )
     rows, cols = gx.shape
     gx = gx.astype(np.float32)
     gy = gy.astype(np.float32)
@@ -199,8 +192,6 @@ def render(
     optics = require_optics(sensor)
     check_surface(sensor, indentation_mm, shear_mm)
     height_mm = _to_float32(indentation_mm)
-    if _is_plain(sensor, optics, seed) and not _casts_shadow(optics, height_mm):
-        return freeze(_render_plain(sensor, height_mm))
     light = _render_light(sensor, optics, height_mm)
     if sensor.markers is not None and sensor.gel is not None:
         move = compute_marker_motion_px(sensor, indentation_mm, shear_mm)
@@ -220,7 +211,6 @@ def _to_float32(array: NDArray[np.floating]) -> Floats:
     return freeze(np.ascontiguousarray(array, dtype=np.float32).view())
 
 
-@derive_once
 def pack_leds(optics: Optics, camera: Camera) -> tuple[Floats, Floats]:
     """Light directions and colours (n, 6), and falloff over the image (n, 3), for the kernels.
 
@@ -266,56 +256,23 @@ def _render_reference(
     return freeze(_expose(light, optics, None))
 
 
-def _make_buffers(cols: int) -> tuple[Floats, Floats]:
-    """Buffers of the kernels: two rows of pixels and two of colours."""
-    return np.empty((2, cols), np.float32), np.empty((2, 3 * cols), np.float32)
-
-
 def _render_light(sensor: SensorSpec, optics: Optics, height_mm: Floats) -> Floats:
     """The light (rows, cols, 3) of a surface before markers and blur."""
     from pipeline.physics.optics_kernels import render_light
 
-    rows, cols = height_mm.shape
-    light = np.empty((rows, 3 * cols), np.float32)
+    camera = sensor.camera
+    light = compute_reference_light(camera, optics).reshape(camera.rows, -1).copy()
     render_light(
-        height_mm, *_prepare_scene(sensor), *_make_buffers(cols), light, np.empty((0, 0), np.uint8)
+        height_mm,
+        np.float32(sensor.pixel_mm),
+        *pack_leds(optics, camera),
+        np.float32(optics.vignette),
+        light,
     )
-    light = light.reshape(rows, cols, 3)
+    light = light.reshape(*camera.shape, 3)
     if _casts_shadow(optics, height_mm):
         apply_shadows(light, optics, sensor.camera, height_mm, sensor.pixel_mm)
     return light
-
-
-def _is_plain(sensor: SensorSpec, optics: Optics, seed: int | None) -> bool:
-    return (
-        sensor.markers is None and optics.blur_px <= 0 and (seed is None or optics.noise_grey <= 0)
-    )
-
-
-def _render_plain(sensor: SensorSpec, height_mm: Floats) -> Image:
-    """The image without markers, shadows, blur and noise."""
-    from pipeline.physics.optics_kernels import render_light
-
-    rows, cols = height_mm.shape
-    out = np.empty((rows, 3 * cols), np.uint8)
-    render_light(
-        height_mm, *_prepare_scene(sensor), *_make_buffers(cols), np.empty((0, 0), np.float32), out
-    )
-    return out.reshape(rows, cols, 3)
-
-
-@derive_once
-def _prepare_scene(sensor: SensorSpec) -> _Scene:
-    """Arguments of the kernels for this sensor, after the surface."""
-    camera = sensor.camera
-    optics = require_optics(sensor)
-    light = compute_reference_light(camera, optics).reshape(camera.rows, -1)
-    return (
-        np.float32(sensor.pixel_mm),
-        light,
-        *pack_leds(optics, camera),
-        np.float32(optics.vignette),
-    )
 
 
 def _casts_shadow(optics: Optics, height_mm: Floats) -> bool:
@@ -380,14 +337,13 @@ def digitise_light(light: Floats, noise_grey: float, seed: int | None) -> Image:
     """The 8-bit image of `light` (rows, cols, 3), with the noise of `seed` unless None."""
     from pipeline.physics.optics_kernels import digitise
 
+    if seed is None or noise_grey <= 0:
+        return np.clip(light + np.float32(0.5), 0, 255).astype(np.uint8)
     out = np.empty(light.shape, np.uint8)
-    noise = np.float32(0.0 if seed is None else noise_grey)
-    counted_from = np.uint64((seed or 0) % 2**64)
-    digitise(light, _normal_quantiles(), noise, counted_from, out)
+    digitise(light, _normal_quantiles(), np.float32(noise_grey), np.uint64(seed % 2**64), out)
     return out
 
 
-@derive_once
 def _normal_quantiles() -> Floats:
     """Quantiles of the standard normal distribution, scaled to standard deviation 1."""
     from scipy.special import ndtri

@@ -16,25 +16,17 @@ _FAST = FAST - {"arcp"}
 
 
 @kernel(fastmath=_FAST)
-def render_light(height, pixel, glow, leds, strength, vignette, slope, part, light, picture):
-    """Write `light` (rows, 3 cols) of a surface: the reference light `glow` (rows, 3 cols) and the
-    change by slopes.
-
-    If `light` has no rows, write the 8-bit `picture` (rows, 3 cols) without blur and noise instead,
-    in one pass. slope (2, cols) and part (2, 3 cols) are buffers.
-    """
-    rows = height.shape[0]
-    gx = slope[0]
-    gy = slope[1]
-    more = part[1]
+def render_light(height, pixel, leds, strength, vignette, light):
+    """Add to the reference `light` (rows, 3 cols) of a surface the change by its slopes."""
+    rows, cols = height.shape
+    gx = np.empty(cols, np.float32)
+    gy = np.empty(cols, np.float32)
+    part = np.empty(3 * cols, np.float32)
+    change = np.empty(3 * cols, np.float32)
     for r in range(rows):
-        change = light[r] if light.shape[0] else part[0]
         write_row_slopes(height, r, np.float32(1.0) / pixel, gx, gy)
-        _row_change(gx, gy, r, rows, leds, strength, vignette, more, change)
-        if light.shape[0]:
-            _add(glow[r], change)
-        else:
-            _row_greys(glow[r], change, picture[r])
+        _row_change(gx, gy, r, rows, leds, strength, vignette, part, change)
+        _add(change, light[r])
 
 
 @inline_kernel()
@@ -102,14 +94,6 @@ def _add(more, out):
     for i in range(out.shape[0]):
         n = np.uint64(i)
         out[n] += more[n]
-
-
-@inline_kernel()
-def _row_greys(glow, change, out):
-    for i in range(out.shape[0]):
-        n = np.uint64(i)
-        value = glow[n] + change[n] + np.float32(0.5)
-        out[n] = np.uint8(np.int32(min(max(value, np.float32(0.0)), np.float32(255.0))))
 
 
 @kernel(fastmath=_FAST)
@@ -242,15 +226,11 @@ def digitise(light, quantiles, noise, seed, out):
     counter = _mix_bits(seed + np.uint64(0x9E3779B97F4A7C15))
     for r in range(rows):
         for c in range(cols):
-            bits = np.uint64(0)
-            if noise > 0.0:
-                counter += np.uint64(0x9E3779B97F4A7C15)
-                bits = _mix_bits(counter)
+            counter += np.uint64(0x9E3779B97F4A7C15)
+            bits = _mix_bits(counter)
             for k in range(3):
-                value = light[r, c, k]
-                if noise > 0.0:
-                    value += noise * quantiles[np.int64(bits & np.uint64(4095))]
-                    bits >>= np.uint64(12)
+                value = light[r, c, k] + noise * quantiles[np.int64(bits & np.uint64(4095))]
+                bits >>= np.uint64(12)
                 out[r, c, k] = np.uint8(
                     min(max(value + np.float32(0.5), np.float32(0.0)), np.float32(255.0))
                 )

@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Floats, Mask, freeze
-from pipeline.core.derived import derive_once
-from pipeline.core.errors import SettingProblem, ShapeError
+from pipeline.core.errors import SettingProblem
 from pipeline.core.geometry.camera import Camera
 from pipeline.physics.gel import find_fast_length
 from pipeline.physics.lattice import Lattice
@@ -70,7 +69,6 @@ def solve_shear(
 
     Least energy over tractions within the friction limit, by accelerated projected gradients.
     """
-    _check(pressure_kpa, pixel_mm)
     shape = (int(pressure_kpa.shape[0]), int(pressure_kpa.shape[1]))
     cell = (
         max(1, round(_CELL_PER_THICKNESS * gel.thickness_mm / pixel_mm))
@@ -143,7 +141,6 @@ class TangentialResponse:
         return np.moveaxis(back[:, : self.shape[0], : self.shape[1]], 0, -1).astype(np.float32)
 
 
-@derive_once
 def make_response(gel: Gel, cell_mm: float, shape: tuple[int, int]) -> TangentialResponse:
     """The response of a gel's surface to tractions on `shape` cells of side `cell_mm`."""
     reach = [n - 1 for n in shape]
@@ -224,14 +221,3 @@ def _interpolate_cells(field: Floats, cell: int, shape: tuple[int, int]) -> Floa
     rows, cols = field.shape[:2]
     wide = cv2.resize(field, (cols * cell, rows * cell), interpolation=cv2.INTER_LINEAR)
     return np.ascontiguousarray(wide[: shape[0], : shape[1]], dtype=np.float32)
-
-
-def _check(pressure_kpa: NDArray[np.floating], pixel_mm: float) -> None:
-    if pressure_kpa.ndim != 2 or min(pressure_kpa.shape) < 2:
-        raise ShapeError(
-            f"a pressure needs a grid of at least 2 x 2 pixels, got shape {pressure_kpa.shape}"
-        )
-    if not (np.isfinite(pressure_kpa).all() and (pressure_kpa >= 0).all()):
-        raise ShapeError("the pressure must be finite and not negative")
-    if not (math.isfinite(pixel_mm) and pixel_mm > 0):
-        raise ShapeError(f"the pixel width must be a positive length in mm, got {pixel_mm!r}")

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.arrays import Floats, Image, freeze
-from pipeline.core.derived import derive_once
 
 ColourMapName = Literal["viridis", "diverging", "diverging_dark"]
 Rgb = tuple[int, int, int]
@@ -56,7 +55,6 @@ class ColourScale:
     is_fitted: bool = False  # limits fitted to this image
 
 
-@derive_once
 def get_colour_table(name: ColourMapName) -> Image:
     """Return the 256 colours (256, 3) uint8 of a map, from low to high."""
     import cv2
@@ -94,7 +92,6 @@ def darken_diverging(pixels: Image) -> Image:
     return freeze(np.where(known[..., None], dark[at], pixels))
 
 
-@derive_once
 def _index_diverging() -> NDArray[np.int16]:
     """Return the place in the diverging map of each red and blue, which no two of its colours
     share; -1 = none.

@@ -108,13 +108,8 @@ def make_lines_layer(
     """Return lines between pairs of points (n, 2, 3), each in one colour (n, 3)."""
     points = freeze(np.ascontiguousarray(ends_mm, dtype=np.float32).reshape(-1, 3))
     rgb = freeze(np.repeat(colours, 2, axis=0))
-    segments = _pairs(len(ends_mm))
+    segments = freeze(np.arange(2 * len(ends_mm), dtype=np.int32).reshape(-1, 2))
     return Layer(name=name, points_mm=points, rgb=rgb, segments=segments, colour_map=colour_map)
-
-
-@derive_once
-def _pairs(count: int) -> Indices:
-    return freeze(np.arange(2 * count, dtype=np.int32).reshape(-1, 2))
 
 
 @derive_once

@@ -32,7 +32,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pipeline.core.derived import derive_once
 from pipeline.stages.networks.compact_unet import CompactUnet, make_fold_kernel, run_unet
 from pipeline.stages.networks.onnx_predictor import FIELD_LIMIT
 from pipeline.stages.networks.onnx_predictor import ResidualConstants as Constants
@@ -234,7 +233,6 @@ def correlate_noise(white: Tensor, correlation_length: float) -> Tensor:
     return torch.fft.irfft2(torch.fft.rfft2(white) * amplitude, s=(rows, cols))
 
 
-@derive_once
 def _amplitude(rows: int, cols: int, length: float) -> Tensor:
     """(rows, cols // 2 + 1) factor of each Fourier component, normalised to unit variance."""
     wave = torch.fft.fftfreq(rows)[:, None] ** 2 + torch.fft.fftfreq(cols)[None] ** 2

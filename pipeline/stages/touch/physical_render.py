@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.core.arrays import Floats, Image, Indices, Mask, freeze
-from pipeline.core.derived import derive_once
 from pipeline.core.errors import (
     AlignmentWarning,
     OutsideViewWarning,
@@ -146,9 +145,8 @@ def skip_without_contact(
     )
 
 
-@derive_once
 def make_reference_touch(target: SensorSpec) -> GeneratedTouch:
-    """The target's reference image as a touch, one object for each sensor."""
+    """The target's reference image as a touch."""
     shape = target.camera.shape
     rest_membrane = make_depth_map(
         target.rest_depth_mm, np.zeros(shape, np.float32), np.zeros(shape, np.bool_), target.camera

@@ -21,8 +21,8 @@ from pipeline.core.values.results import Cloud
 from pipeline.translation.reports.export_request import SOURCE, PaneContent
 from pipeline.translation.translate import Translation
 from pipeline.translation.translated_frame import FrameReport
+from pipeline.translation.truth_view import build_truth_view
 from pipeline.views.colours import ColourScale, get_colour_table
-from pipeline.views.difference import compute_difference
 from pipeline.views.display_params import DisplayParams
 from pipeline.views.drawing import Line, list_outlines, make_scale_bar
 from pipeline.views.preview import (
@@ -217,8 +217,16 @@ def render_pane(
             )
         value = truths[name]
         title = f"{title}, {shown}"
-        true = view.make_preview(value, replace(seen, outputs={**seen.outputs, **truths}))
-        picture = true if shown == "truth" else _less(picture, true, name)
+        true = build_truth_view(name, view, picture, truths, seen)
+        assert true is not None
+        if shown == "truth":
+            picture = true.truth
+        elif true.difference_to_truth is not None:
+            picture = true.difference_to_truth
+        else:
+            raise SettingProblem(
+                f"what was computed of {name} and its truth cannot be subtracted; show one of them"
+            )
     points_mm, rgb = _points(value, picture)
     return RenderedPane(title=title, preview=picture, points_mm=points_mm, rgb=rgb)
 
@@ -237,15 +245,6 @@ def _reading(frame: TactileFrame, translation: Translation, display: DisplayPara
     laid = replace(picture, positions_mm=PixelPositions(camera, np.asarray(surface, np.float32)))
     points_mm, rgb = _points(None, laid)
     return RenderedPane(title="Source", preview=picture, points_mm=points_mm, rgb=rgb)
-
-
-def _less(made: Preview, true: Preview, name: str) -> Preview:
-    gap = compute_difference(made, true)
-    if gap is None:
-        raise SettingProblem(
-            f"what was worked out of {name} and its truth cannot be subtracted; show one of them"
-        )
-    return gap
 
 
 def _points(value: Any, picture: Preview) -> tuple[Floats, Image]:

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from pipeline.core.arrays import Doubles, freeze
-from pipeline.core.errors import SettingProblem, ShapeError
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh, sample_surface
 from pipeline.core.progress import SILENT, Progress
@@ -61,7 +60,6 @@ def register_planar(
     rmse in 3D is used, as in the released code. Raises ShapeError for clouds that are not (n, 3)
     and finite or a model without points, SettingProblem for fewer than one iteration.
     """
-    _check(model_points_mm, scene_points_mm, n_iterations)
     if len(scene_points_mm) < MIN_POINTS:
         note = f"only {len(scene_points_mm)} contact points: the start is returned"
         return PlanarFit(
@@ -97,20 +95,6 @@ def register_planar(
             for motion, off_mm in kept
         ),
     )
-
-
-def _check(model: Doubles, scene: Doubles, n_iterations: int) -> None:
-    for points, what in ((model, "model"), (scene, "scene")):
-        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-            raise ShapeError(
-                f"the {what} must be finite points of shape (n, 3), got {points.shape}"
-            )
-    if len(model) == 0:
-        raise ShapeError("the model has no points")
-    if n_iterations < 1:
-        raise SettingProblem(
-            f"a planar registration needs at least one iteration, got {n_iterations}"
-        )
 
 
 def _iterate(

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.core.errors import SettingProblem, ShapeError
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import sample_surface
 from pipeline.core.progress import Cancelled
@@ -97,14 +96,8 @@ def test_an_exact_copy_is_found_exactly_from_where_it_is(deg, x, y):
     assert fit.inlier_rmse_mm < 1e-9
 
 
-def test_wrong_clouds_and_settings_are_refused_and_nobody_waits_in_vain():
+def test_nobody_waits_in_vain():
     cloud = l_face(20)
-    with pytest.raises(ShapeError, match="model"):
-        register_planar(cloud[:0], cloud, HERE, 1)
-    with pytest.raises(ShapeError, match="scene"):
-        register_planar(cloud, cloud * np.nan, HERE, 1)
-    with pytest.raises(SettingProblem, match="iteration"):
-        register_planar(cloud, cloud, HERE, 0)
 
     class Impatient:
         def step(self, fraction, text):
