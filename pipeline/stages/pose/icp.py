@@ -1,7 +1,7 @@
 """Open3D's point-to-plane ICP on sampled points, as in the paper, as a method of the pose stage."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,8 @@ from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh, sample_surface
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.results import ObjectPose, PoseStep
-from pipeline.stages.pose.registration.model import ObjectModel
-from pipeline.stages.pose.registration.scene import ContactScene, InitialPose, list_starts
+from pipeline.stages.pose.registration.scene import list_starts
+from pipeline.stages.pose.registration.search import PoseSearch
 
 NOTE = (
     "icp: the result with the largest fitness, then the least rmse; pose ambiguity is not estimated"
@@ -65,66 +65,69 @@ class _Icp:
 
 
 def register_icp(
-    scene: ContactScene,
+    search: PoseSearch,
     mesh: Mesh,
-    model: ObjectModel,
-    *,
     face: str,
     n_starts: int,
-    n_iterations: int,
-    max_distance_mm: float,
     seed: int,
-    keep_steps: bool,
     progress: Progress = SILENT,
 ) -> ObjectPose:
     """ICP from the starts of our own search, a few iterations each, the best of them to
     convergence.
 
-    Points beyond `max_distance_mm` have no correspondence. The face of the object is set by the
+    Points beyond the search distance have no correspondence. The face of the object is set by the
     starts only.
     """
     import open3d
 
+    scene = search.scene
     points_mm, normals = sample_surface(mesh, N_MODEL_POINTS, seed)
     clouds = [
         open3d.geometry.PointCloud(open3d.utility.Vector3dVector(np.array(p)))
         for p in (scene.points_mm, points_mm)
     ]
     clouds[1].normals = open3d.utility.Vector3dVector(np.array(normals))
-    icp = _Icp(source=clouds[0], target=clouds[1], max_distance_mm=max_distance_mm)
-    starts = _select_one_per_group(list_starts(scene, model, face, n_starts))
+    icp = _Icp(source=clouds[0], target=clouds[1], max_distance_mm=search.max_distance_mm)
+    # the first start of each orientation has the centre of its face on the contact's centre
+    starts = {
+        start.group: start.sensor_from_object
+        for start in reversed(list_starts(scene, search.object.model, face, n_starts))
+    }
     # Open3D sums on several threads in varying order; one thread is deterministic.
     n_threads = open3d.utility.get_max_threads()
     open3d.utility.set_max_threads(1)
     try:
-        history = _find_best_history(icp, starts, n_iterations, progress)
+        history = _find_best_history(
+            icp, list(reversed(starts.values())), search.n_iterations, progress
+        )
     finally:
         open3d.utility.set_max_threads(n_threads)
     best = history[-1]
-    is_known = best.fitness > 0
-    return ObjectPose(
-        sensor_from_object=best.sensor_from_object if is_known else None,
-        rmse_mm=best.rmse_mm if is_known else math.nan,
+    if not best.fitness > 0:
+        return replace(
+            scene.no_pose,
+            notes=("icp: no start has points within the search distance of the object",),
+        )
+    return replace(
+        scene.no_pose,
+        sensor_from_object=best.sensor_from_object,
+        rmse_mm=best.rmse_mm,
         fitness=best.fitness,
-        scene_mm=freeze(scene.points_mm.astype(np.float32)),
-        source_index=freeze(scene.pixel),
-        steps=tuple(history) if keep_steps else (),
-        stop_reason=_describe_stop(len(history) - 1, n_iterations) if is_known else "",
+        steps=tuple(history) if search.keep_steps else (),
+        stop_reason=_describe_stop(len(history) - 1, search.n_iterations),
         starts_tried=len(starts),
-        notes=(NOTE,)
-        if is_known
-        else ("icp: no start has points within the search distance of the object",),
+        notes=(NOTE,),
     )
 
 
 def _find_best_history(
-    icp: _Icp, starts: list[InitialPose], n_iterations: int, progress: Progress
+    icp: _Icp, starts: list[Doubles], n_iterations: int, progress: Progress
 ) -> list[PoseStep]:
     """A few iterations from each start, then single iterations from the best of them."""
     quick: list[PoseStep] = []
     for k, start in enumerate(starts):
         progress.step(k / (len(starts) + 1), f"ICP from start {k + 1} of {len(starts)}")
-        quick.append(icp.iterate(start.sensor_from_object, _QUICK))
+        quick.append(icp.iterate(start, _QUICK))
     progress.step(1.0 - 1.0 / (len(starts) + 1), "ICP from the best starts")
     histories = [
         _iterate_to_end(icp, first_step, n_iterations)
@@ -141,14 +144,6 @@ def _describe_stop(n: int, max_iterations: int) -> str:
 
 def _rank_step(step: PoseStep) -> tuple[float, float]:
     return -step.fitness, step.rmse_mm
-
-
-def _select_one_per_group(starts: list[InitialPose]) -> list[InitialPose]:
-    """The first start of each orientation, with the centre of its face on the contact's centre."""
-    groups: dict[tuple[str, int], InitialPose] = {}
-    for start in starts:
-        groups.setdefault(start.group, start)
-    return list(groups.values())
 
 
 def _iterate_to_end(icp: _Icp, first_step: PoseStep, n_iterations: int) -> list[PoseStep]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.core.arrays import Doubles, Floats, Indices, freeze
+from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.errors import SettingProblem, describe_no_contact
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
@@ -201,16 +201,7 @@ def estimate_pose_planar(
     prepared = prepare_search(touch_depth, mesh, params, progress)
     if isinstance(prepared, ObjectPose):
         return prepared
-    search, checked = prepared
-    return estimate_planar_pose(
-        search.scene,
-        checked,
-        search.object.model,
-        params.face,
-        params.n_iterations,
-        keep_steps=params.keep_steps,
-        progress=progress,
-    )
+    return estimate_planar_pose(*prepared, params.face, progress)
 
 
 def estimate_pose_icp(
@@ -220,19 +211,7 @@ def estimate_pose_icp(
     prepared = prepare_search(touch_depth, mesh, params, progress)
     if isinstance(prepared, ObjectPose):
         return prepared
-    search, checked = prepared
-    return register_icp(
-        search.scene,
-        checked,
-        search.object.model,
-        face=params.face,
-        n_starts=params.n_starts,
-        n_iterations=params.n_iterations,
-        max_distance_mm=params.max_distance_mm,
-        seed=params.seed,
-        keep_steps=params.keep_steps,
-        progress=progress,
-    )
+    return register_icp(*prepared, params.face, params.n_starts, params.seed, progress)
 
 
 def skip_without_contact(touch_depth: DepthMap, mesh: Mesh | None, *_: object) -> ObjectPose | None:
@@ -338,16 +317,14 @@ def _make_pose(
 ) -> ObjectPose:
     fit = best.minimum.fit
     known = best.observability
-    points, pixel = _freeze_scene(search.scene)
-    return ObjectPose(
+    return replace(
+        search.scene.no_pose,
         sensor_from_object=freeze(fit.sensor_from_object),
         covariance=freeze(known.covariance),
         observable=freeze(known.observable),
         weak_directions=known.weak_directions,
         rmse_mm=fit.rmse_mm,
         fitness=fit.fitness,
-        scene_mm=points,
-        source_index=pixel,
         steps=fit.steps,
         stop_reason=fit.stop_reason,
         starts_tried=n_tried,
@@ -356,14 +333,15 @@ def _make_pose(
     )
 
 
+_NO_SCENE = ObjectPose(
+    sensor_from_object=None,
+    scene_mm=freeze(np.empty((0, 3), dtype=np.float32)),
+    source_index=freeze(np.empty(0, dtype=np.int32)),
+)
+
+
 def _make_unknown_pose(why: str, scene: ContactScene | None = None) -> ObjectPose:
-    points, pixel = _freeze_scene(scene)
-    return ObjectPose(
-        sensor_from_object=None,
-        scene_mm=points,
-        source_index=pixel,
-        notes=(why,),
-    )
+    return replace(_NO_SCENE if scene is None else scene.no_pose, notes=(why,))
 
 
 def _explain_failure(mesh: Mesh) -> str:
@@ -375,9 +353,3 @@ def _explain_failure(mesh: Mesh) -> str:
 
 def _size_mm(mesh: Mesh) -> float:
     return float(np.ptp(mesh.vertices_mm, axis=0).max())
-
-
-def _freeze_scene(scene: ContactScene | None) -> tuple[Floats, Indices]:
-    if scene is None:
-        return freeze(np.empty((0, 3), dtype=np.float32)), freeze(np.empty(0, dtype=np.int32))
-    return freeze(scene.points_mm.astype(np.float32)), freeze(scene.pixel)

@@ -9,7 +9,7 @@ stage, and the protocol for both fingers of a grasp, run it.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,8 +19,8 @@ from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh, sample_surface
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.results import ObjectPose, PoseStep
-from pipeline.stages.pose.registration.model import ObjectModel
-from pipeline.stages.pose.registration.scene import ContactScene, list_starts
+from pipeline.stages.pose.registration.scene import list_starts
+from pipeline.stages.pose.registration.search import PoseSearch
 
 N_MODEL = 5000  # points sampled on the model's surface
 MIN_POINTS = 4  # contact points; with fewer the start is returned
@@ -158,40 +158,34 @@ _FACE = "+z"  # default face
 
 
 def estimate_planar_pose(
-    scene: ContactScene,
-    mesh: Mesh,
-    model: ObjectModel,
-    face: str,
-    n_iterations: int,
-    *,
-    keep_steps: bool,
-    progress: Progress = SILENT,
+    search: PoseSearch, mesh: Mesh, face: str, progress: Progress = SILENT
 ) -> ObjectPose:
     """Register projections along the sensor's axis point to point.
 
     The centre of a face starts on the contact.
     """
+    scene = search.scene
     chosen = _FACE if face == "auto" else face
-    placed = list_starts(scene, model, chosen, 1)[0].sensor_from_object
+    placed = list_starts(scene, search.object.model, chosen, 1)[0].sensor_from_object
     model_mm = sample_surface(mesh, N_MODEL, 0)[0]
     fit = register_planar(
-        model_mm, scene.points_mm, placed, n_iterations, progress, keep_steps=keep_steps
+        model_mm,
+        scene.points_mm,
+        placed,
+        search.n_iterations,
+        progress,
+        keep_steps=search.keep_steps,
     )
-    notes = (
-        (NOTE, *fit.notes)
-        if face != "auto"
-        else (NOTE, f"face {_FACE} by default; choose the face", *fit.notes)
-    )
-    return ObjectPose(
-        sensor_from_object=freeze(fit.scene_from_model),
+    by_default = () if face != "auto" else (f"face {_FACE} by default; choose the face",)
+    return replace(
+        scene.no_pose,
+        sensor_from_object=fit.scene_from_model,
         rmse_mm=fit.inlier_rmse_mm,
         fitness=fit.fitness,
-        scene_mm=freeze(scene.points_mm.astype(np.float32)),
-        source_index=freeze(scene.pixel),
         steps=fit.steps,
         stop_reason=fit.stop_reason,
         starts_tried=len(SWEEP_DEG),
-        notes=notes,
+        notes=(NOTE, *by_default, *fit.notes),
     )
 
 

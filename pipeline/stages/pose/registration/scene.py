@@ -11,11 +11,11 @@ from itertools import product
 
 import numpy as np
 
-from pipeline.core.arrays import Doubles, Floats, Indices, Mask
+from pipeline.core.arrays import Doubles, Floats, Indices, Mask, freeze
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.core.geometry.normals import compute_area_vectors
-from pipeline.core.values.results import DepthErrorModel, DepthMap
+from pipeline.core.values.results import DepthErrorModel, DepthMap, ObjectPose
 from pipeline.stages.pose.registration.model import ObjectModel
 
 # correlation length: a membrane relaxes over about this
@@ -50,6 +50,15 @@ class ContactScene:
     camera: Camera
     noise_mm: float  # of single pixels
     error: DepthErrorModel  # correlated error, in addition
+
+    @property
+    def no_pose(self) -> ObjectPose:
+        """An unknown pose with the points of this scene."""
+        return ObjectPose(
+            sensor_from_object=None,
+            scene_mm=freeze(self.points_mm.astype(np.float32)),
+            source_index=freeze(self.pixel),
+        )
 
     @property
     def pixel_mm(self) -> float:
