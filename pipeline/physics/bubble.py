@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Floats, Mask, freeze
-from pipeline.core.derived import derive_once
 from pipeline.core.errors import SettingProblem
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.geometry.normals import compute_area_vectors
@@ -330,9 +329,8 @@ def compute_incidence_cosine(camera: Camera, depth_mm: NDArray[np.floating]) -> 
     return np.divide(facing, size, out=np.zeros(depth_mm.shape), where=size > 0)
 
 
-@derive_once
 def compute_rest_cosine(sensor: SensorSpec) -> Doubles:
-    """`compute_incidence_cosine` of the membrane at rest, cached."""
+    """`compute_incidence_cosine` of the membrane at rest."""
     rest = sensor.rest_depth_mm
     return freeze(compute_incidence_cosine(sensor.camera, rest))
 

@@ -258,7 +258,6 @@ def _simulate_reference(plan: SimulationPlan, sensor: str, block: int) -> Image 
     )
 
 
-@derive_once
 def _make_instance(plan: SimulationPlan, sensor: str, block: int) -> SensorSpec:
     spec = _place_sensor(plan, sensor)
     if not plan.vary:

@@ -36,9 +36,6 @@ from pipeline.translation.alignment.residuals import (
 from pipeline.translation.alignment.touches import AlignmentTouch, load_paired_touches
 from pipeline.translation.translate import Translation
 
-# fixed, so that costs of different alignments compare
-COMPARISON_NOISE = ResidualNoise(surface_mm=0.2, outline_mm=0.4)
-COMPARISON_SCALE = ResidualNoise(surface_mm=1.0, outline_mm=2.0)
 _SHIFTS_MM = np.arange(-4.0, 4.5, 1.0)
 _TURNS_DEG = np.arange(-8.0, 8.5, 4.0)
 _ALL_TURNS_RAD = np.deg2rad(np.arange(0.0, 360.0, 15.0))  # without an initial alignment
@@ -68,7 +65,7 @@ def list_initial_alignments(
         motion = rigid.translation(*(_lift_mm(few, motion @ start) * normal)) @ motion
         ranked.append(
             (
-                compute_cost(few, motion @ start, COMPARISON_NOISE, COMPARISON_SCALE),
+                compute_cost(few, motion @ start),
                 n,
                 right,
                 down,
@@ -131,7 +128,7 @@ def estimate_alignment(
             moved = rigid.translation(0.0, 0.0, _lift_mm(few, moved)) @ moved
             best = min(
                 best,
-                (compute_cost(few, moved, COMPARISON_NOISE, COMPARISON_SCALE), moved),
+                (compute_cost(few, moved), moved),
                 key=lambda one: one[0],
             )
     onward = best[1] @ rigid.invert(described.alignment_from_source)
@@ -339,10 +336,7 @@ class _Solver:
     def solve_from_starts(self, beginnings: Sequence[Doubles]) -> Doubles:
         """Return the solution of least cost over several starts."""
         found = [self.solve(b, np.eye(6))[0] for b in beginnings]
-        costs = [
-            compute_cost(self._touches, motion @ self._start, COMPARISON_NOISE, COMPARISON_SCALE)
-            for motion in found
-        ]
+        costs = [compute_cost(self._touches, motion @ self._start) for motion in found]
         return found[int(np.argmin(costs))]
 
     def solve_within(self, solution: Doubles, free: Doubles) -> tuple[Doubles, bool]:

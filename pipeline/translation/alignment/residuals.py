@@ -274,6 +274,10 @@ class ResidualNoise:
     outline_mm: float
 
 
+_COMPARISON_NOISE = ResidualNoise(surface_mm=0.2, outline_mm=0.4)
+_COMPARISON_SCALE = ResidualNoise(surface_mm=1.0, outline_mm=2.0)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NormalEquations:
     """The quadratic model around one alignment: cost, gradient and J^T W J in units of
@@ -382,17 +386,13 @@ def accumulate_sums(
     return NormalEquations(cost=total, gradient=gradient, information=information)
 
 
-def compute_cost(
-    touches: Sequence[Evidence],
-    target_from_source: Doubles,
-    noise: ResidualNoise,
-    scale: ResidualNoise,
-) -> float:
-    """Return the cost that `accumulate_sums` minimises, to compare alignments under one `noise`
-    and `scale`.
+def compute_cost(touches: Sequence[Evidence], target_from_source: Doubles) -> float:
+    """Return the cost that `accumulate_sums` minimises, at a fixed noise and scale, so that
+    different alignments compare.
     """
+    distances = compute_touch_distances(touches, target_from_source)
     return accumulate_sums(
-        compute_touch_distances(touches, target_from_source), touches, np.zeros(3), noise, scale
+        distances, touches, np.zeros(3), _COMPARISON_NOISE, _COMPARISON_SCALE
     ).cost
 
 

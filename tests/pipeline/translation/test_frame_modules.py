@@ -49,5 +49,5 @@ def test_a_frame_passes_few_modules():
         with count_modules() as (modules, steps):
             results = translation.evaluate(5)
     assert {result.state for result in results.values()} == {"computed"}
-    assert 50 < len(modules) <= 115
-    assert len(steps) < 4500
+    assert 50 < len(modules) <= 97
+    assert len(steps) < 3700

@@ -21,6 +21,7 @@ from pipeline.core.geometry import rigid
 from pipeline.core.geometry.distance_grid import DistanceGrid
 from pipeline.core.values.results import PoseStep
 from pipeline.stages.pose.registration.observability import (
+    MIN_NOISE_MM,
     NO_SYSTEMATIC_STD,
     TOLERANCES,
     SystematicStd,
@@ -44,7 +45,6 @@ class FitOptions:
     """Options of one registration."""
 
     max_distance_mm: float = 2.0  # points farther from the object are outliers
-    noise_mm: float = 1e-3  # smallest noise of the points; avoids a zero covariance
     systematic_error: SystematicStd = NO_SYSTEMATIC_STD  # independent of the number of points
     tolerances: Tolerances = TOLERANCES  # directions known less well are held
     convergence_mm: float = 1e-4  # a smaller motion ends the iterations
@@ -176,7 +176,7 @@ def _fit(
         math.radians(text.normal_error_deg) ** 2,
     )
     size = (radius_mm, how.max_distance_mm, scale_mm)
-    limits = (how.noise_mm, how.convergence_mm)
+    limits = (MIN_NOISE_MM, how.convergence_mm)
     fit_poses(points.centred_mm, rows, grid.lattice, size, limits, rule, arrays, history, ended)
     return history[: int(ended[-1, 0])].copy(), float(ended[-1, 1])
 

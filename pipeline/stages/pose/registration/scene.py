@@ -49,6 +49,7 @@ class ContactScene:
     off_contact_mm: Floats
     camera: Camera
     noise_mm: float  # of single pixels
+    pixel_mm: float  # width of a pixel where the contact is
     error: DepthErrorModel  # correlated error, in addition
 
     @property
@@ -59,11 +60,6 @@ class ContactScene:
             scene_mm=freeze(self.points_mm.astype(np.float32)),
             source_index=freeze(self.pixel),
         )
-
-    @property
-    def pixel_mm(self) -> float:
-        """Width of a pixel where the contact is."""
-        return float(np.median(self.points_mm[:, 2])) / self.camera.fx_px
 
 
 def extract_scene(touch: DepthMap, max_points: int, seed: int) -> ContactScene:
@@ -98,8 +94,9 @@ def extract_scene(touch: DepthMap, max_points: int, seed: int) -> ContactScene:
         if usable.any()
         else 0.0
     )
+    points_mm = surface.reshape(-1, 3)[chosen]
     return ContactScene(
-        points_mm=surface.reshape(-1, 3)[chosen],
+        points_mm=points_mm,
         normals=across[chosen] / area[chosen, None],
         pixel=((row + top) * touch.camera.cols + col + left).astype(np.int32),
         area_mm2=area_mm2,
@@ -111,6 +108,7 @@ def extract_scene(touch: DepthMap, max_points: int, seed: int) -> ContactScene:
         off_contact_mm=np.where(known, off_px * np.float32(typical_mm), np.float32(0.0)),
         camera=touch.camera,
         noise_mm=_noise_mm(surface[..., 2]),
+        pixel_mm=float(np.median(points_mm[:, 2])) / touch.camera.fx_px if len(points_mm) else 0.0,
         error=touch.error or COMPUTED,
     )
 
