@@ -3,7 +3,8 @@ images in parquet tables.
 """
 
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -20,7 +21,7 @@ from pipeline.core.typed_data import Name, convert
 from pipeline.core.values.frames import Recording
 from pipeline.io.encoded_images import decode_rgb
 from pipeline.io.formats import ReadOptions, RecordingFiles
-from pipeline.io.image_sequence import ImageSequence
+from pipeline.io.gel_streams import ImageSource, make_film, make_streams
 from pipeline.io.lerobot_episodes import (
     NO_FRAME,
     import_parquet,
@@ -28,7 +29,6 @@ from pipeline.io.lerobot_episodes import (
     list_videos,
     require_group_budget,
 )
-from pipeline.io.stream_choice import make_streams
 from pipeline.io.video import VideoDecoder
 
 _INFO = Path("meta") / "info.json"
@@ -52,7 +52,7 @@ def is_data_set(folder: Path) -> bool:
 
 
 def read(files: RecordingFiles, options: ReadOptions) -> Recording:
-    """All cameras that record touch, see `stream_choice.make_streams`; episodes follow each other.
+    """All cameras that record touch, see `gel_streams.make_streams`; episodes follow each other.
 
     Raises FileProblem, and SettingProblem where a package for parquet is missing.
     """
@@ -67,25 +67,22 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     }
     if not kinds:
         raise FileProblem("the data set has no camera", path / _INFO, field="features")
-    videos = list[_Videos]()
+    closing = ExitStack()
 
-    def open_camera(name: str) -> ImageSequence:
+    def open_camera(name: str) -> ImageSource:
         if kinds[name] == "image":
-            return _TableImages(path, name, info.fps)
-        videos.append(_Videos(path, name, info.fps))
-        return videos[-1]
+            table = _TableImages(path, name)
+            n, frame = table.n_frames, table.frame
+        else:
+            n, frame = _open_videos(path, name, info.fps, closing)
+        return make_film(path, n, frame, np.arange(n) / info.fps)
 
-    def close() -> None:
-        for images in videos:
-            images.close()
-
-    try:
+    with ExitStack() as on_error:
+        on_error.push(closing)
         streams, notes = make_streams(
             {name: partial(open_camera, name) for name in kinds}, path, options
         )
-    except Exception:
-        close()
-        raise
+        on_error.pop_all()
     if len({stream.n_frames for stream in streams}) > 1:
         counts = ", ".join(f"{stream.name} {stream.n_frames}" for stream in streams)
         notes += (
@@ -101,52 +98,33 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
         path=path,
         format="LeRobot data set",
         streams=streams,
-        close=close,
+        close=closing.close,
         notes=(*files.notes, *notes),
     )
 
 
-class _Videos:
-    """The frames of a camera's videos, one episode after the other."""
+def _open_videos(
+    root: Path, name: str, rate_hz: float, closing: ExitStack
+) -> tuple[int, Callable[[int], Image]]:
+    """(number, reader) of the frames of a camera's videos, one episode after the other."""
+    episodes = list_episodes(root, name)
+    files = list(dict.fromkeys(e.file for e in episodes)) or list_videos(root, name)
+    videos = {file: VideoDecoder(file) for file in files}
+    for video in videos.values():
+        closing.callback(video.close)
+    frames = [
+        (videos[episode.file], k)
+        for episode in episodes
+        for k in episode.select_frames(videos[episode.file].times_s, rate_hz).tolist()
+    ] or [(video, k) for video in videos.values() for k in range(video.n_frames)]
 
-    def __init__(self, root: Path, name: str, rate_hz: float) -> None:
-        self._root = root
-        self._rate_hz = rate_hz
-        episodes = list_episodes(root, name)
-        files = list(dict.fromkeys(e.file for e in episodes)) or list_videos(root, name)
-        self._videos = {file: VideoDecoder(file) for file in files}
-        self._frames = list[tuple[VideoDecoder, int]]()
-        for episode in episodes:
-            video = self._videos[episode.file]
-            times_s = np.array([video.time_s(k) for k in range(video.n_frames)])
-            self._frames += [(video, k) for k in episode.select_frames(times_s, rate_hz).tolist()]
-        if not episodes:
-            self._frames = [
-                (video, k) for video in self._videos.values() for k in range(video.n_frames)
-            ]
-
-    @property
-    def n_frames(self) -> int:
-        """Number of frames of all episodes."""
-        return len(self._frames)
-
-    def frame(self, index: int) -> Image:
-        """(rows, cols, 3) RGB."""
-        video, number = self._frames[index]
+    def read(index: int) -> Image:
+        video, number = frames[index]
         if number == NO_FRAME:
-            raise FileProblem(
-                f"the video ends before frame {index}", self._root, field=f"frame {index}"
-            )
+            raise FileProblem(f"the video ends before frame {index}", root, field=f"frame {index}")
         return video.frame(number)
 
-    def time_s(self, index: int) -> float:
-        """Time by the data set's rate."""
-        return index / self._rate_hz
-
-    def close(self) -> None:
-        """Release the files."""
-        for video in self._videos.values():
-            video.close()
+    return len(frames), read
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,12 +141,11 @@ class _TableImages:
     size.
     """
 
-    def __init__(self, root: Path, name: str, rate_hz: float) -> None:
+    def __init__(self, root: Path, name: str) -> None:
         parquet, error_class = import_parquet()
         self._parquet: Any = parquet
         self._error = error_class
         self._name = name
-        self._rate_hz = rate_hz
         self._rows = list[_Rows]()
         end = 0
         # group, next row, batches from there
@@ -221,7 +198,3 @@ class _TableImages:
             cells = file.iter_batches(1, row_groups=[part.group], columns=[self._name])
         self._open = at, row + 1, cells
         return next(islice(cells, row - next_row, None)).column(0)[0].as_py()
-
-    def time_s(self, index: int) -> float:
-        """Time by the data set's rate."""
-        return index / self._rate_hz
