@@ -140,7 +140,10 @@ def _make_recording(files: RecordingFiles, stack: _DepthStack, options: ReadOpti
                     f"the reference {problem}; convert it to that of the frames", options.reference
                 )
     elif n > 1:
-        reference, about = estimate_reference(stack.depth_mm, n)
+        n_first = min(_N_REFERENCE_FRAMES, max(1, n // 6))
+        which = "the first frame" if n_first == 1 else f"the median of the first {n_first} frames"
+        about = f"{which} is taken as the reference"
+        reference = compute_median_depth(np.stack([stack.depth_mm(i) for i in range(n_first)]))
     else:
         about = "one depth image has no reference; name one with --reference"
 
@@ -190,17 +193,6 @@ def _check_unit(stack: _DepthStack, first: Floats, spec: SensorSpec) -> None:
         raise FileProblem(
             f"{stack.key}, read in {stack.unit}, {problem}; {remedy}", stack.path, field=stack.key
         )
-
-
-def estimate_reference(depth_mm: Callable[[int], Floats], n_frames: int) -> tuple[Floats, str]:
-    """(median depth (rows, cols) in mm of the first frames, note that says so), for a recording
-    without reference.
-    """
-    n = min(_N_REFERENCE_FRAMES, max(1, n_frames // 6))
-    which = "the first frame" if n == 1 else f"the median of the first {n} frames"
-    return compute_median_depth(
-        np.stack([depth_mm(i) for i in range(n)])
-    ), f"{which} is taken as the reference"
 
 
 def read_depth_image(path: Path, unit: DepthUnit = "auto") -> Floats:

@@ -1,8 +1,8 @@
 """Find the recording in a folder, or deeper in the tree of a data set.
 
 Known trees: frames in a folder of their own (YCB-Slide, next to films and drawings), each press in
-a folder of its own (calibrations of gs_sdk and gelslam), reference images in `bgs` (Sparsh), point
-clouds in `expand` (Punyo). Nothing is unpickled.
+a folder of its own (calibrations of gs_sdk and gelslam), reference images in `bgs` (Sparsh).
+Nothing is unpickled.
 """
 
 import math
@@ -29,8 +29,8 @@ PICKLE_REFUSAL = (
     "the images as PNG "
     "files, or the arrays with numpy.savez"
 )
-# hold a sensor's images or clouds, whatever lies next to them
-_FRAME_FOLDERS = ("frames", "tactile_images", "expand")
+# hold a sensor's images, whatever lies next to them
+_FRAME_FOLDERS = ("frames", "tactile_images")
 _TACTILE_FOLDER = re.compile(r"tactile|touch|digit|gel|finger", re.IGNORECASE)
 # no sensor's
 _OTHER_FOLDERS = frozenset(

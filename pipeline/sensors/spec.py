@@ -230,7 +230,7 @@ def load_rest_membrane(data: Mapping[str, Any], path: Path) -> Membrane | None:
         return None
     descriptions.refuse_unknown_keys(section, _RestMesh.__struct_fields__, path, "rest.")
     rest = convert(section, _RestMesh, DESCRIPTION, path, within="rest")
-    from pipeline.core.geometry.mesh_membrane import load_membrane
+    from pipeline.core.geometry.membrane import load_membrane
 
     mesh = path.parent / rest.file
     key = (mesh, compute_digest(read_bytes(mesh, "the mesh")), rest.unit, rest.step)

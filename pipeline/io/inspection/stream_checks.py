@@ -243,7 +243,8 @@ class StreamChecker:
         text = f"{share:.0%} of the moving pixels come nearer to the camera"
         if share < _MIN_NEARER_SHARE:
             self.add_problem(
-                f"frames: only {text}, as by a flipped sign or a touch in the reference; check both",
+                f"frames: only {text}, as by a flipped sign or a touch in the reference; check "
+                "both",
                 "depth sign",
             )
         return self._check("depth sign", text, unknown)
