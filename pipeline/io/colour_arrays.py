@@ -1,7 +1,7 @@
 """Images of a gel as arrays: `.npy` or `.npz` files, or a folder with one `.npy` file a frame.
 
-Numbers are bytes, 0 to 1, -1 to 1, 0 to 255 or signed differences (`grey_scale`); an array may hold
-the images of several sensors (`colour_layouts`).
+Numbers are bytes, 0 to 1, -1 to 1, 0 to 255 or signed differences, and an array may hold the images
+of several sensors (`stored_arrays`).
 """
 
 from dataclasses import replace
@@ -15,10 +15,10 @@ from pipeline.core.arrays import Doubles, Image
 from pipeline.core.errors import FileProblem, SettingProblem, escape_text
 from pipeline.core.files import read_arrays
 from pipeline.core.values.frames import Recording, Stream
-from pipeline.io import colour_layouts, depth_arrays, file_names, grey_scale, image_files
-from pipeline.io.colour_layouts import ImageStack
+from pipeline.io import depth_arrays, file_names, image_files, stored_arrays
 from pipeline.io.formats import ReadOptions, RecordingFiles
 from pipeline.io.gel_streams import ImageSource, make_gel_stream
+from pipeline.io.stored_arrays import ImageStack
 
 
 def is_colour_file(files: RecordingFiles) -> bool:
@@ -28,7 +28,7 @@ def is_colour_file(files: RecordingFiles) -> bool:
     """
     arrays = read_arrays(files.path, "the recording")
     return not any("depth" in key.lower() for key in arrays) and any(
-        colour_layouts.find_colour_axis(a.shape) is not None or colour_layouts.is_grey(a)
+        stored_arrays.find_colour_axis(a.shape) is not None or stored_arrays.is_grey(a)
         for a in arrays.values()
     )
 
@@ -43,7 +43,7 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     path = files.path
     arrays = read_arrays(files.path, "the recording")
     images = {
-        k: a for k, a in arrays.items() if colour_layouts.find_colour_axis(a.shape) is not None
+        k: a for k, a in arrays.items() if stored_arrays.find_colour_axis(a.shape) is not None
     }
     references = {k: a for k, a in images.items() if image_files.is_reference_key(k)}
     frames = {k: a for k, a in images.items() if k not in references}
@@ -52,7 +52,7 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
             f"the file holds a reference ({', '.join(references)}) and no frames", path
         )
     if not frames:
-        key = next(k for k, a in arrays.items() if colour_layouts.is_grey(a))
+        key = next(k for k, a in arrays.items() if stored_arrays.is_grey(a))
         raise FileProblem(
             f"{key} has shape {arrays[key].shape} and holds {arrays[key].dtype}: grey images, "
             "which are no depth, and "
@@ -78,7 +78,7 @@ def read_series(files: RecordingFiles, options: ReadOptions) -> Recording:
     """
     images = [file for file in files.images if not image_files.is_reference_file(file)]
     (first,) = read_arrays(images[0], "the first frame").values()
-    if not colour_layouts.split_stacks(first):
+    if not stored_arrays.split_stacks(first):
         return depth_arrays.read_array_folder(
             replace(files, images=tuple(images)), options, _read_one
         )
@@ -104,7 +104,7 @@ def _read_one(file: Path) -> NDArray[Any]:
 def _split(array: NDArray[Any], key: str, path: Path) -> tuple[ImageStack, ...]:
     if 0 in array.shape:
         raise FileProblem(f"{key} holds no frame", path, field=key)
-    stacks = colour_layouts.split_stacks(array)
+    stacks = stored_arrays.split_stacks(array)
     if not stacks:
         raise FileProblem(
             f"{key} must hold numbers of shape (frames, rows, cols, 3), got {array.dtype} of "
@@ -182,8 +182,8 @@ def _is_asked(stack: ImageStack, options: ReadOptions) -> bool:
 
 def _read_reference(base: ImageStack, frames: ImageStack, key: str, path: Path) -> Image:
     raw = base.read(0)
-    values = grey_scale.sample_values(frames.read, frames.n_frames)
-    scale = grey_scale.infer_grey_scale(raw.ravel(), key, path, of_reference=values)
+    values = stored_arrays.sample_values(frames.read, frames.n_frames)
+    scale = stored_arrays.infer_grey_scale(raw.ravel(), key, path, of_reference=values)
     if scale.is_difference:
         raise FileProblem(
             f"{key} holds a difference, which is no reference; leave it out", path, field=key
@@ -203,8 +203,8 @@ def make_array_source(
 
     `reference_values` are those of a stored reference. Raises FileProblem.
     """
-    values = grey_scale.sample_values(stack.read, stack.n_frames)
-    scale = grey_scale.infer_grey_scale(values, key, path, of_reference=reference_values)
+    values = stored_arrays.sample_values(stack.read, stack.n_frames)
+    scale = stored_arrays.infer_grey_scale(values, key, path, of_reference=reference_values)
     convert = scale.convert_difference if scale.is_difference else scale.convert_image
     return ImageSource(
         n_frames=stack.n_frames,

@@ -12,7 +12,6 @@ from pathlib import Path
 
 from pipeline.core.errors import FileProblem, escape_text
 from pipeline.core.files import read_arrays
-from pipeline.io.colour_layouts import find_colour_axis
 from pipeline.io.file_names import natural_sort_key, sort_series
 from pipeline.io.formats import (
     RecordingFiles,
@@ -22,6 +21,7 @@ from pipeline.io.formats import (
     list_suffixes,
 )
 from pipeline.io.image_files import is_image_file, is_reference_file
+from pipeline.io.stored_arrays import find_colour_axis
 
 PICKLE_SUFFIXES = frozenset({".pkl", ".pickle"})
 PICKLE_REFUSAL = (

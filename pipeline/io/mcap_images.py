@@ -21,9 +21,9 @@ from pipeline.core.arrays import Image
 from pipeline.core.errors import FileProblem, SettingProblem, TouchError
 from pipeline.core.files import require_file
 from pipeline.core.values.frames import Recording
-from pipeline.io.encoded_images import NO_DEPTH, decode_rgb, unpack_rgb
 from pipeline.io.formats import ReadOptions, RecordingFiles
 from pipeline.io.gel_streams import ImageSource, make_film, make_streams
+from pipeline.io.image_files import NO_DEPTH, decode_rgb, unpack_rgb
 from pipeline.io.mcap_records import McapChannel, McapFile, McapMessage
 
 PREVIEW_PROFILE = "tactoscope previews"  # profile of the files that are exported for viewers

@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 from pipeline.core.errors import FileProblem, SettingProblem, TouchError, escape_text
 from pipeline.core.files import read_json, require_file
 from pipeline.core.values.frames import Recording, Stream
-from pipeline.io import colour_layouts
+from pipeline.io import stored_arrays
 from pipeline.io.colour_arrays import make_array_source
-from pipeline.io.colour_layouts import ImageStack
-from pipeline.io.encoded_images import decode_rgb
 from pipeline.io.file_names import natural_sort_key
 from pipeline.io.formats import ReadOptions, RecordingFiles
 from pipeline.io.gel_streams import ImageSource, make_streams
+from pipeline.io.image_files import decode_rgb
+from pipeline.io.stored_arrays import ImageStack
 
 # in the place of an array
 _LEFT_OUT = re.compile(r"(^|/)next_obs/|depth|mask|segmentation", re.IGNORECASE)
@@ -186,7 +186,7 @@ def _make_stacks(array: Any, place: str, path: Path) -> tuple[ImageStack, ...]:
     """The images of each sensor in an array; () for other content."""
     if len(array.shape) < 3:
         return _make_encoded_stack(array, place, path)
-    stacks = colour_layouts.split_stacks(array)
+    stacks = stored_arrays.split_stacks(array)
     row_bytes = math.prod(array.shape[-3:]) * array.dtype.itemsize
     chunk_bytes = math.prod(array.chunks or (1,)) * array.dtype.itemsize
     if stacks and max(row_bytes, chunk_bytes) > _MAX_BYTES:

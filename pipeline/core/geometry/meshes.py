@@ -13,7 +13,7 @@ from pipeline.core.arrays import Doubles, Indices, freeze
 from pipeline.core.errors import FileProblem, MeshProblem, SettingProblem
 from pipeline.core.files import read_bytes
 from pipeline.core.geometry import urdf
-from pipeline.core.units import UNIT_MM
+from pipeline.core.params import UNIT_MM
 
 # extents of objects that a fingertip can touch: a screw to a long tool
 SMALLEST_MM = 1.0

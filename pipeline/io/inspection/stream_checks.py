@@ -17,8 +17,7 @@ from pipeline.core.geometry import rigid
 from pipeline.core.values.frames import Recording, TactileFrame, Truth
 from pipeline.core.values.pairing import compute_interval_s
 from pipeline.physics.reference_colours import compare_colours
-from pipeline.sensors.depth_unit import describe_unit_problem
-from pipeline.sensors.spec import SensorSpec
+from pipeline.sensors.spec import SensorSpec, describe_unit_problem
 
 CheckState = Literal["pass", "fail", "unknown"]
 
