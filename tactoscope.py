@@ -349,8 +349,8 @@ def save_alignment(touches: Translation, path: PathLike) -> None:
 
     Raises FileProblem.
     """
-    from pipeline.sensors.alignment_files import AlignmentFile
-    from pipeline.sensors.alignment_files import save_alignment as save
+    from pipeline.sensors.alignment import AlignmentFile
+    from pipeline.sensors.alignment import save_alignment as save
 
     origin = f"in use on {touches.recording.path.name}"
     names = touches.source.name, touches.target.name

@@ -49,8 +49,13 @@ from pipeline.lab.tracking.track_record import (
 )
 from pipeline.lab.training.object_sampling import SampleCache
 from pipeline.lab.training.state import TrainingState, load_state, save_state
-from pipeline.sensors.alignment import Alignment, Offsets
-from pipeline.sensors.alignment_files import AlignmentFile, load_alignment, save_alignment
+from pipeline.sensors.alignment import (
+    Alignment,
+    AlignmentFile,
+    Offsets,
+    load_alignment,
+    save_alignment,
+)
 from pipeline.stages.networks.weights import Weights, load_weights, save_weights
 from pipeline.translation.cross_section import SectionLine
 from pipeline.translation.reports.viewer_files import StageSample, write_mcap
@@ -799,7 +804,7 @@ WRITERS = {
     "pipeline/translation/reports/repro_bundle.py": "report",
     "pipeline/translation/reports/video.py": "no reader: its frames are counted before it is moved",
     "pipeline/translation/reports/viewer_files.py": "viewer file",
-    "pipeline/sensors/alignment_files.py": "alignment",
+    "pipeline/sensors/alignment.py": "alignment",
     "pipeline/lab/tasks/rollout_bundle.py": "report",
     "pipeline/lab/tracking/track_record.py": "track",
     "pipeline/lab/training/curves.py": "no reader: a table for people",

@@ -18,8 +18,7 @@ from app.window.logs import log
 from pipeline.core.arrays import Doubles
 from pipeline.core.errors import SettingProblem, TouchError
 from pipeline.core.geometry import rigid
-from pipeline.sensors.alignment import AXES, Axis, Offsets
-from pipeline.sensors.alignment_files import AlignmentFile, save_alignment
+from pipeline.sensors.alignment import AXES, AlignmentFile, Axis, Offsets, save_alignment
 from pipeline.translation.alignment.score import AlignmentScore
 from pipeline.translation.translate import Translation
 from widgets.style.styling import make_single_shot_timer

@@ -21,10 +21,9 @@ from app.session.state import Session
 from app.views.stage_previews import PreviewCache, SourcePreview, add_thumbnails, summarise_frame
 from app.views.target_comparison import TargetComparison, build_target_comparison
 from app.window.jobs import JobReporter
-from pipeline.core.cache import Cache
 from pipeline.core.errors import SettingProblem, TouchError
 from pipeline.core.graph import Graph, StageResult
-from pipeline.core.memo import Memo, measure_bytes
+from pipeline.core.memo import Cache, Memo, measure_bytes
 from pipeline.core.processes import release_free_memory
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthMap

@@ -15,7 +15,7 @@ from pipeline.core.graph import Method
 from pipeline.core.params import list_settings
 from pipeline.core.progress import Progress, reading_reported_to
 from pipeline.io import open_recording
-from pipeline.sensors.alignment_files import read_alignment
+from pipeline.sensors.alignment import read_alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.photometric import DepthParams
 from pipeline.stages.depth.stage import PHYSICS

@@ -23,7 +23,7 @@ from app.window.logs import LogRelay
 from app.window.main_window import MainWindow
 from pipeline.core.graph import Method
 from pipeline.core.params import list_settings
-from pipeline.sensors.alignment_files import AlignmentMismatch
+from pipeline.sensors.alignment import AlignmentMismatch
 from pipeline.stages.networks.samplers import raise_steps
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.translate import Request, Translation

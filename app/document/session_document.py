@@ -19,11 +19,11 @@ from app.window.logs import describe_error, log
 from app.window.main_window import MainWindow
 from app.window.screenshots import write_screenshot
 from pipeline.calibration.calibration_file import is_calibration_file
+from pipeline.core.digests import compute_fingerprint
 from pipeline.core.errors import FileProblem, TouchError
-from pipeline.core.fingerprints import compute_fingerprint
 from pipeline.lab.tasks.trial_rows import is_rollout_folder
 from pipeline.lab.tracking.track_record import is_track_folder
-from pipeline.sensors.alignment_files import read_alignment
+from pipeline.sensors.alignment import read_alignment
 from pipeline.sensors.descriptions import is_description
 from pipeline.translation.cross_section import SectionLine
 from widgets.style.notification_bar import Choice

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from app.session.state import PATH_FIELDS, Session
+from pipeline.core.digests import compute_fingerprint
 from pipeline.core.files import read_json
-from pipeline.core.fingerprints import compute_fingerprint
 
 _VARIANT = "variant."  # prefix of the files that the variant opens
 

@@ -27,7 +27,7 @@ from pipeline.core.errors import (
 )
 from pipeline.core.geometry.meshes import UnitProblem
 from pipeline.core.values.results import Cloud, DepthMap
-from pipeline.sensors.alignment_files import AlignmentMismatch
+from pipeline.sensors.alignment import AlignmentMismatch
 from pipeline.sensors.spec import list_sensor_titles, load_sensor
 from pipeline.translation.translate import Translation
 from widgets.style.notification_bar import Choice, NotificationBar

@@ -8,7 +8,7 @@ from types import TracebackType
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from app.window.dialogs import format_unit_problem
-from pipeline.core import error_log
+from pipeline.core import user_folders
 from pipeline.core.errors import TouchError
 from pipeline.core.geometry.meshes import UnitProblem
 
@@ -74,4 +74,4 @@ def describe_error(error: BaseException) -> tuple[str, str]:
     """
     if isinstance(error, TouchError):
         return format_unit_problem(error) if isinstance(error, UnitProblem) else str(error), ""
-    return error_log.format_sentence(error), error_log.format_details(error)
+    return user_folders.format_sentence(error), user_folders.format_details(error)

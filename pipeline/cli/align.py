@@ -16,7 +16,7 @@ from pipeline.cli.translation_options import Flag
 from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.files import check_folder_for
 from pipeline.core.frame_lists import parse_frames
-from pipeline.sensors.alignment_files import ALIGNMENT_SUFFIX, AlignmentFile, save_alignment
+from pipeline.sensors.alignment import ALIGNMENT_SUFFIX, AlignmentFile, save_alignment
 from pipeline.translation.alignment import refine as refinement
 from pipeline.translation.alignment.refine import (
     AlignmentFit,

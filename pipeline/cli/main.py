@@ -18,7 +18,7 @@ from cyclopts import App, CycloptsError
 
 from pipeline import __version__
 from pipeline.cli.terminal import print_error
-from pipeline.core import error_log
+from pipeline.core import user_folders
 from pipeline.core.errors import SettingProblem, TouchError, hint_decimal_comma
 
 EXIT_UNEXPECTED = 1
@@ -231,7 +231,7 @@ def run_app(app: App, tokens: list[str] | None = None) -> int:
             place = "the output" if error.filename is None else f"'{os.fsdecode(error.filename)}'"
             print_error(f"{error.strerror}: {place}")
             return EXIT_USER_ERROR
-        print_error(error_log.log_error(error))
+        print_error(user_folders.log_error(error))
         return EXIT_UNEXPECTED
     return code if isinstance(code, int) else 0
 

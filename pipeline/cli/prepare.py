@@ -85,21 +85,16 @@ def _translate_sample(
 
 
 def _build_geometry() -> None:
-    """Build the distance grid of a mesh, a rest surface from a mesh, and distances from both
-    kinds of rest surface.
-    """
-    from pipeline.core.geometry import distance_grid, mesh_membrane
+    """Build the distance grid of a mesh, and a rest surface from a mesh."""
+    from pipeline.core.geometry import distance_grid, membrane
     from pipeline.core.geometry.meshes import Mesh
     from pipeline.physics.simulation import shapes
-    from pipeline.sensors.spec import load_sensor
 
     corners = np.array([[x, y, 20.0] for y in (-5.0, 5.0) for x in (-5.0, 5.0)])
     sheet = Mesh(vertices_mm=corners, triangles=np.array([[0, 1, 2], [1, 3, 2]], np.int32))
-    mesh_membrane.make_mesh_membrane(sheet)
+    membrane.make_mesh_membrane(sheet)
     for mesh in (shapes.make_shape(_TOOL).mesh, sheet):
         distance_grid.build_grid(mesh)
-    for name in _PRESS_SENSORS:
-        load_sensor(name).membrane.signed_distance_mm(np.full((100_000, 3), 10.0, np.float32))
 
 
 def _simulate_presses() -> None:

@@ -13,8 +13,8 @@ from pipeline.cli.translation_options import split_list
 from pipeline.core.cluster import connect_cluster
 from pipeline.core.errors import FileProblem
 from pipeline.core.files import check_folder_for
+from pipeline.core.params import MeshUnit
 from pipeline.core.progress import SubProgress
-from pipeline.core.units import MeshUnit
 from pipeline.lab import recorder
 from pipeline.physics.simulation import datasets
 from pipeline.physics.simulation.datasets import SimulationPlan

@@ -22,7 +22,7 @@ from pipeline.cli.translation_options import (
     TargetName,
     TranslationOptions,
 )
-from pipeline.core import compiling, error_log
+from pipeline.core import compiling, user_folders
 from pipeline.core.cluster import connect_cluster
 from pipeline.core.errors import SettingProblem, TouchError, escape_text
 from pipeline.core.files import check_folder
@@ -407,7 +407,7 @@ def _translate_frame(
         return False, FinishedFrame(report=report.without_arrays, key=key, pose=_get_pose(report))
     except Exception as error:  # noqa: BLE001 - whatever one frame does, the others are translated
         is_user_error = isinstance(error, TouchError)
-        problem = str(error) if is_user_error else error_log.log_error(error)
+        problem = str(error) if is_user_error else user_folders.log_error(error)
     report = FrameReport(
         index=index, results={}, metrics={}, problem=problem, is_user_error=is_user_error
     )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from pipeline.core.errors import SettingProblem, UnknownSensor
-from pipeline.core.units import MeshUnit
+from pipeline.core.params import MeshUnit
 from pipeline.io.formats import describe_formats
 
 if TYPE_CHECKING:

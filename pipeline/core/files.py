@@ -1,7 +1,8 @@
 """Write files atomically, and read only regular files.
 
 Files are written under a temporary name in the same folder, flushed to disk, read back and then
-renamed: what cannot be opened again replaces nothing.
+renamed: what cannot be opened again replaces nothing. A few bytes can state, or unfold to,
+gigabytes: every reader compares what a file states with `require_budget` before reading.
 """
 
 import contextlib
@@ -27,11 +28,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.errors import FileProblem, TouchError
-from pipeline.core.read_budget import require_budget
 
 FileReader = Callable[[Path], object]  # raises TouchError for a file that it cannot read
 
 MOST_BYTES = 2 << 30  # of one image or mesh
+_MOST_HELD_BYTES = 1 << 30  # of what is held in memory at once of one file, unfolded
+MOST_NETWORK_BYTES = 1_400_000_000  # of a network's numbers; the largest that is known takes 1.3 GB
 MOST_TEXT_BYTES = 16 << 20  # of a description, an alignment or a session, which are a few kB
 _POINTER_START = b"version https://git-lfs"
 _TOML_FILES = {  # a key that only such a file has -> what reads it, and what a user does with it
@@ -517,3 +519,19 @@ def _to_json(value: object) -> object:
     if isinstance(value, np.integer):
         return int(value)
     return value
+
+
+def require_budget(
+    n_bytes: int, what: str, path: Path, *, field: str | None = None, most: int = _MOST_HELD_BYTES
+) -> None:
+    """Raise FileProblem where `what`, which the file states to unfold to `n_bytes`, is beyond
+    the budget.
+    """
+    if n_bytes > most:
+        raise FileProblem(
+            f"{what} would take {n_bytes / 1e9:.1f} GB of memory, more than the {most / 1e9:.1f} "
+            "GB that a file may; "
+            "it is damaged, or has to be split",
+            path,
+            field=field,
+        )

@@ -21,10 +21,9 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, TypeVarTuple, 
 import xxhash
 
 from pipeline.core import compiling
-from pipeline.core.cache import Cache, CacheEntry
 from pipeline.core.digests import DigestCache, compute_digest
 from pipeline.core.errors import ChangeNote, SettingProblem, StageWarning, select_warnings
-from pipeline.core.memo import measure_bytes
+from pipeline.core.memo import Cache, CacheEntry, measure_bytes
 from pipeline.core.params import is_draft
 from pipeline.core.progress import SILENT, Progress, SubProgress
 

@@ -9,7 +9,7 @@ import math
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Container, Hashable
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, Generic, ParamSpec, TypeVar, cast
 
 import numpy as np
@@ -19,6 +19,7 @@ K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
 P = ParamSpec("P")
 
+DEFAULT_MAX_BYTES = 512 * 1024 * 1024  # of the stages' results
 MOST_BYTES = 64 * 1024 * 1024  # of one memo: two dozen values of the size of an image
 
 
@@ -170,3 +171,22 @@ def _weigh(value: object, counted: set[int]) -> int:
 def field_names(kind: type) -> tuple[str, ...] | None:
     """Return the field names of a dataclass; None for any other type."""
     return tuple(f.name for f in fields(kind)) if is_dataclass(kind) else None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CacheEntry:
+    """One stage's output under its key."""
+
+    output: object
+    digest: str
+    n_bytes: int
+    skip_reason: str = ""  # why nothing had to be computed; "" = it was
+    fallback: str = ""  # why another method gave the result; "" = it did not
+    ends_chain: bool = False  # of a node: whether its output is that of the whole chain
+
+
+class Cache(Memo[str, CacheEntry]):
+    """Key -> CacheEntry, safe to share between threads."""
+
+    def __init__(self, max_bytes: int = DEFAULT_MAX_BYTES) -> None:
+        super().__init__(most_bytes=max_bytes, weigh=lambda entry: entry.n_bytes)

@@ -6,12 +6,14 @@ The command line's `--set stage.field=value` and the app's controls are derived 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, TypeVar, cast, get_args
+from typing import Any, Literal, TypeVar, cast, get_args
 
 from pipeline.core.errors import SettingProblem, hint_decimal_comma
 
 P = TypeVar("P")
 Value = bool | int | float | str
+MeshUnit = Literal["auto", "mm", "cm", "m", "in", "inch"]  # of a mesh file, which does not state it
+UNIT_MM: Mapping[str, float] = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "inch": 25.4}
 
 _KINDS: dict[type, str] = {
     bool: "on or off",

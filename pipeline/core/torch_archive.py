@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from pipeline.core.errors import FileProblem, is_utf8_encodable
-from pipeline.core.files import describe_os_error, require_file
-from pipeline.core.read_budget import require_budget
+from pipeline.core.files import describe_os_error, require_budget, require_file
 
 SIGNATURE = b"PK\x03\x04"  # first bytes of an archive; before torch 1.6 a file is several pickles
 PICKLE_SIGNATURE = b"\x80"  # a pickle's protocol mark

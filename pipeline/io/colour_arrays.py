@@ -1,10 +1,9 @@
 """Images of a gel as arrays: `.npy` or `.npz` files, or a folder with one `.npy` file a frame.
 
-Numbers are bytes, 0 to 1, -1 to 1, 0 to 255 or signed differences (`grey_scale`); an array may hold
-the images of several sensors (`colour_layouts`).
+Numbers are bytes, 0 to 1, -1 to 1, 0 to 255 or signed differences, and an array may hold the images
+of several sensors (`stored_arrays`).
 """
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,21 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.core.arrays import Doubles, Floats, Image
+from pipeline.core.arrays import Doubles, Image
 from pipeline.core.errors import FileProblem, SettingProblem, escape_text
 from pipeline.core.files import read_arrays
-from pipeline.core.values.frames import Recording, Stream, TactileFrame
-from pipeline.io import colour_layouts, depth_arrays, file_names, grey_scale, image_files
-from pipeline.io.colour_layouts import ImageStack
-from pipeline.io.formats import ReadOptions, RecordingFiles, with_index_check
-from pipeline.io.gel_images import estimate_no_change_grey, make_gel_converter, require_colour
-from pipeline.io.reference_images import (
-    describe_first_reference,
-    find_first_reference,
-    sample_frames,
-)
-
-_N_COLOUR = 3  # frames that show whether a stack is in colour
+from pipeline.core.values.frames import Recording, Stream
+from pipeline.io import depth_arrays, file_names, image_files, stored_arrays
+from pipeline.io.formats import ReadOptions, RecordingFiles
+from pipeline.io.gel_streams import ImageSource, make_gel_stream
+from pipeline.io.stored_arrays import ImageStack
 
 
 def is_colour_file(files: RecordingFiles) -> bool:
@@ -36,7 +28,7 @@ def is_colour_file(files: RecordingFiles) -> bool:
     """
     arrays = read_arrays(files.path, "the recording")
     return not any("depth" in key.lower() for key in arrays) and any(
-        colour_layouts.find_colour_axis(a.shape) is not None or colour_layouts.is_grey(a)
+        stored_arrays.find_colour_axis(a.shape) is not None or stored_arrays.is_grey(a)
         for a in arrays.values()
     )
 
@@ -51,7 +43,7 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     path = files.path
     arrays = read_arrays(files.path, "the recording")
     images = {
-        k: a for k, a in arrays.items() if colour_layouts.find_colour_axis(a.shape) is not None
+        k: a for k, a in arrays.items() if stored_arrays.find_colour_axis(a.shape) is not None
     }
     references = {k: a for k, a in images.items() if image_files.is_reference_key(k)}
     frames = {k: a for k, a in images.items() if k not in references}
@@ -60,7 +52,7 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
             f"the file holds a reference ({', '.join(references)}) and no frames", path
         )
     if not frames:
-        key = next(k for k, a in arrays.items() if colour_layouts.is_grey(a))
+        key = next(k for k, a in arrays.items() if stored_arrays.is_grey(a))
         raise FileProblem(
             f"{key} has shape {arrays[key].shape} and holds {arrays[key].dtype}: grey images, "
             "which are no depth, and "
@@ -86,7 +78,7 @@ def read_series(files: RecordingFiles, options: ReadOptions) -> Recording:
     """
     images = [file for file in files.images if not image_files.is_reference_file(file)]
     (first,) = read_arrays(images[0], "the first frame").values()
-    if not colour_layouts.split_stacks(first):
+    if not stored_arrays.split_stacks(first):
         return depth_arrays.read_array_folder(
             replace(files, images=tuple(images)), options, _read_one
         )
@@ -112,7 +104,7 @@ def _read_one(file: Path) -> NDArray[Any]:
 def _split(array: NDArray[Any], key: str, path: Path) -> tuple[ImageStack, ...]:
     if 0 in array.shape:
         raise FileProblem(f"{key} holds no frame", path, field=key)
-    stacks = colour_layouts.split_stacks(array)
+    stacks = stored_arrays.split_stacks(array)
     if not stacks:
         raise FileProblem(
             f"{key} must hold numbers of shape (frames, rows, cols, 3), got {array.dtype} of "
@@ -145,27 +137,33 @@ def _make_recording(
     notes = list[str]()
     for number, stack in enumerate(stacks):
         base = bases[min(number, len(bases) - 1)] if bases else None
-        reference = None
-        about = ""
-        values = None if base is None else base.read(0)
-        if options.reference is not None and (not is_shared or _is_asked(stack, options)):
-            reference = image_files.read_rgb(options.reference)
-            about = f"{options.reference.name} is the reference"
-        elif base is not None:
-            reference = _read_reference(base, stack, reference_key, path)
-            about = f"{escape_text(reference_key)} is the reference"
-        stream, own = make_array_stream(
+        own = options
+        if is_shared and not _is_asked(stack, options):
+            own = replace(options, reference=None)
+        source = make_array_source(
             stack,
             key,
             path,
-            options,
-            reference=reference,
-            reference_values=values,
-            about=about,
             times_s=times_s,
+            reference_values=None if base is None else base.read(0),
         )
+        reference = None
+        if base is not None and own.reference is None:
+            reference = _read_reference(base, stack, reference_key, path)
+        if (reference is not None or own.reference is not None) and source.read(
+            0
+        ).dtype != np.uint8:
+            raise FileProblem(
+                f"{key} holds differences, which need no reference; leave it out", path, field=key
+            )
+        about = (f"{escape_text(reference_key)} is the reference",)
+        stream, own_notes = make_gel_stream(
+            source, path, own, name="", reference=reference, about=about
+        )
+        if stack.name:
+            stream = replace(stream, name=f"{stream.name}_{stack.name}")
         streams.append(stream)
-        notes += [f"{stream.name}: {note}" if len(stacks) > 1 else note for note in own]
+        notes += [f"{stream.name}: {note}" if len(stacks) > 1 else note for note in own_notes]
     notes += (
         [f"{escape_text(key)} holds the images of {len(stacks)} sensors"] if len(stacks) > 1 else []
     )
@@ -178,14 +176,14 @@ def _make_recording(
 
 
 def _is_asked(stack: ImageStack, options: ReadOptions) -> bool:
-    """Whether the user names this stream: `make_array_stream` puts its sensor before it."""
+    """Whether the user names this stream, whose sensor stands before it."""
     return stack.name == options.stream.rpartition("_")[2]
 
 
 def _read_reference(base: ImageStack, frames: ImageStack, key: str, path: Path) -> Image:
     raw = base.read(0)
-    values = grey_scale.sample_values(frames.read, frames.n_frames)
-    scale = grey_scale.infer_grey_scale(raw.ravel(), key, path, of_reference=values)
+    values = stored_arrays.sample_values(frames.read, frames.n_frames)
+    scale = stored_arrays.infer_grey_scale(raw.ravel(), key, path, of_reference=values)
     if scale.is_difference:
         raise FileProblem(
             f"{key} holds a difference, which is no reference; leave it out", path, field=key
@@ -193,68 +191,25 @@ def _read_reference(base: ImageStack, frames: ImageStack, key: str, path: Path) 
     return scale.convert_image(raw, key, path)
 
 
-def make_array_stream(
+def make_array_source(
     stack: ImageStack,
     key: str,
     path: Path,
-    options: ReadOptions,
     *,
-    reference: Image | None = None,
-    reference_values: NDArray[np.generic] | None = None,
-    about: str = "",
     times_s: Doubles | None = None,
-    name: str = "",
-) -> tuple[Stream, tuple[str, ...]]:
-    """The images of one sensor as a stream, and notes.
+    reference_values: NDArray[np.generic] | None = None,
+) -> ImageSource:
+    """The images of one sensor in grey levels.
 
-    `about` is the note on its `reference`, if one is known.
-
-    `reference_values` are those of a stored reference. `name` may hold that of a sensor. Raises
-    FileProblem.
+    `reference_values` are those of a stored reference. Raises FileProblem.
     """
-    if reference is not None and reference.shape[:2] != stack.shape:
-        raise FileProblem(
-            f"the reference has shape {reference.shape}, the frames {(*stack.shape, 3)}", path
-        )
-    values = grey_scale.sample_values(stack.read, stack.n_frames)
-    scale = grey_scale.infer_grey_scale(values, key, path, of_reference=reference_values)
-    if scale.is_difference and reference is not None:
-        raise FileProblem(
-            f"{key} holds differences, which need no reference; leave it out", path, field=key
-        )
-
-    def read_image(index: int) -> Image:
-        return scale.convert_image(stack.read(index), f"frame {index} of {key}", path)
-
-    def read_raw(index: int) -> Image | Floats:
-        if not scale.is_difference:
-            return read_image(index)
-        return scale.convert_difference(stack.read(index), f"frame {index} of {key}", path)
-
-    if not scale.is_difference:
-        require_colour(
-            (image for _, image in sample_frames(read_image, stack.n_frames, _N_COLOUR)), path
-        )
-        if reference is None and estimate_no_change_grey(read_image(0)) is None:
-            reference, start, n_averaged = find_first_reference(read_image, stack.n_frames)
-            if reference is not None:
-                about = describe_first_reference("frame {}".format, start, n_averaged)
-    converter = make_gel_converter(
-        options.sensor, stack.shape, reference, lambda: read_raw(0), file_names=(name,)
-    )
-    if converter.implied_reference is None:
-        about = about or image_files.NO_REFERENCE_NOTE
-
-    def frame(index: int) -> TactileFrame:
-        time_s = math.nan if times_s is None else float(times_s[index])
-        return converter.make_frame(read_raw(index), index, f"{path} [{key} {index}]", time_s)
-
-    label = "_".join(part for part in (name or converter.sensor or "images", stack.name) if part)
-    stream = Stream(
-        name=label,
-        sensor=converter.sensor,
+    values = stored_arrays.sample_values(stack.read, stack.n_frames)
+    scale = stored_arrays.infer_grey_scale(values, key, path, of_reference=reference_values)
+    convert = scale.convert_difference if scale.is_difference else scale.convert_image
+    return ImageSource(
         n_frames=stack.n_frames,
-        frame=with_index_check(frame, stack.n_frames, path),
+        read=lambda index: convert(stack.read(index), f"frame {index} of {key}", path),
+        origin=lambda index: f"{path} [{key} {index}]",
         times_s=times_s,
+        notes=(scale.note,) if scale.note else (),
     )
-    return stream, tuple(note for note in (*converter.notes, scale.note, about) if note)

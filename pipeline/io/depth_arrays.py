@@ -21,11 +21,10 @@ from pipeline.core.errors import CalibrationError, FileProblem, escape_text
 from pipeline.core.files import read_arrays
 from pipeline.core.geometry.camera import Camera, make_camera
 from pipeline.core.values.frames import Recording, Stream, TactileFrame
-from pipeline.io import colour_layouts, file_names, image_files, resampling
+from pipeline.io import file_names, image_files, resampling, stored_arrays
 from pipeline.io.formats import DepthUnit, ReadOptions, RecordingFiles, with_index_check
 from pipeline.io.sensor_guess import resolve_sensor_name
-from pipeline.sensors.depth_unit import describe_unit_problem, find_unit_factor
-from pipeline.sensors.spec import SensorSpec, load_sensor
+from pipeline.sensors.spec import SensorSpec, describe_unit_problem, find_unit_factor, load_sensor
 
 _MM_PER_UNIT: Mapping[str, float] = {"mm": 1.0, "m": 1000.0, "0.1mm": 0.1, "um": 0.001}
 _UNIT_SUFFIX = re.compile(
@@ -140,7 +139,10 @@ def _make_recording(files: RecordingFiles, stack: _DepthStack, options: ReadOpti
                     f"the reference {problem}; convert it to that of the frames", options.reference
                 )
     elif n > 1:
-        reference, about = estimate_reference(stack.depth_mm, n)
+        n_first = min(_N_REFERENCE_FRAMES, max(1, n // 6))
+        which = "the first frame" if n_first == 1 else f"the median of the first {n_first} frames"
+        about = f"{which} is taken as the reference"
+        reference = compute_median_depth(np.stack([stack.depth_mm(i) for i in range(n_first)]))
     else:
         about = "one depth image has no reference; name one with --reference"
 
@@ -190,17 +192,6 @@ def _check_unit(stack: _DepthStack, first: Floats, spec: SensorSpec) -> None:
         raise FileProblem(
             f"{stack.key}, read in {stack.unit}, {problem}; {remedy}", stack.path, field=stack.key
         )
-
-
-def estimate_reference(depth_mm: Callable[[int], Floats], n_frames: int) -> tuple[Floats, str]:
-    """(median depth (rows, cols) in mm of the first frames, note that says so), for a recording
-    without reference.
-    """
-    n = min(_N_REFERENCE_FRAMES, max(1, n_frames // 6))
-    which = "the first frame" if n == 1 else f"the median of the first {n} frames"
-    return compute_median_depth(
-        np.stack([depth_mm(i) for i in range(n)])
-    ), f"{which} is taken as the reference"
 
 
 def read_depth_image(path: Path, unit: DepthUnit = "auto") -> Floats:
@@ -282,7 +273,7 @@ def _check_images(array: NDArray[Any], key: str, path: Path) -> NDArray[Any]:
     """
     images = array[None] if array.ndim == 2 else array
     images = images[..., 0] if images.ndim == 4 and images.shape[-1] == 1 else images
-    if colour_layouts.is_grey(images):
+    if stored_arrays.is_grey(images):
         raise FileProblem(
             f"{key} holds {images.dtype}, which is too coarse for depth: these are grey images or "
             "masks, "

@@ -1,8 +1,8 @@
 """Find the recording in a folder, or deeper in the tree of a data set.
 
 Known trees: frames in a folder of their own (YCB-Slide, next to films and drawings), each press in
-a folder of its own (calibrations of gs_sdk and gelslam), reference images in `bgs` (Sparsh), point
-clouds in `expand` (Punyo). Nothing is unpickled.
+a folder of its own (calibrations of gs_sdk and gelslam), reference images in `bgs` (Sparsh).
+Nothing is unpickled.
 """
 
 import math
@@ -12,7 +12,6 @@ from pathlib import Path
 
 from pipeline.core.errors import FileProblem, escape_text
 from pipeline.core.files import read_arrays
-from pipeline.io.colour_layouts import find_colour_axis
 from pipeline.io.file_names import natural_sort_key, sort_series
 from pipeline.io.formats import (
     RecordingFiles,
@@ -22,6 +21,7 @@ from pipeline.io.formats import (
     list_suffixes,
 )
 from pipeline.io.image_files import is_image_file, is_reference_file
+from pipeline.io.stored_arrays import find_colour_axis
 
 PICKLE_SUFFIXES = frozenset({".pkl", ".pickle"})
 PICKLE_REFUSAL = (
@@ -29,8 +29,8 @@ PICKLE_REFUSAL = (
     "the images as PNG "
     "files, or the arrays with numpy.savez"
 )
-# hold a sensor's images or clouds, whatever lies next to them
-_FRAME_FOLDERS = ("frames", "tactile_images", "expand")
+# hold a sensor's images, whatever lies next to them
+_FRAME_FOLDERS = ("frames", "tactile_images")
 _TACTILE_FOLDER = re.compile(r"tactile|touch|digit|gel|finger", re.IGNORECASE)
 # no sensor's
 _OTHER_FOLDERS = frozenset(

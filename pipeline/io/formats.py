@@ -240,13 +240,6 @@ FORMATS = (  # of formats that share a suffix the first that matches is used
         applies_options=True,
         reader=f"{_READERS}.image_folder:read",
     ),
-    RecordingFormat(
-        key="point_clouds",
-        title="Punyo point clouds",
-        content="depth images and camera",
-        reader=f"{_READERS}.point_clouds:read",
-        folder=f"{_READERS}.point_clouds:is_cloud_folder",
-    ),
 )
 _registered: list[RecordingFormat] = []
 

@@ -1,17 +1,19 @@
 """Read tactoscope recordings frame by frame; a damaged frame does not affect the others."""
 
+from __future__ import annotations
+
 import io
 import mmap
 import os
 import struct
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.core.arrays import freeze
+from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.errors import CalibrationError, FileProblem, TouchError, escape_text
 from pipeline.core.files import require_file
 from pipeline.core.geometry import rigid
@@ -19,15 +21,19 @@ from pipeline.core.geometry.camera import Camera, make_camera
 from pipeline.core.geometry.meshes import Mesh, validate_mesh
 from pipeline.core.values.frames import Pairing, Recording, Stream, TactileFrame, Truth
 from pipeline.io import hdf5_layout as layout
-from pipeline.io import hdf5_symmetry
 from pipeline.io import hdf5_validation as validation
 from pipeline.io.formats import with_index_check
+
+if TYPE_CHECKING:  # imported on use
+    from pipeline.core.geometry.symmetry import Symmetry
 
 T = TypeVar("T")
 
 NOT_CLOSED_NOTE = "the recording was not closed: it is being written, or its program was killed"
 TRUNCATED_NOTE = "the file is cut short"
 DAMAGED_NOTE = "cannot be read: that part of the file is damaged"
+_MAX_ROTATIONS = 1000  # of a symmetry; an icosahedron has 60
+_ROUNDING = 1e-6  # largest entry of R^T R - 1, and of |axis| - 1
 TRUTH_TABLE_TITLE = "the table of known truth"
 
 
@@ -89,7 +95,7 @@ def _read_recording(file: Any, path: Path, notes: list[str]) -> Recording:
     symmetry = None
     if mesh is not None:
         symmetry = _read_or_default(
-            lambda: hdf5_symmetry.read(file["object"], path), None, "the object's symmetry", lost
+            lambda: _read_symmetry(file["object"], path), None, "the object's symmetry", lost
         )
     pairs = file.get("pairings", {})
     pairings = tuple(_read_pairing(pairs, key, path) for key in pairs)
@@ -271,6 +277,39 @@ def _read_mesh(group: Any, path: Path) -> Mesh:
         triangles=freeze(triangles.astype(np.int32)),
         name=validation.read_text_line(group, "name", path),
     )
+
+
+def _read_symmetry(group: Any, path: Path) -> Symmetry | None:
+    """The symmetry of the object; None where the recording has none.
+
+    Raises FileProblem for matrices that are no rotations, an axis of another length than 1, or a
+    missing identity.
+    """
+    if "symmetry" not in group:
+        return None
+    from pipeline.core.geometry.symmetry import Symmetry
+
+    def load(key: str, shape: tuple[int | None, ...]) -> Doubles:
+        kinds = validation.FLOAT_KINDS
+        stored = validation.require_dataset(group["symmetry"], key, "1", kinds, shape, path)
+        return freeze(stored[: _MAX_ROTATIONS + 1].astype(np.float64))
+
+    rotations = load("rotations", (None, 3, 3))
+    axis = load("axis", (3,)) if "axis" in group["symmetry"] else None
+    is_valid = (
+        0 < len(rotations) <= _MAX_ROTATIONS
+        and np.allclose(rotations.transpose(0, 2, 1) @ rotations, np.eye(3), 0.0, _ROUNDING)
+        and (np.linalg.det(rotations) > 0).all()
+        and np.allclose(rotations[0], np.eye(3), 0.0, _ROUNDING)
+        and (axis is None or abs(np.linalg.norm(axis) - 1.0) < _ROUNDING)
+    )
+    if not is_valid:
+        raise FileProblem(
+            "the object's symmetry must be rotations that begin with the identity",
+            path,
+            field="object/symmetry",
+        )
+    return Symmetry(rotations=rotations, axis=axis)
 
 
 def _read_pairing(pairs: Any, key: str, path: Path) -> Pairing:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from pipeline.core.errors import FileProblem, escape_text
-from pipeline.core.read_budget import require_budget
+from pipeline.core.files import require_budget
 from pipeline.io import hdf5_layout as layout
 
 MAX_OBJECTS = 2_000  # groups and datasets; a recording of twenty sensors has three hundred

@@ -19,7 +19,7 @@ from pipeline.core.errors import ShapeError
 from pipeline.core.files import open_atomic
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.values.frames import Pairing, TactileFrame, Truth
-from pipeline.io import hdf5, hdf5_symmetry
+from pipeline.io import hdf5
 from pipeline.io import hdf5_layout as layout
 from pipeline.io.hdf5_layout import Coding
 
@@ -70,7 +70,13 @@ class RecordingWriter:
                 _write_dataset(group, "vertices", object_mesh.vertices_mm, "mm")
                 _write_dataset(group, "triangles", object_mesh.triangles, "1")
                 if symmetry is not None:
-                    hdf5_symmetry.write(group, symmetry)
+                    turns = group.create_group("symmetry")
+                    for key, values in (("rotations", symmetry.rotations), ("axis", symmetry.axis)):
+                        if values is not None:
+                            dataset = turns.create_dataset(
+                                key, data=values, chunks=values.shape, fletcher32=True
+                            )
+                            dataset.attrs["unit"] = layout.UNITS[f"symmetry/{key}"]
             for k, pair in enumerate(pairings):
                 dataset = _write_dataset(
                     self._file.require_group("pairings"), str(k), pair.target_from_source, "mm"

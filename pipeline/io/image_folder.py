@@ -2,7 +2,6 @@
 set.
 """
 
-import math
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -16,18 +15,14 @@ from pipeline.core.errors import FileProblem, SettingProblem, escape_text
 from pipeline.core.values.frames import Recording, Stream, TactileFrame
 from pipeline.io import file_names, image_files
 from pipeline.io.formats import ReadOptions, RecordingFiles, with_index_check
-from pipeline.io.gel_images import estimate_no_change_grey, make_gel_converter, require_colour
+from pipeline.io.gel_streams import ImageSource, make_gel_stream
 from pipeline.io.reference_images import (
     compute_block_means,
     denoise_reference,
-    describe_first_reference,
-    find_first_reference,
     read_until_damaged,
     sample_frames,
 )
 
-# images whose size is compared with the reference's, and that show whether they are in colour
-_N_COMPARED = 3
 _N_LIGHT = 9  # images of a series whose median is its light
 # median change between the light of two sensors; times that within a series
 _LIGHT_GREY = 6.0
@@ -118,61 +113,36 @@ def _read_series(
 
     `name` tells it from others, "" where it is alone.
     """
-    reference_file = options.reference or next(iter(references), None)
-    reference = None if reference_file is None else image_files.read_rgb(reference_file)
-    shape = (_read_first(images) if reference is None else reference).shape
-    if reference_file is not None and not _has_shape(images[:_N_COMPARED], shape):
-        other = _read_first(images).shape
-        raise FileProblem(
-            f"the reference image is {shape[1]} x {shape[0]} px, the others are {other[1]} x "
-            f"{other[0]} px; give one "
-            "of that size as --reference",
-            reference_file,
-        )
 
     def read_raw(index: int) -> Image:
-        return _read_of_shape(images[index], shape, index)
+        try:
+            return image_files.read_rgb(images[index])
+        except FileProblem as error:
+            error.field = f"frame {index}"
+            raise
 
-    require_colour((image for _, image in sample_frames(read_raw, len(images), _N_COMPARED)), path)
-    start = 0
-    n_averaged = 0
-    if reference is not None and options.reference is None:
+    file = None if options.reference else next(iter(references), None)
+    reference = None
+    about = tuple[str, ...]()
+    if file is not None:
         reference, n_averaged = denoise_reference(
-            reference, read_until_damaged(image_files.read_rgb, images)
+            image_files.read_rgb(file), read_until_damaged(image_files.read_rgb, images)
         )
-    elif reference is None and estimate_no_change_grey(_read_first(images)) is None:
-        reference, start, n_averaged = find_first_reference(read_raw, len(images))
-    converter = make_gel_converter(
-        options.sensor,
-        (shape[0], shape[1]),
-        reference,
-        lambda: _read_first(images),
-        file_names=[p.stem for p in images],
-    )
-
-    def frame(index: int) -> TactileFrame:
-        time_s = math.nan if times_s is None else float(times_s[index])
-        return converter.make_frame(read_raw(index), index, str(images[index]), time_s)
-
-    stream = Stream(
-        name=name or converter.sensor or "images",
-        sensor=converter.sensor,
+        alike = f", as the median with the first {n_averaged} frames" if n_averaged else ""
+        about = (f"{file.name} is the reference{alike}",)
+        if len(references) > 1:
+            others = ", ".join(p.name for p in references if p != file)
+            about += (f"other reference images are left out: {others}",)
+    source = ImageSource(
         n_frames=len(images),
-        frame=with_index_check(frame, len(images), path),
+        read=read_raw,
+        files=images,
         times_s=times_s,
+        notes=() if times_s is None else ("the times are those in the names of the files",),
     )
-    about = () if times_s is None else ("the times are those in the names of the files",)
-    if converter.implied_reference is not None:
-        return stream, (*converter.notes, *about)
-    if reference_file is None and reference is not None:
-        about += (
-            describe_first_reference(
-                lambda index: escape_text(images[index].name), start, n_averaged
-            ),
-        )
-    else:
-        about += _describe_reference(reference_file, references, n_averaged)
-    return stream, (*converter.notes, *about)
+    return make_gel_stream(
+        source, path, options, name=name, reference=reference, reference_file=file, about=about
+    )
 
 
 def _select_references(
@@ -212,51 +182,6 @@ def _require_one_light(series: Mapping[str, list[Path]], path: Path) -> None:
 
 def _make_reader(files: Sequence[Path]) -> Callable[[int], Image]:
     return lambda index: image_files.read_rgb(files[index])
-
-
-def _read_first(images: list[Path]) -> Image:
-    """The first image that can be read, so that one damaged file does not hide the others."""
-    problem: FileProblem | None = None
-    for file in images:
-        try:
-            return image_files.read_rgb(file)
-        except FileProblem as error:
-            problem = problem or error
-    assert problem is not None
-    raise problem
-
-
-def _has_shape(images: list[Path], shape: tuple[int, ...]) -> bool:
-    """Whether one of the images has this shape; True if none can be read."""
-    shapes = [image.shape for image in read_until_damaged(image_files.read_rgb, images)]
-    return not shapes or shape in shapes
-
-
-def _read_of_shape(file: Path, shape: tuple[int, ...], index: int) -> Image:
-    try:
-        image = image_files.read_rgb(file)
-    except FileProblem as error:
-        error.field = f"frame {index}"
-        raise
-    if image.shape != shape:
-        raise FileProblem(
-            f"frame {index} is {image.shape[1]} x {image.shape[0]} px, the others are {shape[1]} "
-            f"x {shape[0]} px",
-            file,
-            field=f"frame {index}",
-        )
-    return image
-
-
-def _describe_reference(
-    reference: Path | None, references: Sequence[Path], n_averaged: int
-) -> tuple[str, ...]:
-    if reference is None:
-        return (image_files.NO_REFERENCE_NOTE,)
-    unused = [p.name for p in references if p != reference]
-    more = (f"other reference images are left out: {', '.join(unused)}",) if unused else ()
-    alike = f", as the median with the first {n_averaged} frames" if n_averaged else ""
-    return (f"{reference.name} is the reference{alike}", *more)
 
 
 # words before the first digit and after the last one

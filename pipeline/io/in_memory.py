@@ -17,8 +17,7 @@ from pipeline.core.values.frames import Recording, Stream, TactileFrame
 from pipeline.io.depth_arrays import read_depth_image
 from pipeline.io.formats import with_index_check
 from pipeline.io.image_files import read_rgb
-from pipeline.sensors.depth_unit import describe_unit_problem
-from pipeline.sensors.spec import SensorSpec
+from pipeline.sensors.spec import SensorSpec, describe_unit_problem
 
 PathLike: TypeAlias = "str | os.PathLike[str]"
 PATH = Path("arrays")  # what messages call it

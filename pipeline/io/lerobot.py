@@ -2,8 +2,10 @@
 images in parquet tables.
 """
 
+import json
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -13,22 +15,14 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 
-from pipeline.core.arrays import Image
-from pipeline.core.errors import FileProblem, StageWarning
-from pipeline.core.files import read_json, require_file
+from pipeline.core.arrays import Doubles, Image, Indices, freeze
+from pipeline.core.errors import FileProblem, SettingProblem, StageWarning
+from pipeline.core.files import read_bytes, read_json, require_budget, require_file
 from pipeline.core.typed_data import Name, convert
 from pipeline.core.values.frames import Recording
-from pipeline.io.encoded_images import decode_rgb
 from pipeline.io.formats import ReadOptions, RecordingFiles
-from pipeline.io.image_sequence import ImageSequence
-from pipeline.io.lerobot_episodes import (
-    NO_FRAME,
-    import_parquet,
-    list_episodes,
-    list_videos,
-    require_group_budget,
-)
-from pipeline.io.stream_choice import make_streams
+from pipeline.io.gel_streams import ImageSource, make_film, make_streams
+from pipeline.io.image_files import decode_rgb
 from pipeline.io.video import VideoDecoder
 
 _INFO = Path("meta") / "info.json"
@@ -52,7 +46,7 @@ def is_data_set(folder: Path) -> bool:
 
 
 def read(files: RecordingFiles, options: ReadOptions) -> Recording:
-    """All cameras that record touch, see `stream_choice.make_streams`; episodes follow each other.
+    """All cameras that record touch, see `gel_streams.make_streams`; episodes follow each other.
 
     Raises FileProblem, and SettingProblem where a package for parquet is missing.
     """
@@ -67,25 +61,22 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     }
     if not kinds:
         raise FileProblem("the data set has no camera", path / _INFO, field="features")
-    videos = list[_Videos]()
+    closing = ExitStack()
 
-    def open_camera(name: str) -> ImageSequence:
+    def open_camera(name: str) -> ImageSource:
         if kinds[name] == "image":
-            return _TableImages(path, name, info.fps)
-        videos.append(_Videos(path, name, info.fps))
-        return videos[-1]
+            table = _TableImages(path, name)
+            n, frame = table.n_frames, table.frame
+        else:
+            n, frame = _open_videos(path, name, info.fps, closing)
+        return make_film(path, n, frame, np.arange(n) / info.fps)
 
-    def close() -> None:
-        for images in videos:
-            images.close()
-
-    try:
+    with ExitStack() as on_error:
+        on_error.push(closing)
         streams, notes = make_streams(
             {name: partial(open_camera, name) for name in kinds}, path, options
         )
-    except Exception:
-        close()
-        raise
+        on_error.pop_all()
     if len({stream.n_frames for stream in streams}) > 1:
         counts = ", ".join(f"{stream.name} {stream.n_frames}" for stream in streams)
         notes += (
@@ -101,52 +92,33 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
         path=path,
         format="LeRobot data set",
         streams=streams,
-        close=close,
+        close=closing.close,
         notes=(*files.notes, *notes),
     )
 
 
-class _Videos:
-    """The frames of a camera's videos, one episode after the other."""
+def _open_videos(
+    root: Path, name: str, rate_hz: float, closing: ExitStack
+) -> tuple[int, Callable[[int], Image]]:
+    """(number, reader) of the frames of a camera's videos, one episode after the other."""
+    episodes = list_episodes(root, name)
+    files = list(dict.fromkeys(e.file for e in episodes)) or list_videos(root, name)
+    videos = {file: VideoDecoder(file) for file in files}
+    for video in videos.values():
+        closing.callback(video.close)
+    frames = [
+        (videos[episode.file], k)
+        for episode in episodes
+        for k in episode.select_frames(videos[episode.file].times_s, rate_hz).tolist()
+    ] or [(video, k) for video in videos.values() for k in range(video.n_frames)]
 
-    def __init__(self, root: Path, name: str, rate_hz: float) -> None:
-        self._root = root
-        self._rate_hz = rate_hz
-        episodes = list_episodes(root, name)
-        files = list(dict.fromkeys(e.file for e in episodes)) or list_videos(root, name)
-        self._videos = {file: VideoDecoder(file) for file in files}
-        self._frames = list[tuple[VideoDecoder, int]]()
-        for episode in episodes:
-            video = self._videos[episode.file]
-            times_s = np.array([video.time_s(k) for k in range(video.n_frames)])
-            self._frames += [(video, k) for k in episode.select_frames(times_s, rate_hz).tolist()]
-        if not episodes:
-            self._frames = [
-                (video, k) for video in self._videos.values() for k in range(video.n_frames)
-            ]
-
-    @property
-    def n_frames(self) -> int:
-        """Number of frames of all episodes."""
-        return len(self._frames)
-
-    def frame(self, index: int) -> Image:
-        """(rows, cols, 3) RGB."""
-        video, number = self._frames[index]
+    def read(index: int) -> Image:
+        video, number = frames[index]
         if number == NO_FRAME:
-            raise FileProblem(
-                f"the video ends before frame {index}", self._root, field=f"frame {index}"
-            )
+            raise FileProblem(f"the video ends before frame {index}", root, field=f"frame {index}")
         return video.frame(number)
 
-    def time_s(self, index: int) -> float:
-        """Time by the data set's rate."""
-        return index / self._rate_hz
-
-    def close(self) -> None:
-        """Release the files."""
-        for video in self._videos.values():
-            video.close()
+    return len(frames), read
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,12 +135,11 @@ class _TableImages:
     size.
     """
 
-    def __init__(self, root: Path, name: str, rate_hz: float) -> None:
+    def __init__(self, root: Path, name: str) -> None:
         parquet, error_class = import_parquet()
         self._parquet: Any = parquet
         self._error = error_class
         self._name = name
-        self._rate_hz = rate_hz
         self._rows = list[_Rows]()
         end = 0
         # group, next row, batches from there
@@ -222,6 +193,132 @@ class _TableImages:
         self._open = at, row + 1, cells
         return next(islice(cells, row - next_row, None)).column(0)[0].as_py()
 
-    def time_s(self, index: int) -> float:
-        """Time by the data set's rate."""
-        return index / self._rate_hz
+
+NO_FRAME = -1
+_KEYS = ("episode_index", "length")
+_PLACE_KEYS = ("chunk_index", "file_index", "from_timestamp")  # of videos/<camera>/
+# times; images are compressed already, and fold no further
+_MAX_FOLDED = 20
+_MOST_FOLDED_BYTES = 1 << 28
+# episodes; frames of one
+_MAX_ROWS = 1_000_000
+_MAX_LENGTH = 10_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Episode:
+    """The part of a video file that is one episode of a camera."""
+
+    file: Path
+    start_s: float  # in the file
+    n_frames: int
+
+    def select_frames(self, times_s: Doubles, rate_hz: float) -> Indices:
+        """Number in the file of each frame, by the times of the file's frames.
+
+        NO_FRAME where it has none.
+        """
+        wanted_s = self.start_s + np.arange(self.n_frames) / rate_hz
+        after = np.clip(np.searchsorted(times_s, wanted_s), 1, max(len(times_s) - 1, 1))
+        around = np.stack([after - 1, np.minimum(after, len(times_s) - 1)])
+        gaps_s = np.abs(times_s[around] - wanted_s)
+        nearest = np.take_along_axis(around, gaps_s.argmin(axis=0)[None], axis=0)[0]
+        nearest[gaps_s.min(axis=0) > 0.5 / rate_hz] = NO_FRAME
+        return freeze(nearest.astype(np.int32))
+
+
+def import_parquet() -> tuple[Any, Any]:
+    """(`pyarrow.parquet`, the class of its errors).
+
+    Raises SettingProblem where it is not installed.
+    """
+    try:
+        from pyarrow import ArrowException, parquet
+    except ImportError as error:
+        raise SettingProblem(
+            "parquet is read by pyarrow, which is not installed; pip install pyarrow"
+        ) from error
+    return parquet, ArrowException
+
+
+def require_group_budget(group: Any, table: Path) -> None:
+    """Raise FileProblem where a group of rows (its metadata) states columns that unfold beyond
+    the budget.
+    """
+    for column in map(group.column, range(group.num_columns)):
+        if column.total_uncompressed_size > _MAX_FOLDED * column.total_compressed_size:
+            require_budget(
+                column.total_uncompressed_size, "a group of rows", table, most=_MOST_FOLDED_BYTES
+            )
+
+
+def list_videos(root: Path, name: str) -> list[Path]:
+    """The video files of a camera in order; raises FileProblem for none."""
+    files = sorted(p for p in (root / "videos").rglob("*.mp4") if name in p.relative_to(root).parts)
+    if not files:
+        raise FileProblem(f"the data set lacks the videos of {name}", root, field=name)
+    return files
+
+
+def list_episodes(root: Path, name: str) -> list[Episode]:
+    """The episodes of a camera in order; [] where no table lists them. Raises FileProblem."""
+    files = list_videos(root, name)
+    found = dict[int, Episode]()
+    keys = [f"videos/{name}/{key}" for key in _PLACE_KEYS]
+    for row in _read_rows(root, (*_KEYS, *keys)):
+        number = int(row["episode_index"])
+        start_s = row.get(keys[2], 0.0)
+        stem = f"file-{int(row[keys[1]]):03d}" if keys[1] in row else f"episode_{number:06d}"
+        chunk = f"chunk-{int(row[keys[0]]):03d}" if keys[0] in row else ""
+        file = next((p for p in files if p.stem == stem and (not chunk or chunk in p.parts)), None)
+        if file is None:
+            raise FileProblem(
+                f"the data set lacks the video {stem} of {name} with episode {number}",
+                root,
+                field=name,
+            )
+        if start_s < 0 or not 0 < row["length"] <= _MAX_LENGTH:
+            raise FileProblem(
+                f"episode {number} of {name} has no valid place in its video", root, field=name
+            )
+        found[number] = Episode(file=file, start_s=start_s, n_frames=int(row["length"]))
+    return [found[number] for number in sorted(found)]
+
+
+def _read_rows(root: Path, columns: Sequence[str]) -> list[dict[str, float]]:
+    """The rows of the table of episodes with what they have of these columns."""
+    tables = sorted((root / "meta" / "episodes").rglob("*.parquet"))
+    lines = root / "meta" / "episodes.jsonl"
+    at = lines
+    problem = "the table of episodes cannot be read"
+    try:
+        rows = list[dict[str, Any]]()
+        for at in tables:
+            rows += _read_table(at, columns)
+        if not tables and lines.is_file():
+            text = read_bytes(lines, "the table of episodes").decode("utf-8")
+            rows = [json.loads(line) for line in text.splitlines() if line.strip()]
+        numbers = [
+            {key: float(row[key]) for key in columns if row.get(key) is not None} for row in rows
+        ]
+    except (ValueError, TypeError, AttributeError, OSError, RecursionError) as error:
+        raise FileProblem(problem, at) from error
+    if not all(
+        set(_KEYS) <= row.keys() and np.isfinite(list(row.values())).all() for row in numbers
+    ):
+        raise FileProblem(f"{problem}: an episode lacks its number or length", at)
+    return numbers
+
+
+def _read_table(table: Path, columns: Sequence[str]) -> list[dict[str, Any]]:
+    parquet, error_class = import_parquet()
+    require_file(table, "the table of episodes")
+    try:
+        file = parquet.ParquetFile(table)
+        if file.metadata.num_rows > _MAX_ROWS:
+            raise FileProblem(f"the table of episodes states {file.metadata.num_rows} rows", table)
+        for group in range(file.metadata.num_row_groups):
+            require_group_budget(file.metadata.row_group(group), table)
+        return file.read(columns=[c for c in columns if c in file.schema_arrow.names]).to_pylist()
+    except error_class as error:
+        raise FileProblem("the table of episodes cannot be read", table) from error

@@ -8,7 +8,7 @@ may stand still.
 import base64
 import json
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,10 +21,10 @@ from pipeline.core.arrays import Image
 from pipeline.core.errors import FileProblem, SettingProblem, TouchError
 from pipeline.core.files import require_file
 from pipeline.core.values.frames import Recording
-from pipeline.io.encoded_images import NO_DEPTH, decode_rgb, unpack_rgb
 from pipeline.io.formats import ReadOptions, RecordingFiles
+from pipeline.io.gel_streams import ImageSource, make_film, make_streams
+from pipeline.io.image_files import NO_DEPTH, decode_rgb, unpack_rgb
 from pipeline.io.mcap_records import McapChannel, McapFile, McapMessage
-from pipeline.io.stream_choice import make_streams
 
 PREVIEW_PROFILE = "tactoscope previews"  # profile of the files that are exported for viewers
 IMAGE_SCHEMAS = frozenset(
@@ -54,7 +54,7 @@ class _StampedImage:
 def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     """Every topic of colour images that records touch as one stream, by its name.
 
-    See `stream_choice.make_streams`.
+    See `gel_streams.make_streams`.
 
     Raises FileProblem, and SettingProblem where the package `mcap` is missing.
     """
@@ -75,9 +75,9 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
             raise FileProblem(_describe_lack(others, file.notes), path)
         times_ns, notes = _choose_times(topics)
         start_ns = min((t for of_topic in times_ns.values() for t in of_topic.values()), default=0)
-        cameras: dict[str, Callable[[], _Topic]] = {
+        cameras = {
             topic.strip("/"): partial(
-                _Topic,
+                _make_topic,
                 file,
                 _sort_images(images),
                 {k: (t - start_ns) / _NS_PER_S for k, t in times_ns[topic].items()},
@@ -303,43 +303,28 @@ def decode_image(message: Any, where: str, path: Path) -> Image:
     )
 
 
-class _Topic:
-    """The images of one topic."""
+def _make_topic(
+    file: McapFile,
+    messages: Sequence[McapMessage],
+    times_s: Mapping[int, float],
+    decoders: Decoders,
+    path: Path,
+) -> ImageSource:
+    """The images of one topic; times since the first image of the file, NaN where no clock tells
+    them.
+    """
 
-    def __init__(
-        self,
-        file: McapFile,
-        messages: Sequence[McapMessage],
-        times_s: Mapping[int, float],
-        decoders: Decoders,
-        path: Path,
-    ) -> None:
-        self._file = file
-        self._messages = messages
-        self._decoders = decoders
-        self._path = path
-        self._times_s = [times_s.get(id(message), float("nan")) for message in messages]
-
-    @property
-    def n_frames(self) -> int:
-        """Number of images."""
-        return len(self._messages)
-
-    def frame(self, index: int) -> Image:
-        """(rows, cols, 3) RGB."""
-        message = self._messages[index]
+    def read(index: int) -> Image:
+        message = messages[index]
         where = f"frame {index}"
         try:
-            image = self._decoders.decode(message.channel, self._file.read_content(message))
-            return decode_image(image, where, self._path)
+            image = decoders.decode(message.channel, file.read_content(message))
+            return decode_image(image, where, path)
         except TouchError:
             raise
         except Exception as error:
             topic = message.channel.topic
-            raise FileProblem(
-                f"{where} of {topic} cannot be read", self._path, field=where
-            ) from error
+            raise FileProblem(f"{where} of {topic} cannot be read", path, field=where) from error
 
-    def time_s(self, index: int) -> float:
-        """Time since the first image of the file; NaN where no clock tells it."""
-        return self._times_s[index]
+    times = np.array([times_s.get(id(message), np.nan) for message in messages])
+    return make_film(path, len(messages), read, times)

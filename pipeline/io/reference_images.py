@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.arrays import Floats, Image, freeze
-from pipeline.core.errors import FileProblem
+from pipeline.core.errors import FileProblem, StageWarning
 
 T = TypeVar("T")
+A = TypeVar("A", bound=NDArray[np.generic])
 
 _MAX_FRAMES = 15
 _MAX_PIXELS = 20_000_000  # of all frames together: reading more delays the opening of a recording
@@ -57,27 +58,41 @@ def compute_block_means(image: NDArray[np.generic], n_along: int) -> Floats:
 
 
 def find_first_reference(
-    read: Callable[[int], Image], n_frames: int
-) -> tuple[Image | None, int, int]:
-    """(reference, its frame, number of frames averaged with it) of a sequence that begins
-    untouched.
+    read: Callable[[int], Image], n_frames: int, name: Callable[[int], str], *, is_film: bool
+) -> tuple[Image | None, str]:
+    """(reference, note) of a sequence that begins untouched; `name` names a frame.
 
     Its first frames, after those of a camera that starts dark, are alike, and no later frame has
-    clearly less contact; else the reference is None. `read` raises FileProblem for a frame that
-    cannot be read or has another size.
+    clearly less contact. Else there is none, but for a film: then it is the frame with least
+    contact, with a warning, or the first one. `read` raises FileProblem for a frame that cannot be
+    read or has another size.
     """
     start = find_bright_start(read, n_frames)
     frames = read_until_damaged(read, range(start, n_frames))
     first = next(frames, None)
     if first is None:
-        return None, start, 0
+        return None, ""
     reference, n_averaged = denoise_reference(first, frames)
-    later = _read_each(
-        read, range(start + n_averaged + 1, n_frames, max(1, n_frames // _MAX_CANDIDATES))
-    )
-    if not n_averaged or select_reference_frame(reference, later) is not None:
-        return None, start, 0
-    return reference, start, n_averaged
+    later = sample_frames(read, n_frames, first=start + n_averaged + 1)
+    better = select_reference_frame(reference, later)
+    if better is not None and is_film:
+        at, image = better
+        after = read_until_damaged(read, range(at + 1, n_frames))
+        reference, n_averaged = denoise_reference(image, after)
+        which = f"the median of frames {at} to {at + n_averaged}" if n_averaged else f"frame {at}"
+        return reference, StageWarning(
+            f"the first frame shows contact, so {which} is taken as the reference; if it shows "
+            "contact too, depth is wrong: give a reference image with --reference"
+        )
+    if better is not None or not (n_averaged or is_film):
+        return None, ""
+    if n_averaged:
+        which = f"the median of {name(start)} to {name(start + n_averaged)}, all alike,"
+    else:
+        which = name(start) if start else "the first frame"
+    dark = "the frame before is" if start == 1 else f"the {start} frames before are"
+    why = f"; {dark} darker or overexposed, as of a camera that starts" if start else ""
+    return reference, f"{which} is taken as the reference{why}"
 
 
 def find_untouched_reference(read: Callable[[int], Image], n_frames: int) -> tuple[Image, int]:
@@ -114,7 +129,7 @@ def find_bright_start(read: Callable[[int], Image], n_frames: int) -> int:
         return 0
     usual = samples[3 * len(samples) // 4]
     before = -np.inf
-    for index, image in _read_each(read, range(n_frames)):
+    for index, image in read_each(read, range(n_frames)):
         blocks = compute_block_means(image, _BLOCKS_ALONG)
         ratio = _compute_brightness_ratio(blocks, usual) if blocks.shape == usual.shape else 0.0
         if (
@@ -142,13 +157,14 @@ def sample_frames(
     Those that cannot be read are skipped.
     """
     count = min(most, n_frames - first)
-    return _read_each(
+    return read_each(
         read,
         sorted({round(i) for i in np.linspace(first, n_frames - 1, count)}) if count > 0 else (),
     )
 
 
-def _read_each(read: Callable[[int], Image], indices: Iterable[int]) -> Iterator[tuple[int, Image]]:
+def read_each(read: Callable[[int], A], indices: Iterable[int]) -> Iterator[tuple[int, A]]:
+    """(index, frame) of those that can be read."""
     for index in indices:
         with contextlib.suppress(FileProblem):
             yield index, read(index)
@@ -159,21 +175,6 @@ def read_until_damaged(read: Callable[[T], Image], frames: Iterable[T]) -> Itera
     with contextlib.suppress(FileProblem):
         for frame in frames:
             yield read(frame)
-
-
-def describe_first_reference(name: Callable[[int], str], start: int, n_averaged: int) -> str:
-    """The note on a reference of the first frames, or of those after dark ones.
-
-    `name` names a frame.
-    """
-    which = (
-        name(start)
-        if not n_averaged
-        else f"the median of {name(start)} to {name(start + n_averaged)}, all alike,"
-    )
-    dark = "the frame before is" if start == 1 else f"the {start} frames before are"
-    why = f"; {dark} darker or overexposed, as of a camera that starts" if start else ""
-    return f"{which} is taken as the reference{why}"
 
 
 def denoise_reference(reference: Image, frames: Iterable[Image]) -> tuple[Image, int]:

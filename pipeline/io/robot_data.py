@@ -12,7 +12,7 @@ import re
 import stat
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from functools import partial
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, Never
@@ -23,16 +23,14 @@ from numpy.typing import NDArray
 from pipeline.core.errors import FileProblem, SettingProblem, TouchError, escape_text
 from pipeline.core.files import read_json, require_file
 from pipeline.core.values.frames import Recording, Stream
-from pipeline.io import colour_layouts
-from pipeline.io.colour_arrays import make_array_stream
-from pipeline.io.colour_layouts import ImageStack
-from pipeline.io.encoded_images import decode_rgb
+from pipeline.io import stored_arrays
+from pipeline.io.colour_arrays import make_array_source
 from pipeline.io.file_names import natural_sort_key
 from pipeline.io.formats import ReadOptions, RecordingFiles
-from pipeline.io.image_files import read_rgb
+from pipeline.io.gel_streams import ImageSource, make_streams
+from pipeline.io.image_files import decode_rgb
+from pipeline.io.stored_arrays import ImageStack
 
-# in the name of a camera
-_TACTILE = re.compile(r"tactile|touch|digit|gel|finger(?!_joint)|bubble", re.IGNORECASE)
 # in the place of an array
 _LEFT_OUT = re.compile(r"(^|/)next_obs/|depth|mask|segmentation", re.IGNORECASE)
 _ENCODED = (b"\xff\xd8\xff", b"\x89PNG")  # first bytes of an image
@@ -158,47 +156,16 @@ def _make_streams(
     options: ReadOptions,
     n_episodes: int = 1,
 ) -> tuple[tuple[Stream, ...], tuple[str, ...]]:
-    chosen = [camera for camera in cameras if _TACTILE.search(camera) or camera == options.stream]
-    if not chosen and len(cameras) == 1:
-        chosen = list(cameras)
-    if not chosen:
-        raise FileProblem(
-            f"none of the cameras is named after touch ({', '.join(sorted(cameras))}); choose the "
-            "sensor's with "
-            "--stream",
-            path,
-        )
-    asked = options.stream if options.stream in chosen else chosen[0] if len(chosen) == 1 else ""
-    if options.reference is not None and not asked:
-        raise SettingProblem(
-            "a reference can be given for one camera; choose it with --stream "
-            f"({', '.join(chosen)}): '{path}'"
-        )
-    streams = list[Stream]()
-    notes = list[str]()
-    for camera in chosen:
-        stack = _join_episodes(camera, cameras[camera], path)
-        own = options if asked in ("", camera) else replace(options, sensor="", reference=None)
-        stream, about = make_array_stream(
-            stack,
-            camera,
-            path,
-            own,
-            name=escape_text(camera),
-            reference=None if own.reference is None else read_rgb(own.reference),
-            about="" if own.reference is None else f"{own.reference.name} is the reference",
-        )
-        streams.append(stream)
-        notes += [f"{stream.name}: {note}" if len(chosen) > 1 else note for note in about]
-    left_out = sorted(cameras.keys() - set(chosen))
-    notes += [f"cameras without touch are left out: {', '.join(left_out)}"] if left_out else []
-    n_episodes = max(n_episodes, *(len(cameras[camera]) for camera in chosen))
-    notes += (
-        [f"{n_episodes} episodes follow each other; the reference is of the first"]
-        if n_episodes > 1
-        else []
+    def open_camera(camera: str) -> ImageSource:
+        return make_array_source(_join_episodes(camera, cameras[camera], path), camera, path)
+
+    streams, notes = make_streams(
+        {escape_text(camera): partial(open_camera, camera) for camera in cameras}, path, options
     )
-    return tuple(streams), tuple(dict.fromkeys(notes))
+    n_episodes = max(n_episodes, *map(len, cameras.values()))
+    if n_episodes > 1:
+        notes += (f"{n_episodes} episodes follow each other; the reference is of the first",)
+    return streams, notes
 
 
 def _join_episodes(camera: str, episodes: Sequence[ImageStack], path: Path) -> ImageStack:
@@ -219,7 +186,7 @@ def _make_stacks(array: Any, place: str, path: Path) -> tuple[ImageStack, ...]:
     """The images of each sensor in an array; () for other content."""
     if len(array.shape) < 3:
         return _make_encoded_stack(array, place, path)
-    stacks = colour_layouts.split_stacks(array)
+    stacks = stored_arrays.split_stacks(array)
     row_bytes = math.prod(array.shape[-3:]) * array.dtype.itemsize
     chunk_bytes = math.prod(array.chunks or (1,)) * array.dtype.itemsize
     if stacks and max(row_bytes, chunk_bytes) > _MAX_BYTES:

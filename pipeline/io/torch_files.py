@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Image, freeze
 from pipeline.core.errors import FileProblem
-from pipeline.core.read_budget import require_budget
+from pipeline.core.files import require_budget
 from pipeline.core.torch_archive import PICKLE_SIGNATURE, SIGNATURE, ZIP_ERRORS, load_torch_file
 from pipeline.io.formats import RecordingFiles
 

@@ -13,21 +13,22 @@ from pipeline.core.files import require_file
 from pipeline.core.native_stderr import silence_native_libraries
 from pipeline.core.values.frames import Recording
 from pipeline.io.formats import ReadOptions, RecordingFiles
-from pipeline.io.image_sequence import make_stream
+from pipeline.io.gel_streams import make_film, make_gel_stream
 
 _MAX_FRAMES = 10_000_000  # an hour at 2,700 Hz
 _LEAST_FRAME_BYTES = 8  # of one frame in a file: its entry in the index
 
 
 def read(files: RecordingFiles, options: ReadOptions) -> Recording:
-    """The video as one stream of RGB frames; see `image_sequence.make_stream`.
+    """The video as one stream of RGB frames; see `make_gel_stream`.
 
     Raises FileProblem for a video or first frame that cannot be decoded.
     """
     path = files.path
     video = VideoDecoder(files.path)
     try:
-        stream, notes = make_stream(video, path, options, name="")
+        film = make_film(path, video.n_frames, video.frame, video.times_s)
+        stream, notes = make_gel_stream(film, path, options, name="")
     except Exception:
         video.close()
         raise
@@ -70,6 +71,7 @@ class VideoDecoder:
                 self._list_times_ms(n_stated) if n_stated <= most_frames else np.zeros(0)
             )
         self.n_frames = len(self._times_ms)
+        self.times_s = 1e-3 * self._times_ms  # of the frames, as the file has them
         if not self.n_frames:
             self._capture.release()
             raise FileProblem(
@@ -133,10 +135,6 @@ class VideoDecoder:
             return self.n_frames
         middles_ms = 0.5 * (self._times_ms[1:] + self._times_ms[:-1])
         return int(np.searchsorted(middles_ms, self._capture.get(self._cv2.CAP_PROP_POS_MSEC)))
-
-    def time_s(self, index: int) -> float:
-        """Time of a frame as the file has it."""
-        return 1e-3 * float(self._times_ms[index])
 
     def close(self) -> None:
         """Release the file."""

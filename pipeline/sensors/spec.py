@@ -6,6 +6,7 @@ gives it. `extends = "other"` starts from another sensor's file.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -230,8 +231,40 @@ def load_rest_membrane(data: Mapping[str, Any], path: Path) -> Membrane | None:
         return None
     descriptions.refuse_unknown_keys(section, _RestMesh.__struct_fields__, path, "rest.")
     rest = convert(section, _RestMesh, DESCRIPTION, path, within="rest")
-    from pipeline.core.geometry.mesh_membrane import load_membrane
+    from pipeline.core.geometry.membrane import load_membrane
 
     mesh = path.parent / rest.file
     key = (mesh, compute_digest(read_bytes(mesh, "the mesh")), rest.unit, rest.step)
     return _membranes.get_or_make(key, lambda: load_membrane(mesh, rest.unit, rest.step))
+
+
+_MAX_RATIO = 3.0  # between two cameras of one kind of sensor; a factor of ten is a unit
+_FACTORS = (0.001, 0.01, 0.1, 10.0, 100.0, 1000.0)
+
+
+def find_unit_factor(depth_mm: float, spec: SensorSpec) -> float:
+    """The factor that a median depth lacks to fit the sensor's rest depth: 1 where it fits, NaN
+    where no unit does.
+    """
+    rest_mm = float(np.median(spec.rest_depth_mm))
+    if not depth_mm > 0.0:
+        return math.nan
+    distances = {factor: abs(math.log(depth_mm * factor / rest_mm)) for factor in (1.0, *_FACTORS)}
+    factor = (
+        1.0
+        if distances[1.0] <= math.log(_MAX_RATIO)
+        else min(distances, key=lambda f: distances[f])
+    )
+    return factor if distances[factor] <= math.log(_MAX_RATIO) else math.nan
+
+
+def describe_unit_problem(depth_mm: float, spec: SensorSpec) -> str:
+    """Why a median depth cannot be in millimetres, as a clause; "" where it may be."""
+    factor = find_unit_factor(depth_mm, spec)
+    if factor == 1.0 or math.isnan(factor):
+        return ""
+    times = f"{1 / factor:g} times too large" if factor < 1 else f"{factor:g} times too small"
+    return (
+        f"has a median depth of {depth_mm:.3g} mm, and the membrane of {spec.name} rests at "
+        f"{np.median(spec.rest_depth_mm):.3g} mm: {times}, so its unit is another one"
+    )

@@ -18,7 +18,6 @@ from pipeline.calibration.calibration_file import load_if_present
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.calibration.force_scale import ForceScale, load_force_scale
 from pipeline.core.arrays import Floats, Image
-from pipeline.core.cache import DEFAULT_MAX_BYTES, Cache
 from pipeline.core.digests import compute_cached_digest
 from pipeline.core.errors import (
     CalibrationError,
@@ -30,6 +29,7 @@ from pipeline.core.errors import (
 from pipeline.core.frame_lists import check_frame_index
 from pipeline.core.geometry.meshes import Mesh, load_mesh
 from pipeline.core.graph import Graph, Method, StageResult
+from pipeline.core.memo import DEFAULT_MAX_BYTES, Cache
 from pipeline.core.params import Value, replace_value
 from pipeline.core.progress import SILENT, Progress, reading_reported_to
 from pipeline.core.values.frames import Recording, Stream, TactileFrame, Truth
@@ -38,10 +38,8 @@ from pipeline.core.values.results import ObjectPose
 from pipeline.io import open_recording
 from pipeline.io.depth_arrays import DepthUnit
 from pipeline.sensors import alignment as alignments
-from pipeline.sensors.alignment import Alignment, Offsets, shift_alignment_along_z
-from pipeline.sensors.alignment_files import load_alignment
-from pipeline.sensors.depth_unit import describe_unit_problem
-from pipeline.sensors.spec import SensorSpec, load_sensor
+from pipeline.sensors.alignment import Alignment, Offsets, load_alignment, shift_alignment_along_z
+from pipeline.sensors.spec import SensorSpec, describe_unit_problem, load_sensor
 from pipeline.stages.networks.weights import NoWeights
 from pipeline.stages.stage import TRUTH, GroundTruth, SensorRole, Stage, get_input_name
 from pipeline.translation.catalogue import BUILT_IN, Catalogue, with_settings

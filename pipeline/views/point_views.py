@@ -11,8 +11,7 @@ import numpy as np
 from pipeline.core.arrays import Doubles, Floats, Image, Indices, Mask, freeze
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import Camera
-from pipeline.core.geometry.distance_grid import DistanceGrid
-from pipeline.core.geometry.distance_grid_store import load_distance_grid
+from pipeline.core.geometry.distance_grid import DistanceGrid, load_distance_grid
 from pipeline.core.values.results import Cloud, DepthMap, ObjectPose, PoseStep
 from pipeline.views.colours import (
     NO_VALUE_COLOUR,

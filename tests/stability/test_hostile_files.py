@@ -34,7 +34,7 @@ from pipeline.lab.tasks.insertion import load_tool, make_tool
 from pipeline.lab.tasks.task import Decision, RolloutSummary, TrialPlan, load_task
 from pipeline.lab.training.recipe import RECIPES_FOLDER, load_recipe
 from pipeline.sensors import kinds
-from pipeline.sensors.alignment_files import load_alignment
+from pipeline.sensors.alignment import load_alignment
 from pipeline.sensors.descriptions import find_descriptions
 from pipeline.sensors.spec import list_sensor_names, load_sensor
 from pipeline.stages.networks import network_factory, published_weights

@@ -10,14 +10,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.core import disk_store
 from pipeline.core.arrays import Doubles, Floats, Indices, freeze
+from pipeline.core.digests import compute_digest
 from pipeline.core.errors import MeshProblem
 from pipeline.core.geometry.meshes import Mesh
+from pipeline.core.memo import Memo
 from pipeline.core.progress import SILENT, Progress
 
 OPEN_MESH_NOTE = (
@@ -35,6 +39,9 @@ _OPEN_SHARE = 0.01  # share of grid lines that may miss a wall before the mesh c
 _BATCH = 400  # blocks between two reports of progress
 # of a fine step: shifted lines do not hit the edges of axis-aligned meshes
 _SHIFT = (0.00137, 0.00219, 0.00311)
+
+_CODE = tuple(f"pipeline.core.geometry.distance_{part}" for part in ("grid", "grid_kernels"))
+_MAX_BYTES = 12 * 1024 * 1024  # of cached grids: one or two objects; others are read from disk
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,7 +185,7 @@ class _Surface:
 
         The lists hold the faces that can be nearest to some node of a cell.
         """
-        from pipeline.core.geometry.distance_build_kernels import visit_cells
+        from pipeline.core.geometry.distance_grid_kernels import visit_cells
 
         half_diagonal = self.step_mm * math.sqrt(3.0) / 2
         n_cells = math.prod(self.cells)
@@ -219,18 +226,15 @@ class _Surface:
         """Return signed distances (n, 9, 9, 9) of the blocks `chosen`, the first of which has
         number `start`.
         """
-        from pipeline.core.geometry.distance_build_kernels import measure_blocks
+        from pipeline.core.geometry.distance_grid_kernels import measure_blocks
 
         size = (len(chosen), *(_CELLS + 1,) * 3)
         lengths = np.empty(size)
         nearest = np.empty(size, dtype=np.int32)
         _, first, faces_of = lists
-        longest = int(np.diff(first).max())
-        room = (np.empty(longest, np.int32), np.empty(longest))
+        own = first[start : start + len(chosen) + 1]
         fine_mm = self.step_mm / _CELLS
-        measure_blocks(
-            self.faces, chosen, first, faces_of, fine_mm, start, room, (lengths, nearest), sweeping
-        )
+        measure_blocks(self.faces, chosen, own, faces_of, fine_mm, (lengths, nearest), sweeping)
         nodes = (_CELLS * chosen[:, None] + _lattice_nodes((0, 0, 0), size[1:])[None]).reshape(
             -1, 3
         )
@@ -240,7 +244,7 @@ class _Surface:
         self, lists: tuple[Any, Any, Any], sweeping: tuple[Indices, Doubles]
     ) -> Doubles:
         """Return signed distances of all coarse nodes, propagated from the measured ones."""
-        from pipeline.core.geometry.distance_build_kernels import (
+        from pipeline.core.geometry.distance_grid_kernels import (
             refine_nearest_faces,
             sweep_nearest_faces,
         )
@@ -312,3 +316,30 @@ def _count_lines(first: Indices, _where: Floats, sign: NDArray[np.int8]) -> tupl
     count = np.diff(first)
     total = np.bincount(np.repeat(np.arange(count.size), count), sign, count.size)
     return int((count > 0).sum()), int((total != 0).sum()), int((count % 2).sum())
+
+
+_grids: Memo[str, DistanceGrid] = Memo(4, most_bytes=_MAX_BYTES)
+
+
+def load_distance_grid(
+    mesh: Mesh, progress: Progress = SILENT, folder: Path | None = None
+) -> DistanceGrid:
+    """Return the grid of a mesh: cached, read from `folder` (the user's cache), or built and stored
+    there.
+
+    Raises MeshProblem when the mesh has no surface.
+    """
+    made_of = compute_digest(
+        (np.asarray(mesh.vertices_mm, np.float64), np.asarray(mesh.triangles, np.int32))
+    )
+
+    def make() -> DistanceGrid:
+        return disk_store.load_or_make(
+            DistanceGrid,
+            made_of,
+            _CODE,
+            lambda: build_grid(mesh, progress),
+            folder or "distance_grids",
+        )
+
+    return _grids.get_or_make(made_of, make) if folder is None else make()

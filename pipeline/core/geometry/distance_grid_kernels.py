@@ -1,6 +1,8 @@
 # pyright: basic
-"""Compiled loops of the distance grid: look-up of distances, and inside or outside by grid
-lines.
+"""Compiled loops of the distance grid: look-up of distances, and its build: candidate triangles per
+cell, exact distances near the surface, sweeps beyond, inside or outside by grid lines.
+
+Everything runs on one thread: results are reproducible.
 """
 
 from __future__ import annotations
@@ -13,6 +15,9 @@ from pipeline.core.cached_kernels import inner_kernel, kernel
 
 CELLS = 8  # fine cells along a block's edge
 NODES = CELLS + 1
+_STEPS = 3  # from one foot point to the next
+# A face is a row of 19: corner, two edges, their three products, unit normal, centre, radius from
+# there.
 
 
 @inner_kernel()
@@ -181,3 +186,234 @@ def vote_inside(nodes, axis, shape, first, where, sign, by_parity, votes):
                 winding += sign[m]
                 passed += 1
         votes[n] += (passed % 2 == 1) if by_parity else (winding != 0)
+
+
+@inner_kernel()
+def _share(along, whole):
+    """Position along an edge of a point's foot, clamped to the edge."""
+    return min(max(along / whole, 0.0), 1.0) if whole > 0.0 else 0.0
+
+
+@inner_kernel()
+def _foot(f, m, x, y, z):
+    """The point of a face that is nearest to a point."""
+    x = x - f[m, 0]
+    y = y - f[m, 1]
+    z = z - f[m, 2]
+    d1 = f[m, 3] * x + f[m, 4] * y + f[m, 5] * z
+    d2 = f[m, 6] * x + f[m, 7] * y + f[m, 8] * z
+    v = f[m, 11] * d1 - f[m, 10] * d2
+    w = f[m, 9] * d2 - f[m, 10] * d1
+    whole = f[m, 9] * f[m, 11] - f[m, 10] * f[m, 10]
+    if v >= 0.0 and w >= 0.0 and v + w <= whole and whole > 0.0:
+        v = v / whole
+        w = w / whole
+    else:
+        ab = _share(d1, f[m, 9])
+        ac = _share(d2, f[m, 11])
+        bc = _share(d2 - d1 - f[m, 10] + f[m, 9], f[m, 9] + f[m, 11] - 2.0 * f[m, 10])
+        best = math.inf
+        for edge in range(3):
+            p = ab if edge == 0 else 0.0
+            q = ac if edge == 1 else 0.0
+            p = 1.0 - bc if edge == 2 else p
+            q = bc if edge == 2 else q
+            dx = x - p * f[m, 3] - q * f[m, 6]
+            dy = y - p * f[m, 4] - q * f[m, 7]
+            dz = z - p * f[m, 5] - q * f[m, 8]
+            square = dx * dx + dy * dy + dz * dz
+            if square < best:
+                best = square
+                v = p
+                w = q
+    return (
+        f[m, 0] + v * f[m, 3] + w * f[m, 6],
+        f[m, 1] + v * f[m, 4] + w * f[m, 7],
+        f[m, 2] + v * f[m, 5] + w * f[m, 8],
+    )
+
+
+@inner_kernel()
+def _squared_distance(f, m, x, y, z):
+    """Squared distance of a point to a face."""
+    a, b, c = _foot(f, m, x, y, z)
+    return (x - a) * (x - a) + (y - b) * (y - b) + (z - c) * (z - c)
+
+
+@inner_kernel()
+def _plane_distance(f, m, x, y, z):
+    """Signed distance of a point to a face's plane."""
+    return f[m, 12] * (x - f[m, 0]) + f[m, 13] * (y - f[m, 1]) + f[m, 14] * (z - f[m, 2])
+
+
+@inner_kernel()
+def _is_farther(f, m, x, y, z, distance):
+    """Whether all of a face is farther from a point than `distance`, by its bounding sphere or
+    its plane.
+    """
+    dx = x - f[m, 15]
+    dy = y - f[m, 16]
+    dz = z - f[m, 17]
+    most = distance + f[m, 18]
+    if dx * dx + dy * dy + dz * dz > most * most:
+        return True
+    return abs(_plane_distance(f, m, x, y, z)) > distance
+
+
+@inner_kernel()
+def _range(a, b, c, reach, step, n):
+    """(first, end) cells along an axis whose centre is within `reach` of corners at a, a + b and
+    a + c.
+    """
+    low = (a + min(0.0, b, c) - reach) / step - 0.5
+    high = (a + max(0.0, b, c) + reach) / step - 0.5
+    return max(0, math.ceil(low)), min(n - 1, math.floor(high)) + 1
+
+
+@kernel()
+def visit_cells(all_faces, cells, step, reach, best, number, limit, count, first, faces_of):
+    """Visit the faces within `reach` of each cell's centre, flat in C order, in one of three
+    passes.
+
+    Without any `limit`: the least squared distance, into `best`. Else for every cell with a
+    `number` how many faces are within its limit, into `count`; and where `faces_of` has room, their
+    indices after `first`.
+    """
+    f = all_faces
+    for m in range(f.shape[0]):
+        i0, i1 = _range(f[m, 0], f[m, 3], f[m, 6], reach, step, cells[0])
+        j0, j1 = _range(f[m, 1], f[m, 4], f[m, 7], reach, step, cells[1])
+        k0, k1 = _range(f[m, 2], f[m, 5], f[m, 8], reach, step, cells[2])
+        for i in range(i0, i1):
+            for j in range(j0, j1):
+                for k in range(k0, k1):
+                    at = (i * cells[1] + j) * cells[2] + k
+                    x = (i + 0.5) * step
+                    y = (j + 0.5) * step
+                    z = (k + 0.5) * step
+                    most = reach
+                    if limit.size:
+                        if number[at] < 0:
+                            continue
+                        most = limit[number[at]]
+                    if abs(_plane_distance(f, m, x, y, z)) > most:
+                        continue
+                    square = _squared_distance(f, m, x, y, z)
+                    if not limit.size:
+                        best[at] = min(best[at], square)
+                    elif square <= most * most:
+                        if faces_of.size:
+                            faces_of[first[number[at]] + count[number[at]]] = m
+                        count[number[at]] += 1
+
+
+@kernel()
+def measure_blocks(all_faces, chosen, first, faces_of, fine_step, measured, coarse):
+    """Measure distances (blocks, 9, 9, 9) at the nodes of cells `chosen` (n, 3), and their faces,
+    into `measured`.
+
+    The faces of block n are those of `faces_of` from number `first[n]` on. The blocks' corners are
+    copied to the nodes of `coarse`: face and squared distance.
+    """
+    (out, nearest), (coarse_nearest, coarse_square) = measured, coarse
+    for n in range(chosen.shape[0]):
+        u = chosen[n, 0] * CELLS
+        v = chosen[n, 1] * CELLS
+        w = chosen[n, 2] * CELLS
+        last = np.int64(faces_of[first[n]])  # the neighbour's nearest face is a good first guess
+        for a in range(NODES):
+            for b in range(NODES):
+                for c in range(NODES):
+                    x = (u + a) * fine_step
+                    y = (v + b) * fine_step
+                    z = (w + c) * fine_step
+                    square = _squared_distance(all_faces, last, x, y, z)
+                    reach = math.sqrt(square)
+                    for k in range(first[n], first[n + 1]):
+                        face = np.int64(faces_of[k])
+                        if _is_farther(all_faces, face, x, y, z, reach):
+                            continue
+                        found = _squared_distance(all_faces, face, x, y, z)
+                        if found < square:
+                            square = found
+                            reach = math.sqrt(square)
+                            last = face
+                    out[n, a, b, c] = reach
+                    nearest[n, a, b, c] = last
+                    if a % CELLS == 0 and b % CELLS == 0 and c % CELLS == 0:
+                        i = chosen[n, 0] + a // CELLS
+                        j = chosen[n, 1] + b // CELLS
+                        k = chosen[n, 2] + c // CELLS
+                        if square < coarse_square[i, j, k]:
+                            coarse_square[i, j, k] = square
+                            coarse_nearest[i, j, k] = last
+
+
+@inner_kernel()
+def _adopt_nearer_face(all_faces, step, nearest, square, i, j, k, face):
+    """Take over a neighbour's face if it is nearer."""
+    if face >= 0 and face != nearest[i, j, k]:
+        found = _squared_distance(all_faces, face, i * step, j * step, k * step)
+        if found < square[i, j, k]:
+            square[i, j, k] = found
+            nearest[i, j, k] = face
+
+
+@kernel()
+def sweep_nearest_faces(all_faces, step, nearest, square):
+    """Propagate squared distances to all coarse nodes (in place), each to the best face of its
+    neighbours.
+    """
+    nx, ny, nz = nearest.shape
+    for turn in range(8):
+        a = 1 - 2 * (turn & 1)
+        b = 1 - (turn & 2)
+        c = 1 - ((turn & 4) >> 1)
+        for p in range(nx):
+            i = p if a > 0 else nx - 1 - p
+            for q in range(ny):
+                j = q if b > 0 else ny - 1 - q
+                for r in range(nz):
+                    k = r if c > 0 else nz - 1 - r
+                    for axis in range(3):
+                        u = i - a if axis == 0 else i
+                        v = j - b if axis == 1 else j
+                        w = k - c if axis == 2 else k
+                        if 0 <= u < nx and 0 <= v < ny and 0 <= w < nz:
+                            face = np.int64(nearest[u, v, w])
+                            _adopt_nearer_face(all_faces, step, nearest, square, i, j, k, face)
+
+
+@inner_kernel()
+def _cell_of(x, y, z, step, cells):
+    i = min(int(x / step), cells[0] - 1)
+    j = min(int(y / step), cells[1] - 1)
+    k = min(int(z / step), cells[2] - 1)
+    return (max(i, 0) * cells[1] + max(j, 0)) * cells[2] + max(k, 0)
+
+
+@kernel()
+def refine_nearest_faces(all_faces, step, cells, number, first, faces_of, nearest, square):
+    """Exchange each coarse node's face for a nearer one around its foot point, until there is
+    none.
+    """
+    nx, ny, nz = nearest.shape
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                x = i * step
+                y = j * step
+                z = k * step
+                for _again in range(_STEPS):
+                    a, b, c = _foot(all_faces, np.int64(nearest[i, j, k]), x, y, z)
+                    cell = number[_cell_of(a, b, c, step, cells)]
+                    before = nearest[i, j, k]
+                    if cell >= 0:
+                        for m in range(first[cell], first[cell + 1]):
+                            face = np.int64(faces_of[m])
+                            if not _is_farther(
+                                all_faces, face, x, y, z, math.sqrt(square[i, j, k])
+                            ):
+                                _adopt_nearer_face(all_faces, step, nearest, square, i, j, k, face)
+                    if nearest[i, j, k] == before:
+                        break

@@ -1,5 +1,7 @@
 # pyright: basic
-"""Compiled loops over height fields: distances of points, and intersections of camera rays."""
+"""Compiled loops over height fields: heights, intersections of camera rays, and the z-buffer, whose
+triangles lower the field at the nodes that they cover.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +10,9 @@ import math
 import numpy as np
 
 from pipeline.core.cached_kernels import inline_kernel, kernel
+
+# barycentric, and in steps of the grid: nodes on a common edge belong to both triangles
+_SLACK = 1e-9
 
 
 @inline_kernel()
@@ -38,35 +43,6 @@ def sample_height(surface, nx, ny, u, v):
     return z, (z01 - z00) * (1 - b) + (z11 - z10) * b, (z10 - z00) * (1 - a) + (z11 - z01) * a
 
 
-@kernel()
-def measure_signed_distance(flat, x0, y0, step, surface, nx, ny, out):
-    """Write into `out` (n,) the distance of the points of `flat` (3 n) to the height field,
-    negative on the camera's side.
-
-    `surface` holds z (ny, nx), flat. NaN stays NaN.
-    """
-    per_mm = 1.0 / step
-    for k in range(out.shape[0]):
-        x = np.float64(flat[3 * k])
-        y = np.float64(flat[3 * k + 1])
-        z = np.float64(flat[3 * k + 2])
-        h, right, down = sample_height(surface, nx, ny, (x - x0) / step, (y - y0) / step)
-        hx = right * per_mm
-        hy = down * per_mm
-        distance = (z - h) / math.sqrt(1.0 + hx * hx + hy * hy)
-        out[k] = distance if (x == x) & (y == y) else np.nan
-
-
-@kernel()
-def measure_level_distance(flat, height, out):
-    """As `measure_signed_distance`, of a level pad: z - height."""
-    for k in range(out.shape[0]):
-        x = flat[3 * k]
-        y = flat[3 * k + 1]
-        z = flat[3 * k + 2]
-        out[k] = np.float64(z) - height if (x == x) & (y == y) else np.nan
-
-
 @kernel(fastmath={"contract", "arcp", "nsz", "reassoc"})
 def intersect_rays(surface, nx, ny, x0, y0, step, ray_x, ray_y, far, out):
     """Write z at which each camera ray meets the height field, from the guesses in `out` (rows,
@@ -95,3 +71,57 @@ def intersect_rays(surface, nx, ny, x0, y0, step, ray_x, ray_y, far, out):
                 if not (low < z < high):
                     z = 0.5 * (low + high)
             out[r, c] = z
+
+
+@kernel()
+def lower_to_triangles(nodes, triangles, height, drawn):
+    """Lower `height` (rows, cols) to the triangles whose corners are `nodes` (n, 3): column, row
+    and height.
+
+    `drawn` (rows, cols) becomes the number of the triangle that is lowest there. Triangles seen
+    edge-on, and those with a corner that is not finite, cover nothing.
+    """
+    rows, cols = height.shape
+    for t in range(triangles.shape[0]):
+        a = triangles[t, 0]
+        b = triangles[t, 1]
+        c = triangles[t, 2]
+        xa = nodes[a, 0]
+        ya = nodes[a, 1]
+        za = nodes[a, 2]
+        xb = nodes[b, 0] - xa
+        yb = nodes[b, 1] - ya
+        zb = nodes[b, 2] - za
+        xc = nodes[c, 0] - xa
+        yc = nodes[c, 1] - ya
+        zc = nodes[c, 2] - za
+        area = xb * yc - xc * yb
+        if not 1e-12 <= abs(area) < np.inf:
+            continue
+        # Clamp before the cast: values beyond an integer's range would wrap.
+        left = math.ceil(min(max(xa + min(0.0, xb, xc) - _SLACK, 0.0), cols + 0.0))
+        right = math.floor(max(min(xa + max(0.0, xb, xc) + _SLACK, cols - 1.0), -1.0))
+        top = math.ceil(min(max(ya + min(0.0, yb, yc) - _SLACK, 0.0), rows + 0.0))
+        bottom = math.floor(max(min(ya + max(0.0, yb, yc) + _SLACK, rows - 1.0), -1.0))
+        # A corner far away must not widen the slack at the opposite edge, where the plane would be
+        # extrapolated.
+        size = abs(area)
+        slack_a = _SLACK * min(1.0, (abs(xc - xb) + abs(yc - yb)) / size)
+        slack_b = _SLACK * min(1.0, (abs(xc) + abs(yc)) / size)
+        slack_c = _SLACK * min(1.0, (abs(xb) + abs(yb)) / size)
+        for row in range(top, bottom + 1):
+            for col in range(left, right + 1):
+                x = col - xa
+                y = row - ya
+                toward_b = (x * yc - xc * y) / area
+                toward_c = (xb * y - x * yb) / area
+                if (
+                    toward_b < -slack_b
+                    or toward_c < -slack_c
+                    or toward_b + toward_c > 1.0 + slack_a
+                ):
+                    continue
+                z = za + toward_b * zb + toward_c * zc
+                if z < height[row, col]:
+                    height[row, col] = z
+                    drawn[row, col] = t

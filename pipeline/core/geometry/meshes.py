@@ -13,8 +13,7 @@ from pipeline.core.arrays import Doubles, Indices, freeze
 from pipeline.core.errors import FileProblem, MeshProblem, SettingProblem
 from pipeline.core.files import read_bytes
 from pipeline.core.geometry import urdf
-from pipeline.core.geometry.polygons import triangulate_polygon
-from pipeline.core.units import UNIT_MM
+from pipeline.core.params import UNIT_MM
 
 # extents of objects that a fingertip can touch: a screw to a long tool
 SMALLEST_MM = 1.0
@@ -26,6 +25,8 @@ _MERGE_MM = 1e-6  # STL repeats each vertex in float32; true neighbours lie micr
 _HEADER = 84
 _TRIANGLE = 50
 _MAX_VERTICES = 1 << 30
+_MAX_CORNERS = 5_000  # of a face: ears are searched in a time that grows with the square
+_ROUNDING = 1e-9  # of a polygon's area
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -229,6 +230,69 @@ def _read_obj(data: bytes, path: Path) -> tuple[Doubles, Indices]:
                 f"line {number} of the OBJ file has {error}; export triangles", path
             ) from error
     return points, np.array(triangles, np.int32).reshape(-1, 3)
+
+
+def triangulate_polygon(points: Doubles) -> list[tuple[int, int, int]]:
+    """Triangles (corner numbers) that cover a planar polygon (n, 3), turned as it is: ear by ear
+    (Meisters 1975), which makes a fan of a convex one.
+
+    Corners on a line give triangles without an area. Raises ValueError for a polygon that crosses
+    itself or has more than `_MAX_CORNERS` corners.
+    """
+    if len(points) > _MAX_CORNERS:
+        raise ValueError(f"a face of more than {_MAX_CORNERS} corners")
+    centred = points - points.mean(axis=0)
+    # twice the area, by Newell's method
+    normal = np.cross(centred, np.roll(centred, -1, axis=0)).sum(axis=0)
+    doubled_area = float(np.linalg.norm(normal))
+    if not doubled_area > 0.0:  # without an area, however it is cut; or not finite
+        return [(0, k, k + 1) for k in range(1, len(points) - 1)]
+    drop = int(np.abs(normal).argmax())  # the coordinate along which the polygon is seen
+    flat = np.delete(points, drop, axis=1)[:, :: (-1 if drop == 1 else 1)] * (
+        1.0,
+        np.sign(normal[drop]),
+    )
+    scale = doubled_area / abs(float(normal[drop]))
+    left = list(range(len(points)))
+    triangles = list[tuple[int, int, int]]()
+    covered = 0.0
+    at = 1
+    n_tried = 0
+    while len(left) > 2:
+        at %= len(left)
+        ear = (left[at - 1], left[at], left[(at + 1) % len(left)])
+        turn = scale * float(_cross(*flat[list(ear)]))
+        others = flat[[k for k in left if k not in ear]]
+        is_flat = abs(turn) <= _ROUNDING * doubled_area
+        if is_flat or (turn > 0.0 and not _holds_any(flat[list(ear)], others)):
+            triangles.append(ear)
+            covered += abs(turn)
+            del left[at]
+            n_tried = 0
+        else:
+            at += 1
+            n_tried += 1
+        if n_tried > len(left):
+            raise ValueError("a face that crosses itself")
+    if abs(covered - doubled_area) > 1e-6 * doubled_area:
+        raise ValueError("a face that crosses itself")
+    return triangles
+
+
+def _holds_any(triangle: Doubles, points: Doubles) -> bool:
+    """Whether points other than its corners lie in a counter-clockwise triangle (3, 2) or on its
+    sides.
+    """
+    points = points[~(points[:, None] == triangle[None]).all(axis=2).any(axis=1)]
+    sides = [_cross(triangle[k], triangle[k - 2], points) for k in range(3)]
+    return bool((np.minimum.reduce(sides) >= 0.0).any())
+
+
+def _cross(a: Doubles, b: Doubles, c: Doubles) -> Doubles:
+    """Twice the signed area of triangles a, b, c of points (..., 2)."""
+    u = b - a
+    v = c - a
+    return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
 
 
 def _parse_vertex_index(word: str, n_vertices: int) -> int:

@@ -17,7 +17,7 @@ def rasterise_triangles(
     nodes (n, 3): column, row and height of the corners. Common edges belong to both triangles. A
     corner that is not finite removes its triangles.
     """
-    from pipeline.core.geometry.rasterisation_kernels import lower_to_triangles
+    from pipeline.core.geometry.membrane_kernels import lower_to_triangles
 
     height = np.full(shape, np.inf)
     drawn = np.full(shape, -1, np.int32)

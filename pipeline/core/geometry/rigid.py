@@ -57,31 +57,21 @@ def rotation_vector_rad(matrix: ArrayLike) -> Doubles:
     and at pi.
     """
     r = np.asarray(matrix, dtype=np.float64)[:3, :3]
-    # The largest squared quaternion component comes first: no division by ~0.
-    q_sq = np.array(
-        [
-            1 + r[0, 0] + r[1, 1] + r[2, 2],
-            1 + r[0, 0] - r[1, 1] - r[2, 2],
-            1 - r[0, 0] + r[1, 1] - r[2, 2],
-            1 - r[0, 0] - r[1, 1] + r[2, 2],
-        ]
-    )
-    wx = r[2, 1] - r[1, 2]
-    wy = r[0, 2] - r[2, 0]
-    wz = r[1, 0] - r[0, 1]
-    xy = r[0, 1] + r[1, 0]
-    xz = r[0, 2] + r[2, 0]
-    yz = r[1, 2] + r[2, 1]
-    rows = (
-        (q_sq[0], wx, wy, wz),
-        (wx, q_sq[1], xy, xz),
-        (wy, xy, q_sq[2], yz),
-        (wz, xz, yz, q_sq[3]),
-    )
-    q = np.array(rows[int(np.argmax(q_sq))])
-    q /= np.linalg.norm(q)
-    if q[0] < 0:
-        q = -q
+    # Four times a quaternion times each of its components, in rows (Shepperd 1978): the longest
+    # row needs no division by ~0.
+    trace, diagonal = np.trace(r), np.diag(r)
+    skew = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
+    rows = np.empty((4, 4))
+    rows[0] = rows[:, 0] = 1.0 + trace, *skew
+    rows[1:, 1:] = r + r.T
+    rows[range(1, 4), range(1, 4)] = 1.0 - trace + 2.0 * diagonal
+    return _convert_quaternion(rows[np.argmax(np.diag(rows))])
+
+
+def _convert_quaternion(wxyz: Doubles) -> Doubles:
+    """The rotation vector (3,) of a quaternion of any length, by the shorter way round."""
+    q = wxyz / np.linalg.norm(wxyz)
+    q = -q if q[0] < 0 else q
     sine = float(np.linalg.norm(q[1:]))
     scale = 2.0 if sine < _SMALL_ANGLE_RAD**2 else 2.0 * math.atan2(sine, q[0]) / sine
     return np.asarray(q[1:] * scale)
@@ -105,14 +95,8 @@ def from_quaternion(translation_mm: ArrayLike, xyzw: ArrayLike) -> Doubles:
     largest = float(np.abs(q).max())
     if not 0.0 < largest < math.inf:
         raise CalibrationError(f"a rotation quaternion must have a length, got {tuple(q.tolist())}")
-    x, y, z, w = q / largest  # only its direction counts; squares neither overflow nor vanish
-    s = 2.0 / (x * x + y * y + z * z + w * w)
-    matrix = np.eye(4)
-    matrix[:3, :3] = [
-        [1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
-        [s * (x * y + z * w), 1 - s * (x * x + z * z), s * (y * z - x * w)],
-        [s * (x * z - y * w), s * (y * z + x * w), 1 - s * (x * x + y * y)],
-    ]
+    # only its direction counts; squares neither overflow nor vanish
+    matrix = rotation(_convert_quaternion(np.roll(q / largest, 1)))
     matrix[:3, 3] = np.asarray(translation_mm, dtype=np.float64)
     return matrix
 

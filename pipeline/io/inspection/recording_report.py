@@ -1,10 +1,11 @@
 """Report on a recording: its content, and checks of units, frames and colours."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from pipeline.io.inspection.stream_checks import Check, StreamChecker, check_pai
 from pipeline.io.inspection.synchrony import ContactSignature
 from pipeline.sensors.spec import SensorSpec, list_sensor_names, load_sensor
 
+T = TypeVar("T")
 _STATE_LABELS = {"pass": "ok  ", "fail": "FAIL", "unknown": "?   "}
 
 
@@ -246,17 +248,15 @@ def _inspect_stream(
 def _read_frame(stream: Stream, index: int) -> tuple[TactileFrame | None, Truth | None, str]:
     """(frame, truth, problems), as far as they can be read."""
     problems: list[str] = []
-    frame: TactileFrame | None = None
-    truth: Truth | None = None
-    try:
-        frame = stream.frame(index)
-    except TouchError as error:
-        problems.append(str(error))
-    try:
-        truth = stream.truth(index)
-    except TouchError as error:
-        problems.append(str(error))
-    return frame, truth, "; ".join(problems)
+
+    def attempt(read: Callable[[int], T]) -> T | None:
+        try:
+            return read(index)
+        except TouchError as error:
+            problems.append(str(error))
+            return None
+
+    return attempt(stream.frame), attempt(stream.truth), "; ".join(problems)
 
 
 def _compute_timing(times: Sequence[float]) -> tuple[float, float]:
@@ -294,8 +294,7 @@ def measure_contact_offset_mm(truth: Truth, sensor: SensorSpec, mesh: Mesh) -> f
 
 
 def _check_size(mesh: Mesh, path: str) -> Check:
-    corners = mesh.vertices_mm[mesh.triangles].reshape(-1, 3)
-    extent = corners.max(axis=0) - corners.min(axis=0)
+    extent = np.ptp(mesh.vertices_mm[np.unique(mesh.triangles)], axis=0)
     text = f"{' x '.join(f'{e:.3g}' for e in extent)} mm, {len(mesh.triangles)} triangles"
     if not SMALLEST_MM <= extent.max() <= LARGEST_MM:
         text = f"the mesh is {text}; objects measure {SMALLEST_MM:g} to {LARGEST_MM:g} mm: '{path}'"
@@ -306,14 +305,12 @@ def _check_size(mesh: Mesh, path: str) -> Check:
 def _check_surface(mesh: Mesh, path: str) -> Check:
     """Each edge must occur once in each direction; then no part is open, doubled or flipped."""
     t = mesh.triangles.astype(np.int64)
-    edges = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
     n = len(mesh.vertices_mm)
-    forward = edges[:, 0] * n + edges[:, 1]
-    backward = edges[:, 1] * n + edges[:, 0]
-    n_open = int((~np.isin(forward, backward)).sum())
+    start, end = t.ravel(), np.roll(t, -1, axis=1).ravel()
+    forward = start * n + end
+    n_open = int((~np.isin(forward, end * n + start)).sum())
     n_doubled = len(forward) - len(np.unique(forward))
-    a, b, c = (mesh.vertices_mm[t[:, k]] for k in range(3))
-    volume_mm3 = float((a * np.cross(b, c)).sum()) / 6.0
+    volume_mm3 = float(np.linalg.det(mesh.vertices_mm[t]).sum()) / 6.0
     problem = ""
     if n_open:
         problem = f"{n_open} of its edges have no neighbour: it has holes and no inside"

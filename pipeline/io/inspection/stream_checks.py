@@ -3,7 +3,7 @@ file and field.
 """
 
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, cast
@@ -17,8 +17,7 @@ from pipeline.core.geometry import rigid
 from pipeline.core.values.frames import Recording, TactileFrame, Truth
 from pipeline.core.values.pairing import compute_interval_s
 from pipeline.physics.reference_colours import compare_colours
-from pipeline.sensors.depth_unit import describe_unit_problem
-from pipeline.sensors.spec import SensorSpec
+from pipeline.sensors.spec import SensorSpec, describe_unit_problem
 
 CheckState = Literal["pass", "fail", "unknown"]
 
@@ -54,7 +53,7 @@ class Check:
 
 
 class StreamChecker:
-    """Collects the figures for the checks of one stream, frame by frame."""
+    """Collects the problems of one stream by check, frame by frame."""
 
     def __init__(self, stream: str, path: str, spec: SensorSpec | None) -> None:
         """Check `stream` of the recording at `path`; `spec` is its sensor, None if not known."""
@@ -62,157 +61,147 @@ class StreamChecker:
         self._path = path
         self._spec = spec
         self._problems: defaultdict[str, list[str]] = defaultdict(list)  # check -> sentences
-        self._without_reference: list[int] = []
-        self._wrong_sizes: list[int] = []
+        self._counts = Counter[str]()
         self._depths_mm: list[float] = []
-        self._sparse_frames: list[int] = []
-        self._n_frames = 0
-        self._n_gaps = 0
-        self._n_pixels = 0
-        self._n_nearer = 0
-        self._n_moved = 0
         self._reference: TactileFrame | None = None
-        self._n_truth = 0
-        self._n_poses = 0
 
-    def add_problem(self, text: str) -> None:
-        """Add the error of a frame that cannot be read."""
-        self._problems["frames"].append(text)
+    def add_problem(self, text: str, check: str = "frames") -> None:
+        """Add a sentence to a check, of a frame that cannot be read unless another is named."""
+        self._problems[check].append(text)
 
     def add_frame(self, frame: TactileFrame) -> None:
         """Add one frame."""
-        self._n_frames += 1
+        name = f"frame {frame.index}"
+        self._counts["frames"] += 1
         if frame.reference is None:
-            self._without_reference.append(frame.index)
+            self.add_problem(f"{name} has no reference, others do", "reference")
         elif self._reference is None:
             self._reference = frame
-        want = (
-            frame.camera.shape
-            if frame.camera is not None
-            else (self._spec.camera.shape if self._spec else None)
-        )
-        if want is not None and frame.image.shape[:2] != want:
-            self._wrong_sizes.append(frame.index)
+        if self._spec is not None:
+            shape = (frame.camera or self._spec.camera).shape
+            if frame.image.shape[:2] != shape:
+                self.add_problem(
+                    f"{name} does not have the size of {self._spec.name}, {shape[1]} x {shape[0]} "
+                    "px",
+                    "image size",
+                )
         dtype = np.dtype(np.float32 if frame.is_depth else np.uint8)
         if frame.image.dtype != dtype:
-            self._problems["types"].append(
-                f"frame {frame.index} holds {frame.image.dtype}, it must be {dtype}"
-            )
+            self.add_problem(f"{name} holds {frame.image.dtype}, it must be {dtype}", "types")
         problem = _find_image_problem(frame.image)
         if problem:
-            self._problems["images"].append(f"frame {frame.index} {problem}")
+            self.add_problem(f"{name} {problem}", "images")
         if frame.is_depth:
-            self._add_depth(frame)
+            self._add_depth(frame, name)
 
-    def _add_depth(self, frame: TactileFrame) -> None:
+    def _add_depth(self, frame: TactileFrame, name: str) -> None:
         known = np.isfinite(frame.image)
-        self._n_pixels += known.size
-        self._n_gaps += int(known.size - known.sum())
+        self._counts.update(pixels=known.size, gaps=int((~known).sum()))
         if known.mean() < 1.0 - _MAX_GAP_SHARE:
-            self._sparse_frames.append(frame.index)
+            self.add_problem(f"{name} has no value in more than half of its pixels", "gaps")
         if known.any():
             self._depths_mm.append(float(np.median(frame.image[known])))
         if frame.reference is not None and frame.reference.shape == frame.image.shape:
             # pixels without a value have not moved
             indentation = np.nan_to_num(frame.reference - frame.image)
-            self._n_nearer += int((indentation > _MIN_MOTION_MM).sum())
-            self._n_moved += int((np.abs(indentation) > _MIN_MOTION_MM).sum())
+            self._counts.update(
+                nearer=int((indentation > _MIN_MOTION_MM).sum()),
+                moved=int((np.abs(indentation) > _MIN_MOTION_MM).sum()),
+            )
 
     def add_truth(self, index: int, truth: Truth) -> None:
         """Add the truth of frame `index`."""
         if truth.sensor_from_object is not None:
-            self._n_poses += 1
+            self._counts["poses"] += 1
             self._add_pose(index, truth.sensor_from_object)
-        if truth.indentation_mm is None:
-            return
-        self._n_truth += 1
         indentation = truth.indentation_mm
-        limit = self._spec.limits.indentation_max_mm if self._spec else math.inf
-        if not np.isfinite(indentation).any():
-            self._problems["truth"].append(f"indentation_mm of frame {index} has no value")
+        if indentation is None:
             return
+        self._counts["truth"] += 1
+        if not np.isfinite(indentation).any():
+            self.add_problem(f"indentation_mm of frame {index} has no value", "truth")
+            return
+        limit = self._spec.limits.indentation_max_mm if self._spec else math.inf
         deepest = float(np.nanmax(indentation))
         if deepest > 2 * limit:
-            self._problems["truth"].append(
+            self.add_problem(
                 f"indentation_mm of frame {index} reaches {deepest:.3g} mm, the limit is "
-                f"{limit:g} mm"
+                f"{limit:g} mm",
+                "truth",
             )
         if truth.contact is None:
             return
         is_bulge = (indentation < 0) & (indentation > -_MAX_BULGE * deepest)
-        n_wrong = int((truth.contact & ~(indentation > 0) & ~is_bulge).sum())
-        n_bulges = int((truth.contact & is_bulge).sum())
+        is_wrong = ~(indentation > 0) & ~is_bulge
         n_contact = int(truth.contact.sum())
-        if n_wrong > _MAX_EDGE_SHARE * n_contact or n_bulges > _MAX_BULGE_SHARE * n_contact:
-            self._problems["truth"].append(
-                f"contact of frame {index} holds pixels whose indentation_mm is not positive"
+        if (
+            int((truth.contact & is_wrong).sum()) > _MAX_EDGE_SHARE * n_contact
+            or int((truth.contact & is_bulge).sum()) > _MAX_BULGE_SHARE * n_contact
+        ):
+            self.add_problem(
+                f"contact of frame {index} holds pixels whose indentation_mm is not positive",
+                "truth",
             )
 
     def _add_pose(self, index: int, sensor_from_object: Doubles) -> None:
+        name = f"sensor_from_object of frame {index}"
         try:
-            pose = rigid.validate_rigid(sensor_from_object, f"sensor_from_object of frame {index}")
+            pose = rigid.validate_rigid(sensor_from_object, name)
         except CalibrationError as error:
-            self._problems["poses"].append(str(error))
+            self.add_problem(str(error), "poses")
             return
         distance_mm = float(np.linalg.norm(pose[:3, 3]))
         if distance_mm > _MAX_OBJECT_MM:
-            self._problems["poses"].append(
-                f"sensor_from_object of frame {index} puts the object {distance_mm:.3g} mm away"
-            )
+            self.add_problem(f"{name} puts the object {distance_mm:.3g} mm away", "poses")
 
     def add_contact_offset(self, index: int, offset_mm: float) -> None:
         """Add the distance of the object from its contact in frame `index`."""
         if offset_mm > _MAX_OFFSET_MM:
-            self._problems["poses"].append(
+            self.add_problem(
                 f"sensor_from_object of frame {index} puts the object {offset_mm:.3g} mm from its "
-                "contact; "
-                "check whether it is in metres or of another sensor"
+                "contact; check whether it is in metres or of another sensor",
+                "poses",
             )
 
     def summarize_checks(self, times_s: Sequence[float]) -> list[Check]:
         """The checks, after all frames have been added."""
-        no_frames = [] if self._n_frames else ["there is no frame"]
+        n = self._counts
+        if not n["frames"]:
+            self.add_problem("there is no frame")
+        without = ""
+        if len(self._problems["reference"]) == n["frames"]:
+            without = "no reference; name one with --reference, or make one with --reference-frames"
+        unknown = "" if self._spec else "the sensor is not known"
         checks = [
-            self._check("frames", self._problems["frames"] or no_frames, "every frame can be read"),
-            self._check_sizes(),
-            self._check_references(),
+            self._check("frames", "every frame can be read"),
+            self._check("image size", "as the sensor's camera", unknown),
+            self._check("reference", "every frame has a reference", without),
+            self._check("types", "every frame has the right type"),
+            self._check("images", "no image is uniform, saturated or without a value"),
         ]
-        checks.append(
-            self._check("types", self._problems["types"], "every frame has the right type")
-        )
-        checks.append(
-            self._check(
-                "images",
-                self._problems["images"],
-                "no image is uniform, saturated or without a value",
-            )
-        )
-        if self._depths_mm or self._sparse_frames:
-            checks += [self._check_depth_unit(), self._check_depth_sign(), self._check_gaps()]
-        elif self._n_frames:
+        if self._depths_mm or self._problems["gaps"]:
+            share = n["gaps"] / max(1, n["pixels"])
+            checks += [
+                self._check_depth_unit(),
+                self._check_depth_sign(),
+                self._check("gaps", f"{share:.1%} of the pixels have no value (NaN)"),
+            ]
+        elif n["frames"]:
             checks.append(self._check_colours())
         checks.append(self._check_times(times_s))
-        if self._n_truth:
-            checks.append(
-                self._check(
-                    "truth",
-                    self._problems["truth"],
-                    "contact lies within the indentation, indentation within limits",
-                )
-            )
-        if self._n_poses:
-            checks.append(
-                self._check(
-                    "poses",
-                    self._problems["poses"],
-                    "every rotation has determinant +1 and distances fit mm",
-                )
-            )
+        if n["truth"]:
+            good = "contact lies within the indentation, indentation within limits"
+            checks.append(self._check("truth", good))
+        if n["poses"]:
+            good = "every rotation has determinant +1 and distances fit mm"
+            checks.append(self._check("poses", good))
         return checks
 
-    def _check(self, name: str, problems: Sequence[str], success: str) -> Check:
-        if not problems:
-            return self._make_check(name, "pass", success)
+    def _check(self, name: str, success: str, unknown: str = "") -> Check:
+        """The check of the problems under a name; `unknown` says why it cannot be made."""
+        problems = self._problems[name]
+        if unknown or not problems:
+            return self._make_check(name, "unknown" if unknown else "pass", unknown or success)
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         return self._make_check(name, "fail", f"{problems[0]}{more}")
 
@@ -221,73 +210,43 @@ class StreamChecker:
             text = f"{text}: '{self._path}'"
         return Check(name=f"{self._stream} {name}", state=state, text=text)
 
-    def _check_sizes(self) -> Check:
-        if self._spec is None:
-            return self._make_check("image size", "unknown", "the sensor is not known")
-        shape = self._spec.camera.shape
-        bad = [
-            f"frame {i} does not have the size of {self._spec.name}, {shape[1]} x {shape[0]} px"
-            for i in self._wrong_sizes
-        ]
-        return self._check("image size", bad, "as the sensor's camera")
-
-    def _check_references(self) -> Check:
-        if len(self._without_reference) == self._n_frames:
-            return self._make_check(
-                "reference",
-                "unknown",
-                "no reference; name one with --reference, or make one with --reference-frames",
-            )
-        bad = [f"frame {i} has no reference, others do" for i in self._without_reference]
-        return self._check("reference", bad, "every frame has a reference")
-
     def _check_depth_unit(self) -> Check:
         median_mm = float(np.median(self._depths_mm or [np.nan]))
-        wrong = [d for d in self._depths_mm if not _DEPTH_MM[0] <= d <= _DEPTH_MM[1]]
-        bad = [f"frames has a median depth of {d:.3g} mm; check the unit" for d in wrong]
-        if self._spec is None:
-            return self._check("depth unit", bad, f"median depth {median_mm:.1f} mm fits mm")
-        reference = None if self._reference is None else self._reference.reference
-        medians_mm = {"frames": median_mm}
-        if reference is not None and np.isfinite(reference).any():
-            medians_mm["the reference"] = float(np.nanmedian(reference))
-        problems = {
-            what: describe_unit_problem(depth_mm, self._spec)
-            for what, depth_mm in medians_mm.items()
-        }
-        bad = [f"{what} {problem}" for what, problem in problems.items() if problem] or bad
-        rest_mm = float(np.median(self._spec.rest_depth_mm))
-        return self._check(
-            "depth unit",
-            bad,
-            f"median depth {median_mm:.1f} mm fits the {rest_mm:.1f} mm at which "
-            f"{self._spec.name} rests",
-        )
+        fits = f"median depth {median_mm:.1f} mm fits"
+        success = f"{fits} mm"
+        if self._spec is not None:
+            rest_mm = float(np.median(self._spec.rest_depth_mm))
+            success = f"{fits} the {rest_mm:.1f} mm at which {self._spec.name} rests"
+            medians_mm = {"frames": median_mm}
+            reference = None if self._reference is None else self._reference.reference
+            if reference is not None and np.isfinite(reference).any():
+                medians_mm["the reference"] = float(np.nanmedian(reference))
+            for what, depth_mm in medians_mm.items():
+                problem = describe_unit_problem(depth_mm, self._spec)
+                if problem:
+                    self.add_problem(f"{what} {problem}", "depth unit")
+        if not self._problems["depth unit"]:
+            self._problems["depth unit"] = [
+                f"frames has a median depth of {depth_mm:.3g} mm; check the unit"
+                for depth_mm in self._depths_mm
+                if not _DEPTH_MM[0] <= depth_mm <= _DEPTH_MM[1]
+            ]
+        return self._check("depth unit", success)
 
     def _check_depth_sign(self) -> Check:
-        if not self._n_moved:
-            return self._make_check(
-                "depth sign",
-                "unknown",
-                f"no pixel moves by more than {_MIN_MOTION_MM:g} mm from the reference",
-            )
-        share = self._n_nearer / self._n_moved
+        n_moved = self._counts["moved"]
+        unknown = ""
+        if not n_moved:
+            unknown = f"no pixel moves by more than {_MIN_MOTION_MM:g} mm from the reference"
+        share = self._counts["nearer"] / max(1, n_moved)
         text = f"{share:.0%} of the moving pixels come nearer to the camera"
         if share < _MIN_NEARER_SHARE:
-            return self._make_check(
-                "depth sign",
-                "fail",
+            self.add_problem(
                 f"frames: only {text}, as by a flipped sign or a touch in the reference; check "
                 "both",
+                "depth sign",
             )
-        return self._make_check("depth sign", "pass", text)
-
-    def _check_gaps(self) -> Check:
-        bad = [
-            f"frame {i} has no value in more than half of its pixels" for i in self._sparse_frames
-        ]
-        share = self._n_gaps / max(1, self._n_pixels)
-        return self._check("gaps", bad, f"{share:.1%} of the pixels have no value (NaN)")
+        return self._check("depth sign", text, unknown)
 
     def _check_times(self, times_s: Sequence[float]) -> Check:
         known = np.asarray([t for t in times_s if math.isfinite(t)])
@@ -305,29 +264,27 @@ class StreamChecker:
                 "times",
                 "fail" if is_regular else "unknown",
                 f"timestamps give {1.0 / interval_s:.3g} Hz, and {n / interval_s:.3g} Hz if they "
-                f"are in {units[0]}: "
-                f"then divide them by {n:,.0f}",
+                f"are in {units[0]}: then divide them by {n:,.0f}",
             )
-        back = np.nonzero(np.diff(known) <= 0)[0]
-        return self._check(
-            "times", [f"timestamps do not rise after frame {i}" for i in back], "timestamps rise"
-        )
+        for i in np.flatnonzero(np.diff(known) <= 0):
+            self.add_problem(f"timestamps do not rise after frame {i}", "times")
+        return self._check("times", "timestamps rise")
 
     def _check_colours(self) -> Check:
         """Compare the colours of the reference with those of the description, also mirrored or
         channel-swapped.
         """
-        frame = self._reference
         spec = self._spec
-        if frame is None or frame.reference is None or spec is None or spec.optics is None:
+        reference = None if self._reference is None else self._reference.reference
+        if reference is None or spec is None or spec.optics is None:
             return self._make_check(
                 "colours", "unknown", "needs a reference image and a sensor with described LEDs"
             )
-        if frame.reference.shape != (*spec.camera.shape, 3) or frame.reference.dtype != np.uint8:
+        if reference.shape != (*spec.camera.shape, 3) or reference.dtype != np.uint8:
             return self._make_check(
                 "colours", "unknown", "the reference does not have the sensor's size"
             )
-        comparison = compare_colours(cast("Image", frame.reference), spec)
+        comparison = compare_colours(cast("Image", reference), spec)
         text = (
             f"colours match a {spec.name} reference by {comparison.similarity:.2f} (1 = "
             "equal, 0 = unrelated)"
@@ -335,12 +292,10 @@ class StreamChecker:
         if comparison.problem:
             corrected = comparison.corrected_similarity
             so = "" if math.isnan(corrected) else f", {corrected:.2f} after this correction"
-            return self._make_check(
-                "colours", "fail", f"the reference: {comparison.problem}; {text}{so}"
-            )
-        return self._make_check(
-            "colours", "pass" if comparison.similarity > _MIN_SIMILARITY else "unknown", text
-        )
+            self.add_problem(f"the reference: {comparison.problem}; {text}{so}", "colours")
+        elif comparison.similarity <= _MIN_SIMILARITY:
+            return self._make_check("colours", "unknown", text)
+        return self._check("colours", text)
 
 
 def check_pairings(recording: Recording) -> list[Check]:

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats
-from pipeline.core.cache import Cache
 from pipeline.core.errors import SettingProblem
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.graph import Graph, StageResult
+from pipeline.core.memo import Cache
 from pipeline.core.params import list_settings
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame, Truth

@@ -10,10 +10,9 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from pipeline.core.cache import Cache
 from pipeline.core.errors import TouchError
 from pipeline.core.graph import Graph, Method, StageResult
-from pipeline.core.memo import Memo
+from pipeline.core.memo import Cache, Memo
 from pipeline.core.params import Value, replace_value
 from pipeline.core.progress import SILENT, Progress, SubProgress
 from pipeline.stages.networks.weights import NoWeights

@@ -20,9 +20,9 @@ from pipeline.core.derived import derive_once
 from pipeline.core.files import read_toml
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
+from pipeline.core.params import MeshUnit
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.typed_data import FileName, Number, convert
-from pipeline.core.units import MeshUnit
 from pipeline.lab.tasks.grasp import SOURCE, TARGET, run_through_touches
 from pipeline.lab.tasks.in_hand import PlanarPose, parse_planar_pose
 from pipeline.lab.tasks.peg import Peg, cut_peg, make_hole_mesh, write_hole

@@ -24,8 +24,7 @@ import numpy as np
 
 from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.errors import FileProblem, TouchError
-from pipeline.core.files import require_file
-from pipeline.core.read_budget import require_budget
+from pipeline.core.files import require_budget, require_file
 from pipeline.core.typed_data import convert
 from pipeline.io import hdf5, hdf5_validation
 from pipeline.io.hdf5_writer import RecordingWriter

@@ -14,10 +14,10 @@ from typing import cast
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Image
-from pipeline.core.cache import Cache
 from pipeline.core.errors import SettingProblem
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.graph import Graph, StageResult
+from pipeline.core.memo import Cache
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import Pairing, Recording, Stream, TactileFrame, Truth
 from pipeline.core.values.results import DepthMap, GeneratedTouch

@@ -19,8 +19,7 @@ from pipeline.core.derived import derive_once
 from pipeline.core.digests import compute_digest
 from pipeline.core.errors import SettingProblem
 from pipeline.core.geometry.meshes import Mesh
-from pipeline.core.params import check_range
-from pipeline.core.units import MeshUnit
+from pipeline.core.params import MeshUnit, check_range
 from pipeline.core.values.frames import Pairing, Recording, Stream, TactileFrame, Truth
 from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.physics.shear import TangentialLoad

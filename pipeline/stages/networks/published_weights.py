@@ -35,10 +35,9 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Floats
 from pipeline.core.errors import FileProblem
-from pipeline.core.files import read_toml
+from pipeline.core.files import MOST_NETWORK_BYTES, read_toml, require_budget
 from pipeline.core.params import Value
 from pipeline.core.progress import report_reading
-from pipeline.core.read_budget import MOST_NETWORK_BYTES, require_budget
 from pipeline.core.torch_archive import load_torch_file, require_checksums
 from pipeline.stages.networks.weights import (
     Weights,

@@ -19,9 +19,14 @@ from numpy.typing import NDArray
 from pipeline.core.arrays import Floats, freeze
 from pipeline.core.digests import UNDIGESTED, compute_digest
 from pipeline.core.errors import FileProblem
-from pipeline.core.files import open_atomic, require_file, write_text
+from pipeline.core.files import (
+    MOST_NETWORK_BYTES,
+    open_atomic,
+    require_budget,
+    require_file,
+    write_text,
+)
 from pipeline.core.params import Value
-from pipeline.core.read_budget import MOST_NETWORK_BYTES, require_budget
 from pipeline.core.torch_archive import SIGNATURE
 from pipeline.core.typed_data import Name, Plain, convert
 

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 
 from pipeline import __version__
 from pipeline.core.arrays import freeze
-from pipeline.core.digests import compute_digest
+from pipeline.core.digests import compute_digest, compute_fingerprint
 from pipeline.core.errors import StageWarning
 from pipeline.core.files import write_arrays, write_folder, write_json
-from pipeline.core.fingerprints import compute_fingerprint
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.graph import StageResult
 from pipeline.core.values.frames import TactileFrame

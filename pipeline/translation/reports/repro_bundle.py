@@ -38,8 +38,7 @@ from pipeline.core.typed_data import FileName, Name, Note, convert
 from pipeline.core.values.frames import TactileFrame
 from pipeline.io.formats import DepthUnit
 from pipeline.io.hdf5_writer import RecordingWriter
-from pipeline.sensors.alignment import Offsets
-from pipeline.sensors.alignment_files import AlignmentFile, save_alignment
+from pipeline.sensors.alignment import AlignmentFile, Offsets, save_alignment
 from pipeline.translation.frame_selection import select_context_frames
 from pipeline.translation.reports.export_request import format_options
 from pipeline.translation.reports.report import collect_stage_arrays

@@ -18,7 +18,7 @@ from app.session.sample import SAMPLE_RECORDING
 from app.session.state import Session
 from app.shell.tour import wait_until_shown
 from pipeline.core.geometry import rigid
-from pipeline.sensors.alignment_files import load_alignment
+from pipeline.sensors.alignment import load_alignment
 
 PAIRED = SAMPLE_RECORDING.with_name("digit_gelslim.h5")
 TOUCHED = 3  # a frame that both sensors feel

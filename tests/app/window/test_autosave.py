@@ -22,7 +22,7 @@ from app.session.preferences import Preferences
 from app.session.state import Session, load_session, save_session
 from app.shell.tour import wait_until_shown
 from app.window.main_window import DEFAULT_SIZE
-from pipeline.core.fingerprints import compute_fingerprint
+from pipeline.core.digests import compute_fingerprint
 from widgets.shell.welcome import WelcomePage
 
 LIMIT_S = 240

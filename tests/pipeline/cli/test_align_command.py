@@ -14,7 +14,7 @@ from pipeline.cli.align import parse_frames
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
 from pipeline.core.errors import SettingProblem
 from pipeline.core.geometry import rigid
-from pipeline.sensors.alignment_files import AlignmentFile, load_alignment, save_alignment
+from pipeline.sensors.alignment import AlignmentFile, load_alignment, save_alignment
 from pipeline.translation.alignment.nudge import nudge
 from pipeline.translation.translate import Request, open_translation
 from sample_data import make_alignments

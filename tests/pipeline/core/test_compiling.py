@@ -20,11 +20,11 @@ KERNEL_CALL = """
 import json
 import numpy as np
 from pipeline.core import compiling
-from pipeline.core.geometry.membrane_kernels import measure_level_distance
+from pipeline.core.geometry.membrane_kernels import lower_to_triangles
 sentences = []
 with compiling.report_compiling(sentences.append) as spent_s:
     for _ in range(2):
-        measure_level_distance(np.zeros(6, np.float32), 1.0, np.empty(2))
+        lower_to_triangles(np.zeros((3, 3)), np.zeros((1, 3), np.int32), np.ones((2, 2)), np.zeros((2, 2), np.int32))
 print(json.dumps([sentences, spent_s(), compiling.count_compiled(), str(compiling.kernel_folder())]))
 """
 
@@ -86,9 +86,7 @@ def test_a_kernel_is_compiled_here_where_no_process_can(tmp_path):
 def test_damaged_cache_files_are_compiled_again(tmp_path):
     folder = call_kernel(tmp_path)[3]
     files = [
-        path
-        for path in folder.rglob("*")
-        if path.is_file() and "measure_level_distance" in path.name
+        path for path in folder.rglob("*") if path.is_file() and "lower_to_triangles" in path.name
     ]
     assert files
     for path in files:
@@ -158,25 +156,29 @@ def test_a_folder_that_cannot_be_written_is_replaced_by_a_temporary_one(
 
 def test_every_kernel_uses_the_tolerant_cache():
     from pipeline.core.cached_kernels import _TolerantCache
-    from pipeline.core.geometry.membrane_kernels import measure_level_distance
+    from pipeline.core.geometry.membrane_kernels import lower_to_triangles
 
-    measure_level_distance(np.zeros(6, np.float32), 1.0, np.empty(2))
-    assert isinstance(measure_level_distance._cache, _TolerantCache)
+    lower_to_triangles(
+        np.zeros((3, 3)), np.zeros((1, 3), np.int32), np.ones((2, 2)), np.zeros((2, 2), np.int32)
+    )
+    assert isinstance(lower_to_triangles._cache, _TolerantCache)
 
 
 def test_the_compiler_takes_no_module_from_the_folder_it_runs_in(tmp_path, monkeypatch):
     from pipeline.core import kernel_compiler
-    from pipeline.core.geometry.membrane_kernels import measure_level_distance
+    from pipeline.core.geometry.membrane_kernels import lower_to_triangles
 
     (tmp_path / "pipeline.py").write_text("open('seen', 'w').close()\n")
     monkeypatch.chdir(tmp_path)
-    measure_level_distance(np.zeros(6, np.float32), 1.0, np.empty(2))
+    lower_to_triangles(
+        np.zeros((3, 3)), np.zeros((1, 3), np.int32), np.ones((2, 2)), np.zeros((2, 2), np.int32)
+    )
     process = kernel_compiler._CompilerProcess()
     try:
         assert process.compile(
-            measure_level_distance.__module__,
-            "measure_level_distance",
-            measure_level_distance.signatures[0],
+            lower_to_triangles.__module__,
+            "lower_to_triangles",
+            lower_to_triangles.signatures[0],
         )
     finally:
         process.stop()
@@ -185,17 +187,19 @@ def test_the_compiler_takes_no_module_from_the_folder_it_runs_in(tmp_path, monke
 
 def test_a_compiler_that_is_stopped_is_given_up(monkeypatch):
     from pipeline.core import kernel_compiler
-    from pipeline.core.geometry.membrane_kernels import measure_level_distance
+    from pipeline.core.geometry.membrane_kernels import lower_to_triangles
 
-    measure_level_distance(np.zeros(6, np.float32), 1.0, np.empty(2))
+    lower_to_triangles(
+        np.zeros((3, 3)), np.zeros((1, 3), np.int32), np.ones((2, 2)), np.zeros((2, 2), np.int32)
+    )
     monkeypatch.setattr(
         kernel_compiler, "_SERVE", "import os, signal; os.kill(os.getpid(), signal.SIGSTOP)"
     )
     process = kernel_compiler._CompilerProcess()
     assert not process.compile(
-        measure_level_distance.__module__,
-        "measure_level_distance",
-        measure_level_distance.signatures[0],
+        lower_to_triangles.__module__,
+        "lower_to_triangles",
+        lower_to_triangles.signatures[0],
     )
     assert process._process is None
 

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.core.arrays import freeze
-from pipeline.core.cache import Cache, CacheEntry
 from pipeline.core.digests import DigestCache, compute_digest
 from pipeline.core.errors import SettingProblem
 from pipeline.core.geometry.meshes import Mesh
@@ -23,6 +22,7 @@ from pipeline.core.graph import (
     chain_nodes,
     skip_if_exact,
 )
+from pipeline.core.memo import Cache, CacheEntry
 from pipeline.core.params import setting
 from pipeline.core.progress import SILENT, Cancelled
 

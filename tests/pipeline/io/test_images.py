@@ -185,7 +185,7 @@ def test_a_video_is_read_in_any_order_with_its_first_frame_as_reference(film: Pa
 
 
 def test_a_reference_of_another_size_is_refused(film: Path, tmp_path: Path):
-    with pytest.raises((FileProblem, ShapeError), match=r"\(10, 20, 3\).*ref\.png"):
+    with pytest.raises((FileProblem, ShapeError), match=r"20 x 10 px.*ref\.png"):
         open_recording(film, reference=save(tmp_path / "ref.png", shape=(10, 20)))
 
 

@@ -60,12 +60,14 @@ def test_cameras_of_act_are_read_plain_and_encoded(tmp_path: Path, touches, how:
 def test_cameras_that_name_no_touch_are_not_guessed_among(tmp_path: Path, touches):
     with h5py.File(tmp_path / "a.hdf5", "w") as file:
         file["observations/images/front"] = file["observations/images/wrist"] = touches.images
-    with pytest.raises(
-        FileProblem, match="named after touch \\(front, wrist\\); choose the sensor's with --stream"
-    ):
-        open_recording(tmp_path / "a.hdf5")
-    (stream,) = open_recording(tmp_path / "a.hdf5", stream="wrist", sensor="gelslim").streams
-    assert (stream.name, stream.sensor) == ("wrist", "gelslim")
+    recording = open_recording(tmp_path / "a.hdf5")
+    assert [stream.sensor for stream in recording.streams] == ["", ""]
+    assert any("say which with --stream wrist --sensor" in note for note in recording.notes)
+    recording = open_recording(tmp_path / "a.hdf5", stream="wrist", sensor="gelslim")
+    assert {stream.name: stream.sensor for stream in recording.streams} == {
+        "front": "",
+        "wrist": "gelslim",
+    }
 
 
 def test_a_reference_is_of_the_camera_that_the_user_names(tmp_path: Path, touches):

@@ -12,8 +12,8 @@ import pytest
 
 from pipeline.core.errors import FileProblem, SettingProblem, UnknownSensor
 from pipeline.io import open_recording
+from pipeline.io.gel_streams import names_touch
 from pipeline.io.inspection.recording_report import inspect_recording
-from pipeline.io.stream_choice import names_touch
 from pipeline.translation.translate import Request, open_translation
 from tests.pipeline.io.mcap_files import raw, write_ros
 

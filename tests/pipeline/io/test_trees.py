@@ -13,8 +13,6 @@ import pytest
 from pipeline.core.errors import FileProblem
 from pipeline.io import open_recording
 
-CAMERA_PX = 0.5  # by which a focal length may miss: points are kept in float32
-
 
 def picture(path: Path, red: int = 100, shape=(240, 320)) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -102,55 +100,6 @@ def test_reference_images_of_sparsh_are_found_in_the_folder_bgs(tmp_path: Path):
         assert recording.streams[0].frame(0).reference[0, 0].tolist() == pytest.approx(
             [50, 30, 10], abs=2
         )
-
-
-def test_the_point_clouds_of_punyo_are_depth_with_their_camera(tmp_path: Path):
-    row, col = np.indices((171, 224)).astype(np.float32)
-    for k in range(12):
-        z = np.full((171, 224), 0.08 - 0.003 * (k > 8), np.float32)
-        z[5, 5] = 0.0
-        cloud = np.stack([(col - 110.0) / 180.0 * z, (row - 80.0) / 181.0 * z, z], axis=-1).reshape(
-            -1, 3
-        )
-        (tmp_path / "0" / "expand").mkdir(parents=True, exist_ok=True)
-        np.save(tmp_path / "0" / "expand" / f"pc_{k}.npy", cloud)
-        np.save(tmp_path / "0" / "expand" / f"pressure_{k}.npy", np.array(1065.8))
-    (tmp_path / "0" / "data.json").write_text("[]")
-    recording = open_recording(tmp_path)
-    frame = recording.streams[0].frame(11)
-    assert recording.streams[0].n_frames == 12
-    assert frame.image[50, 60] == pytest.approx(77.0, abs=0.01)
-    assert frame.reference[50, 60] == pytest.approx(80.0, abs=0.01)
-    assert np.isnan(frame.image[5, 5])
-    camera = frame.camera
-    seen = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)
-    np.testing.assert_allclose(seen, (180.0, 181.0, 110.0, 80.0), atol=CAMERA_PX)
-
-
-def test_points_in_another_order_are_refused(tmp_path: Path):
-    points = np.random.default_rng(0).uniform(0.05, 0.1, (171 * 224, 3)).astype(np.float32)
-    np.save(tmp_path / "pc_0.npy", points)
-    with pytest.raises(FileProblem, match="order of an image's pixels"):
-        open_recording(tmp_path)
-
-
-@pytest.mark.parametrize(("off_px", "is_refused"), [(0.5, False), (6.0, True)])
-def test_points_that_are_off_their_pixels_by_more_than_one_are_refused(
-    tmp_path: Path, off_px: float, is_refused: bool
-):
-    row, col = np.indices((171, 224)).astype(np.float32)
-    # off by `off_px` in the median
-    off = np.random.default_rng(0).uniform(-2.0 * off_px, 2.0 * off_px, (2, 171, 224))
-    cloud = 0.08 * np.stack(
-        [(col + off[0] - 110.0) / 180.0, (row + off[1] - 80.0) / 181.0, np.ones_like(row)], axis=-1
-    )
-    for k in range(3):
-        np.save(tmp_path / f"pc_{k}.npy", cloud.reshape(-1, 3).astype(np.float32))
-    if is_refused:
-        with pytest.raises(FileProblem, match=r"order of an image's pixels \(6 px off\)"):
-            open_recording(tmp_path)
-    else:
-        assert open_recording(tmp_path).streams[0].n_frames == 3
 
 
 def test_a_folder_of_pickles_is_refused_with_advice(tmp_path: Path):

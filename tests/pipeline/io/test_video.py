@@ -54,8 +54,8 @@ def test_frames_of_a_varying_rate_are_found_in_any_order(tmp_path):
     assert video.n_frames == N
     order = [*range(N), *np.random.default_rng(0).permutation(N).tolist()]
     assert [number_of(video, index) for index in order] == order
-    assert video.time_s(N_SLOW) == pytest.approx(N_SLOW / RATE_HZ)
-    assert video.time_s(N - 1) == pytest.approx(
+    assert video.times_s[N_SLOW] == pytest.approx(N_SLOW / RATE_HZ)
+    assert video.times_s[N - 1] == pytest.approx(
         (N_SLOW + 0.25 * (N - 1 - N_SLOW)) / RATE_HZ, abs=1e-3
     )
     video.close()

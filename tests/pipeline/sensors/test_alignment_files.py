@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 
 from pipeline.core.errors import FileProblem, escape_text
 from pipeline.core.geometry import rigid
-from pipeline.sensors.alignment import Alignment, resolve_alignment
-from pipeline.sensors.alignment_files import (
+from pipeline.sensors.alignment import (
+    Alignment,
     AlignmentFile,
     format_alignment,
     load_alignment,
+    resolve_alignment,
     save_alignment,
 )
 from pipeline.sensors.spec import load_sensor

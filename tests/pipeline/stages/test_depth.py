@@ -170,7 +170,7 @@ def test_a_sensor_that_rests_deeper_is_measured_at_its_own_scale():
     far = replace(
         near,
         rest_depth_mm=1.5 * near.rest_depth_mm,
-        membrane=make_flat_membrane(1.5 * near.membrane.level_mm, 20.0, 20.0),
+        membrane=make_flat_membrane(1.5 * near.membrane.z_mm[0, 0], 20.0, 20.0),
     )
     found = {
         sensor: estimate_depth(frame, spec, None, PARAMS)

@@ -8,7 +8,7 @@ import pytest
 from pipeline.core.digests import compute_cached_digest
 from pipeline.core.errors import MeshProblem, SettingProblem
 from pipeline.core.geometry import rigid
-from pipeline.core.geometry.distance_grid_store import load_distance_grid
+from pipeline.core.geometry.distance_grid import load_distance_grid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.progress import Cancelled
 from pipeline.core.values.results import DepthErrorModel, PoseStep, make_depth_map

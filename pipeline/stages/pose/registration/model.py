@@ -12,8 +12,7 @@ import numpy as np
 from pipeline.core.arrays import Doubles, Mask
 from pipeline.core.digests import compute_digest
 from pipeline.core.errors import MeshProblem
-from pipeline.core.geometry.distance_grid import DistanceGrid
-from pipeline.core.geometry.distance_grid_store import load_distance_grid
+from pipeline.core.geometry.distance_grid import DistanceGrid, load_distance_grid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.memo import Memo
 from pipeline.core.progress import SILENT, Progress

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from pipeline.core.errors import MeshProblem
-from pipeline.core.geometry import distance_grid_store, rigid
-from pipeline.core.geometry.distance_grid import OPEN_MESH_NOTE, build_grid
-from pipeline.core.geometry.distance_grid_store import load_distance_grid
+from pipeline.core.geometry import distance_grid, rigid
+from pipeline.core.geometry.distance_grid import OPEN_MESH_NOTE, build_grid, load_distance_grid
 from pipeline.core.geometry.meshes import Mesh, sample_surface
 from pipeline.core.progress import Cancelled
 from pipeline.physics.simulation.shapes import solids
@@ -135,7 +134,7 @@ def test_building_can_be_cancelled(block):
 def test_a_kept_grid_equals_a_fresh_one_and_is_not_built_again(block, grid, tmp_path, monkeypatch):
     assert same(load_distance_grid(block, folder=tmp_path), grid)
     assert [p.suffix for p in tmp_path.iterdir()] == [".npz"]
-    monkeypatch.setattr(distance_grid_store, "build_grid", lambda *_: pytest.fail("it was kept"))
+    monkeypatch.setattr(distance_grid, "build_grid", lambda *_: pytest.fail("it was kept"))
     assert same(load_distance_grid(block, folder=tmp_path), grid)
 
 

@@ -76,27 +76,6 @@ def test_a_point_that_is_not_a_number_has_no_distance():
     assert np.isnan(DOME.signed_distance_mm([np.nan, 0.0, 70.0]))
 
 
-def test_many_points_are_measured_like_few():
-    points = np.random.default_rng(2).uniform(-80, 80, (4000, 3))
-    points[:3] = [[np.nan, 0, 70], [np.inf, -np.inf, 70], [0, 0, np.inf]]
-    few = np.concatenate([DOME.signed_distance_mm(part) for part in np.split(points, 40)])
-    many = DOME.signed_distance_mm(points)
-    np.testing.assert_allclose(many, few, rtol=1e-12)
-    assert DOME.signed_distance_mm(points.reshape(50, 80, 3)).shape == (50, 80)
-
-
-def test_a_level_pad_knows_that_it_is_level_and_measures_many_points_so():
-    pad = membrane.make_flat_membrane(20.0, 10.0, 8.0)
-    assert pad.level_mm == 20.0
-    assert DOME.level_mm is None
-    points = np.random.default_rng(3).uniform(-30, 30, (4000, 3))
-    points[0, 0] = np.nan
-    np.testing.assert_array_equal(
-        pad.signed_distance_mm(points),
-        np.where(np.isnan(points[:, 0]), np.nan, points[:, 2] - 20.0),
-    )
-
-
 def test_single_precision_points_are_measured_as_the_doubles_that_they_are():
     points = np.random.default_rng(4).uniform(-80, 80, (4000, 3)).astype(np.float32)
     np.testing.assert_array_equal(

@@ -6,7 +6,7 @@ import pytest
 from benchmarks.scenes.rest_mesh import rest_mesh
 from pipeline.core.errors import FileProblem, MeshProblem
 from pipeline.core.geometry import membrane
-from pipeline.core.geometry.mesh_membrane import (
+from pipeline.core.geometry.membrane import (
     MAX_ERROR_MM,
     compute_lattice_error_mm,
     load_membrane,

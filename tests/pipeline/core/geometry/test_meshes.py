@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.core.errors import FileProblem, MeshProblem, SettingProblem
-from pipeline.core.geometry.meshes import Mesh, load_mesh, sample_surface
-from pipeline.core.geometry.polygons import triangulate_polygon
+from pipeline.core.geometry.meshes import Mesh, load_mesh, sample_surface, triangulate_polygon
 from pipeline.core.geometry.urdf import format_urdf, read_mesh_place
 
 CORNERS = np.array([[0.0, 0, 0], [20, 0, 0], [0, 20, 0], [0, 0, 20]])
