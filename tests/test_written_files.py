@@ -48,7 +48,7 @@ from pipeline.lab.tracking.track_record import (
     write_record,
 )
 from pipeline.lab.training.object_sampling import SampleCache
-from pipeline.lab.training.state import TrainingState, load_state, save_state
+from pipeline.lab.training.run_folder import TrainingState, load_state, save_state
 from pipeline.sensors.alignment import Alignment, Offsets
 from pipeline.sensors.alignment_files import AlignmentFile, load_alignment, save_alignment
 from pipeline.stages.networks.weights import Weights, load_weights, save_weights
@@ -803,9 +803,8 @@ WRITERS = {
     "pipeline/sensors/alignment_files.py": "alignment",
     "pipeline/lab/tasks/rollout_bundle.py": "report",
     "pipeline/lab/tracking/track_record.py": "track",
-    "pipeline/lab/training/curves.py": "no reader: a table for people",
     "pipeline/lab/training/object_sampling.py": "training sample",
-    "pipeline/lab/training/state.py": "training",
+    "pipeline/lab/training/run_folder.py": "training",
 }
 
 

@@ -21,7 +21,7 @@ from pipeline.core.files import check_folder, check_folder_for, write_json
 from pipeline.core.machine import describe_machine, format_machine
 from pipeline.core.progress import SubProgress
 from pipeline.lab.evaluation.candidates import BASELINES
-from pipeline.lab.evaluation.held_out import HeldOutOptions
+from pipeline.lab.evaluation.held_out import HeldOutOptions, find_trained_hold_out
 from pipeline.lab.evaluation.paper_figures import draw_paper_figures
 from pipeline.lab.evaluation.paper_tables import (
     POSE_METHODS,
@@ -31,8 +31,6 @@ from pipeline.lab.evaluation.paper_tables import (
     parse_direction,
 )
 from pipeline.lab.evaluation.published_results import MeanStd
-from pipeline.lab.evaluation.recorded_folders import find_trained_hold_out
-from pipeline.lab.evaluation.recorded_touch import REGIONS
 from pipeline.lab.evaluation.table_rows import TableRow
 from pipeline.lab.evaluation.time_error_sweep import (
     SweepPoint,
@@ -40,7 +38,7 @@ from pipeline.lab.evaluation.time_error_sweep import (
     draw_sweep_plots,
     sweep_parameters,
 )
-from pipeline.lab.evaluation.touch_metrics import TOUCH_METRICS
+from pipeline.lab.evaluation.touch_metrics import REGIONS, TOUCH_METRICS
 from pipeline.lab.evaluation.touch_scoring import PAPER_GRASP
 from pipeline.lab.training.recorded_pairs import PairFolder
 from pipeline.sensors.spec import load_sensor

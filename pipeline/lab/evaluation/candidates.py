@@ -46,7 +46,7 @@ class CandidateSet:
     """Candidates of one direction, and which methods are excluded."""
 
     candidates: tuple[Candidate, ...]
-    excluded: tuple[str, ...]  # one sentence each
+    excluded: Mapping[str, str]  # method -> a sentence
 
 
 def select_candidates(
@@ -60,28 +60,17 @@ def select_candidates(
     `weights` (method -> file) replace shipped ones.
     """
     candidates = [Candidate(name=name, title=title) for name, title in _TITLES.items()]
-    excluded: list[str] = []
+    excluded: dict[str, str] = {}
     for method in BUILT_IN.stage("touch").methods:
-        found = (
-            None
-            if method.weights is None
-            else method.weights(source, target, weights.get(method.name))
-        )
+        found = method.weights and method.weights(source, target, weights.get(method.name))
         if isinstance(found, NoWeights):
-            excluded.append(f"{source.name} to {target.name} by {method.name}: {found.why}")
+            excluded[method.name] = f"{source.name} to {target.name} by {method.name}: {found.why}"
         else:
-            candidates.append(
-                Candidate(
-                    name=method.name,
-                    title=method.title,
-                    paper_model=PAPER_MODELS.get(method.name, ""),
-                )
-            )
+            model = PAPER_MODELS.get(method.name, "")
+            candidates.append(Candidate(name=method.name, title=method.title, paper_model=model))
     return CandidateSet(
         candidates=tuple(c for c in candidates if not only or c.name in only),
-        excluded=tuple(
-            why for why in excluded if not only or why.split(":")[0].split()[-1] in only
-        ),
+        excluded={name: why for name, why in excluded.items() if not only or name in only},
     )
 
 

@@ -11,13 +11,14 @@ import numpy as np
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.results import DepthMap, GeneratedTouch
 from pipeline.lab.evaluation.comparison_tiles import Comparison
-from pipeline.lab.evaluation.recorded_touch import (
+from pipeline.lab.evaluation.touch_metrics import (
     RecordedTouch,
     build_recorded_touch,
     build_without_truth,
     compute_generated_change,
+    compute_touch_metrics,
+    pool_metrics,
 )
-from pipeline.lab.evaluation.touch_metrics import compute_touch_metrics, pool_metrics
 from pipeline.lab.evaluation.variants import (
     MethodParams,
     VariantResult,

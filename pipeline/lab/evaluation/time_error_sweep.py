@@ -9,6 +9,7 @@ from pipeline.core.errors import SettingProblem
 from pipeline.core.figures import make_figure, save_figure
 from pipeline.core.params import list_settings
 from pipeline.core.progress import SILENT, Progress, SubProgress
+from pipeline.lab.evaluation.candidates import BASELINES
 from pipeline.lab.evaluation.paper_tables import EvaluationRequest, JobMapper, evaluate_tables
 from pipeline.lab.evaluation.table_rows import TableRow
 from pipeline.sensors.spec import load_sensor
@@ -20,8 +21,6 @@ SWEEP_VALUES: Mapping[str, tuple[float, ...]] = {
 }
 # guidance has no effect in one step
 _FIXED: Mapping[str, tuple[str, ...]] = {"guidance": ("touch.steps=8",)}
-_MARKS = {"steps": "o-", "guidance": "s"}  # no line: time hardly depends on guidance
-_PREFIXES = {"guidance": "g "}  # of a value's label
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,80 +105,32 @@ def draw_sweep_plots(points: Sequence[SweepPoint], folder: Path) -> list[Path]:
     Returns the files. Raises FileProblem.
     """
     files: list[Path] = []
-    for source, target in dict.fromkeys(
-        (p.row.source, p.row.target) for p in points if p.row.candidate != "mean"
-    ):
-        shown = [
-            p
-            for p in points
-            if p.row.target == target and (p.row.source == source or p.row.candidate == "mean")
-        ]
-        path = folder / f"{source}_to_{target}.png"
-        _draw_plot(shown, f"{load_sensor(source).title} to {load_sensor(target).title}", path)
-        files.append(path)
-    return files
-
-
-def _draw_plot(points: Sequence[SweepPoint], title: str, path: Path) -> None:
-    from matplotlib.ticker import FuncFormatter
-
-    figure = make_figure(figsize=(8.4, 5.2), dpi=120, layout="constrained")
-    axes: Any = figure.add_subplot()
-    colours = {
-        name: f"C{k}" for k, name in enumerate(dict.fromkeys(p.row.candidate for p in points))
-    }
-    for candidate, colour in colours.items():
-        for parameter in dict.fromkeys(p.parameter for p in points if p.row.candidate == candidate):
-            curve = [p for p in points if (p.row.candidate, p.parameter) == (candidate, parameter)]
-            _draw_curve(axes, candidate, parameter, curve, colour)
-    axes.set(
-        xscale="log",
-        yscale="log",
-        title=title,
-        xlabel="time of a touch, ms",
-        ylabel="error in contact, mm",
-    )
-    for axis in (axes.xaxis, axes.yaxis):  # plain numbers, not powers of ten
-        axis.set_major_formatter(FuncFormatter(_format_tick))
-        axis.set_minor_formatter(FuncFormatter(_format_tick))
-    axes.grid(visible=True, which="both", alpha=0.3)
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(fontsize=8)
-    save_figure(figure, path, "the plot")
-
-
-def _format_tick(value: float, _: object) -> str:
-    """Labels at 1, 2, 3 and 5 times a power of ten."""
-    return f"{value:g}" if f"{value:e}"[0] in "1235" else ""
-
-
-def _draw_curve(
-    axes: Any, candidate: str, parameter: str, points: Sequence[SweepPoint], colour: str
-) -> None:
-    known = [
-        (p.row.ms, p.contact_error_mm, p.value) for p in points if p.contact_error_mm is not None
-    ]
-    if candidate == "mean":
-        for _, error, _ in known[:1]:
-            axes.axhline(error, color=colour, ls=":", label="mean of other touches")
-        return
-    times, errors, values = ([row[k] for row in known] for k in range(3))
-    label = f"{candidate}, {parameter}" if parameter else candidate
-    axes.plot(
-        times,
-        errors,
-        _MARKS.get(parameter, "*"),
-        color=colour,
-        label=label,
-        ms=5 if parameter else 11,
-    )
-    for ms, error, value in zip(times, errors, values, strict=True) if parameter else ():
-        below = parameter in _PREFIXES
-        axes.annotate(
-            f"{_PREFIXES.get(parameter, '')}{value:g}",
-            (ms, error),
-            textcoords="offset points",
-            xytext=(3, -9 if below else 3),
-            fontsize=7,
-            color=colour,
+    known = [p for p in points if p.contact_error_mm is not None]
+    methods = [p for p in known if p.row.candidate not in BASELINES]
+    for source, target in dict.fromkeys((p.row.source, p.row.target) for p in methods):
+        figure = make_figure(figsize=(8.4, 5.2), dpi=120, layout="constrained")
+        axes: Any = figure.add_subplot()
+        curves: dict[str, list[SweepPoint]] = {}
+        for p in methods:
+            if (p.row.source, p.row.target) == (source, target):
+                curves.setdefault(f"{p.row.candidate} {p.parameter}".strip(), []).append(p)
+        for label, curve in curves.items():
+            errors = [p.contact_error_mm for p in curve]
+            axes.plot([p.row.ms for p in curve], errors, "o-", label=label)
+            for p in curve if curve[0].parameter else ():
+                axes.annotate(f"{p.value:g}", (p.row.ms, p.contact_error_mm), fontsize=7)
+        for p in known:
+            if p.row.candidate in BASELINES and p.row.target == target:
+                axes.axhline(p.contact_error_mm, color="grey", ls=":", label=p.row.title)
+        titles = [load_sensor(name).title for name in (source, target)]
+        axes.set(
+            xscale="log",
+            yscale="log",
+            title=" to ".join(titles),
+            xlabel="time of a touch, ms",
+            ylabel="error in contact, mm",
         )
+        axes.legend(fontsize=8)
+        files.append(folder / f"{source}_to_{target}.png")
+        save_figure(figure, files[-1], "the plot")
+    return files

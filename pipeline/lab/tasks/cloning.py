@@ -16,9 +16,8 @@ import numpy as np
 from pipeline.core.arrays import Floats, Image
 from pipeline.core.memo import memoise
 from pipeline.core.params import setting
-from pipeline.lab.tasks.marble import command_as_expert, shrink_image
-from pipeline.lab.tasks.marble_trial import TARGET, draw_trial
-from pipeline.lab.training.task import VALIDATION_SEED
+from pipeline.lab.tasks.marble import TARGET, command_as_expert, draw_trial, shrink_image
+from pipeline.lab.training.task import VALIDATION_SEED, Task
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -29,7 +28,7 @@ _MAX_BYTES = 2 << 30  # of the demonstrations at hand
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ClonedPolicyTask:
+class ClonedPolicyTask(Task):
     """Settings of the demonstrations."""
 
     n_demonstrations: int = setting(

@@ -12,7 +12,6 @@ import numpy as np
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.progress import SILENT, Progress, SubProgress
 from pipeline.core.values.frames import Pairing, TactileFrame, Truth
-from pipeline.lab.tasks.attribution import correct_estimates, describe_decision, share_error
 from pipeline.lab.tasks.in_hand import (
     FINGERS,
     PlanarPose,
@@ -26,9 +25,12 @@ from pipeline.lab.tasks.touches import (
     OWN,
     TRUE,
     Moment,
+    correct_estimates,
+    describe_decision,
     load_placed_sensor,
     make_pairing,
     place_sensor,
+    share_error,
 )
 from pipeline.physics.simulation.poses import DEPTH_RANGE_MM, sample_press_pose
 from pipeline.sensors.spec import SensorSpec

@@ -46,7 +46,7 @@ class BubblePress:
     incidence_cosine: Floats  # of the angle between the camera's ray and the membrane's normal
 
 
-_presses = SampleCache(BubblePress, exact=("indentation_mm",), max_bytes=1 << 29)
+_presses = SampleCache(BubblePress, max_bytes=1 << 29)
 
 
 def simulate_bubble_press(split: DataSplit, seed: int, index: int, folder: str = "") -> BubblePress:

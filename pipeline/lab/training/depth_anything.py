@@ -21,6 +21,7 @@ from pipeline.core.errors import SettingProblem
 from pipeline.core.params import setting
 from pipeline.lab.training.distributed import unwrap_network
 from pipeline.lab.training.recorded_pairs import RecordedPair, derive_contact
+from pipeline.lab.training.task import Task
 from pipeline.physics.sensor_images import render_reference, render_sensor_image
 from pipeline.physics.simulation import poses, shapes, variation
 from pipeline.physics.simulation.press import simulate_press
@@ -40,7 +41,7 @@ _SILOG_EPS = 1e-8  # under the root: the gradient of a perfect prediction is zer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DepthAnythingTask:
+class DepthAnythingTask(Task):
     """Settings of the examples and weights of the loss."""
 
     sensor: str = setting("gelslim", "Sensor")
@@ -175,27 +176,22 @@ class DepthAnythingTask:
         """Contact IoU, and mean error of the indentation in contact."""
         import torch
 
-        device = next(network.parameters()).device
         errors = 0.0
-        both = 0.0
-        either = 0.0
-        n_contact = 0.0
+        n_contact = n_both = n_either = 0
         for example in held_out:
-            depth, logit = network(torch.from_numpy(example["image"])[None].to(device))
-            predicted = (logit[0] > 0).cpu().numpy()
+            depth, logit = network(torch.from_numpy(example["image"])[None])
+            predicted = logit[0].numpy() > 0
             contact = example["contact"] > 0.5
-            predicted_mm = self.largest_mm * depth[0].cpu().numpy()
-            indentation_mm = (
-                example["rest_mm"] - predicted_mm if self.answer == "distance" else predicted_mm
-            )
-            error = np.abs(indentation_mm - example["indentation_mm"])
-            errors = errors + float((error * contact).sum())
-            n_contact = n_contact + float(contact.sum())
-            both = both + float((predicted & contact).sum())
-            either = either + float((predicted | contact).sum())
+            indentation_mm = self.largest_mm * depth[0].numpy()
+            if self.answer == "distance":
+                indentation_mm = example["rest_mm"] - indentation_mm
+            errors += float(np.abs(indentation_mm - example["indentation_mm"])[contact].sum())
+            n_contact += np.count_nonzero(contact)
+            n_both += np.count_nonzero(predicted & contact)
+            n_either += np.count_nonzero(predicted | contact)
         return {
-            "contact IoU": both / max(either, 1.0),
-            "error in contact, um": 1e3 * errors / max(n_contact, 1.0),
+            "contact IoU": n_both / max(n_either, 1),
+            "error in contact, um": 1e3 * errors / max(n_contact, 1),
         }
 
 

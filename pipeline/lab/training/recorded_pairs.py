@@ -8,11 +8,11 @@ drawn.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -66,28 +66,6 @@ class RecordedPair:
     target_frame: TactileFrame
     target_truth: Truth | None
     alignment: Alignment
-
-
-class LearnsFromPairs(Protocol):
-    """Further methods of a task that trains on recorded pairs."""
-
-    @property
-    def pair_sensors(self) -> tuple[str, str]:
-        """Names of source and target."""
-        ...
-
-    def prepare_pair(self, pair: RecordedPair) -> Any:
-        """What examples of a pair are made of.
-
-        None where the task cannot use it. The result is cached.
-        """
-        ...
-
-    def make_pair_example(
-        self, prepared: Any, rng: np.random.Generator, *, is_validation: bool
-    ) -> Example:
-        """An example with the arrays of a simulated one; augmented unless it validates."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,13 +124,12 @@ def open_pairs(folder: PairFolder, source_name: str, target_name: str) -> PairSe
         streams = _match_streams(recording, source_name, target_name)
         if not streams:
             raise NoPairs(f"{str(file)!r} holds no pairs of {source.title} and {target.title}")
-        moments = _list_moments(recording, streams, file)
-        wrong = [
-            moment[0].grasp.name
-            for moment in moments
-            if recording.find_pair_problem(moment[0].index)
-        ]
-        found += [moment for moment in moments if not recording.find_pair_problem(moment[0].index)]
+        wrong: list[str] = []
+        for moment in _list_moments(recording, streams, file):
+            if recording.find_pair_problem(moment[0].index):
+                wrong.append(moment[0].grasp.name)
+            else:
+                found.append(moment)
         notes |= dict.fromkeys(_describe_recording(recording, streams, wrong))
     if not found:
         raise FileProblem("both sensors are recorded at no moment", path)
@@ -242,10 +219,10 @@ def _describe_recording(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PairTask:
+class PairTask(Task):
     """A task on recorded pairs; loss and metrics are the task's."""
 
-    task: Any  # a Task that is LearnsFromPairs
+    task: Any  # a Task that trains on pairs
     folder: PairFolder
 
     def sample(self, rng: np.random.Generator) -> Example:
@@ -283,18 +260,12 @@ class PairTask:
         return open_pairs(self.folder, *self.task.pair_sensors)
 
     def _make_example(
-        self, order: Any, rng: np.random.Generator, *, is_validation: bool
+        self, order: Iterable[PairPlace], rng: np.random.Generator, *, is_validation: bool
     ) -> Example:
         for place in order:
-            key = (
-                self.task,
-                self.folder,
-                str(place.recording.path),
-                place.source_stream.name,
-                place.index,
-            )
             (prepared,) = _prepared.get_or_make(
-                key, lambda p=place: (self.task.prepare_pair(self._pairs.load(p)),)
+                (self.task, place.recording.path, place.source_stream.name, place.index),
+                lambda p=place: (self.task.prepare_pair(self._pairs.load(p)),),
             )
             if prepared is not None:
                 return self.task.make_pair_example(prepared, rng, is_validation=is_validation)

@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
 from pipeline.core.errors import SettingProblem
-from pipeline.lab.evaluation import held_out, time_error_sweep, touch_features
+from pipeline.lab.evaluation import held_out, time_error_sweep, touch_scoring
 from pipeline.lab.evaluation.held_out import (
     SENSORS,
     HeldOutOptions,
@@ -133,8 +133,7 @@ def test_a_row_for_each_baseline_and_method_and_physics_beats_the_baselines(
 
 def test_the_encoders_of_the_feature_distances_do_not_change():
     bubble, gel = (
-        touch_features.load_encoder_weights(load_sensor(name))
-        for name in ("soft_bubble", "gelslim")
+        touch_scoring.load_encoder_weights(load_sensor(name)) for name in ("soft_bubble", "gelslim")
     )
     assert (bubble.name, bubble.content_digest[:12]) == ("encoder_soft_bubble", "29fb460ca3ef"), (
         "distances of earlier reports are not comparable"

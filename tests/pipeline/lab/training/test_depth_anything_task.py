@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from pipeline.core.errors import SettingProblem
-from pipeline.lab.training import optimising, recipe
+from pipeline.lab.training import loop, recipe
 from pipeline.lab.training.depth_anything import DepthAnythingTask
 from pipeline.lab.training.examples import make_batch
 from pipeline.stages.networks.network_factory import build_network
@@ -35,8 +35,8 @@ def test_a_few_steps_lower_the_loss_and_change_the_encoder_less_than_the_head():
     net = build_network("depth_anything", {"encoder": "vits", "side": 28})
     start = {name: tensor.clone() for name, tensor in net.state_dict().items()}
     batch = {name: torch.from_numpy(array) for name, array in make_batch(TASK, 0, 0, 2).items()}
-    stepper = optimising.make_optimiser(net, made.optimiser, made.rate_factors)
-    optimising.set_learning_rate(stepper, 2e-4)
+    stepper = loop.make_optimiser(net, made.optimiser, made.rate_factors)
+    loop.set_learning_rate(stepper, 2e-4)
     losses = []
     for _ in range(5):
         stepper.zero_grad()
