@@ -47,8 +47,8 @@ from pipeline.lab.tracking.track_record import (
     read_record,
     write_record,
 )
-from pipeline.lab.training.object_sampling import SampleCache
 from pipeline.lab.training.run_folder import TrainingState, load_state, save_state
+from pipeline.lab.training.simulated_touches import SampleCache
 from pipeline.sensors.alignment import Alignment, Offsets
 from pipeline.sensors.alignment_files import AlignmentFile, load_alignment, save_alignment
 from pipeline.stages.networks.weights import Weights, load_weights, save_weights
@@ -801,9 +801,9 @@ WRITERS = {
     "pipeline/translation/reports/video.py": "no reader: its frames are counted before it is moved",
     "pipeline/translation/reports/viewer_files.py": "viewer file",
     "pipeline/sensors/alignment_files.py": "alignment",
-    "pipeline/lab/tasks/rollout_bundle.py": "report",
+    "pipeline/lab/tasks/rerun.py": "report",
     "pipeline/lab/tracking/track_record.py": "track",
-    "pipeline/lab/training/object_sampling.py": "training sample",
+    "pipeline/lab/training/simulated_touches.py": "training sample",
     "pipeline/lab/training/run_folder.py": "training",
 }
 

@@ -1,5 +1,5 @@
-"""The paper's figures 4 and 5: touches of one split by T2T and T2D2, between the source's frame and
-the recorded touch.
+"""The paper's figures 4 and 5: touches of one split by T2T and T2D2, between the source's frame
+and the recorded touch.
 
 Figure 4 shows both directions between GelSlim and Soft Bubble, figure 5 the target depth of T2D2
 for every direction.
@@ -14,9 +14,15 @@ from pipeline.core.arrays import Image
 from pipeline.core.figures import make_figure, save_figure
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame
-from pipeline.lab.evaluation.candidates import Candidate, select_candidates
-from pipeline.lab.evaluation.held_out import PressRecordings
-from pipeline.lab.evaluation.paper_tables import EvaluationRequest, collect_touches
+from pipeline.lab.evaluation.held_out import (
+    Candidate,
+    PressRecordings,
+    select_candidates,
+)
+from pipeline.lab.evaluation.paper_tables import (
+    EvaluationRequest,
+    collect_touches,
+)
 from pipeline.lab.evaluation.touch_scoring import choose_candidate, open_presses
 from pipeline.sensors.spec import load_sensor
 from pipeline.translation.translate import Translation

@@ -8,18 +8,16 @@ from typing import Any
 from pipeline.core.errors import SettingProblem
 from pipeline.core.params import list_settings
 from pipeline.core.progress import SILENT, Progress, SubProgress
-from pipeline.lab.evaluation.candidates import (
+from pipeline.lab.evaluation.held_out import (
     BASELINES,
     RECORDED,
-    check_candidate_names,
-    select_candidates,
-)
-from pipeline.lab.evaluation.held_out import (
     HeldOutOptions,
     PressRecordings,
+    check_candidate_names,
     load_or_simulate,
     open_directions,
     require_touches,
+    select_candidates,
     select_recorded,
     select_sensors,
 )

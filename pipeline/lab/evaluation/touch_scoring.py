@@ -21,16 +21,16 @@ from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame, Truth
 from pipeline.core.values.results import DepthMap, GeneratedTouch, ObjectPose, TargetDepth
 from pipeline.io import open_recording
-from pipeline.lab.evaluation.candidates import (
+from pipeline.lab.evaluation.held_out import (
     BASELINES,
     MEAN_TOUCH,
     NO_CONTACT,
     OWN,
     RECORDED,
     Candidate,
+    PressRecordings,
     compute_mean_change,
 )
-from pipeline.lab.evaluation.held_out import PressRecordings
 from pipeline.lab.evaluation.touch_metrics import (
     RecordedTouch,
     TouchMetrics,

@@ -16,9 +16,9 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -26,6 +26,8 @@ from pipeline.core.arrays import Doubles, Floats, Image
 from pipeline.core.derived import derive_once
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
+from pipeline.core.memo import memoise
+from pipeline.core.params import setting
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame, Truth
 from pipeline.lab.tasks.scene import GRAVITY_MM_S2, Scene, write_box, write_pose
@@ -53,10 +55,16 @@ from pipeline.lab.tasks.touches import (
     place_sensor,
     share_error,
 )
+from pipeline.lab.training.task import VALIDATION_SEED, Task
 from pipeline.physics.simulation.press import simulate_press
 from pipeline.physics.simulation.shapes.solids import revolve_profile
 from pipeline.stages.networks.network_factory import load_predictor
 from pipeline.stages.networks.weights_registry import load_for_task
+
+if TYPE_CHECKING:
+    from torch import Tensor, nn
+
+    from pipeline.lab.training.task import Example, Split
 
 SOURCE = "digit"
 TARGET = "gelslim"
@@ -273,13 +281,14 @@ def shrink_image(image: np.ndarray[Any, Any]) -> Floats:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RollingRun:
-    """What happened on one start by one touch; entry k of every tuple is tick k."""
+    """What happened on one start by one touch; entry k of every list is tick k."""
 
-    steps: tuple[Doubles, ...]
-    decisions: tuple[Decision, ...]
-    ticks: tuple[Tick, ...]
-    distances_mm: tuple[float, ...]  # of the contact from the centre, after each tick
-    frames: tuple[tuple[str, TactileFrame, Truth | None], ...] = ()
+    steps: list[Doubles] = field(default_factory=list)
+    decisions: list[Decision] = field(default_factory=list)
+    ticks: list[Tick] = field(default_factory=list)
+    # of the contact from the centre, after each tick
+    distances_mm: list[float] = field(default_factory=list)
+    frames: list[tuple[str, TactileFrame, Truth | None]] = field(default_factory=list)
 
 
 def roll(
@@ -297,26 +306,23 @@ def roll(
     """
     ball = trial.start(replayed)
     sensors = list_read_sensors(touch, needs_truth=n_true > 0) | dict.fromkeys(record)
-    run = RollingRun(steps=(), decisions=(), ticks=(), distances_mm=())
+    run = RollingRun()
     for tick in range(len(replayed), len(replayed) + N_TICKS):
         recorded = {name: trial.record(name, ball, tick) for name in sensors}
         expert = command_as_expert(ball.contact_mm)
         step = choose_step(trial, touch, recorded, ball.contact_mm, n_true)
-        decision = Decision(
-            tick=tick,
-            error_mm=float(np.linalg.norm(step - expert)),
-            estimate=_describe(step),
-            truth=_describe(expert),
+        run.steps.append(step)
+        run.decisions.append(
+            Decision(
+                tick=tick,
+                error_mm=float(np.linalg.norm(step - expert)),
+                estimate=_describe(step),
+                truth=_describe(expert),
+            )
         )
-        done = ball.move_plate(step)
-        run = replace(
-            run,
-            steps=(*run.steps, step),
-            decisions=(*run.decisions, decision),
-            ticks=(*run.ticks, done),
-            distances_mm=(*run.distances_mm, float(np.linalg.norm(ball.contact_mm))),
-            frames=(*run.frames, *((f"{name}_plate", *recorded[name]) for name in record)),
-        )
+        run.ticks.append(ball.move_plate(step))
+        run.distances_mm.append(float(np.linalg.norm(ball.contact_mm)))
+        run.frames.extend((f"{name}_plate", *recorded[name]) for name in record)
         if run.distances_mm[-1] > LOST_MM:
             break
     return run
@@ -409,6 +415,7 @@ def measure_held_mm(run: RollingRun) -> float:
 def run_trial(plan: TrialPlan, progress: Progress = SILENT) -> Iterator[Rollout]:
     """One start, rolled by every touch and judged by every tolerance."""
     trial = draw_trial(plan.seed, plan.index, plan.vary)
+    pairing = make_pairing("plate", trial.source.nominal, trial.target.nominal)
     for done, touch in enumerate(plan.touches):
         progress.step(done / len(plan.touches), f"rollout by {touch}")
         record: tuple[str, ...] = ()
@@ -417,16 +424,15 @@ def run_trial(plan: TrialPlan, progress: Progress = SILENT) -> Iterator[Rollout]
         run = roll(trial, touch, record=record)
         for tolerance_mm in plan.tolerances_mm:
             succeeds = is_held(run, tolerance_mm)
-            decisions = run.decisions
+            decisions = list(run.decisions)
             cause = _describe_end(run, tolerance_mm)
             if plan.attribute and not succeeds:
                 worst = attribute_worst_decision(trial, touch, run, tolerance_mm)
-                decisions = tuple(worst if one.tick == worst.tick else one for one in decisions)
+                decisions[worst.tick] = worst
                 cause += (
                     f"; worst command {TICK_S * worst.tick:.1f} s after the start, "
                     f"{describe_decision(worst)}"
                 )
-            pairing = make_pairing("plate", trial.source.nominal, trial.target.nominal)
             yield Rollout(
                 case=plan.case,
                 trial=plan.index,
@@ -435,9 +441,9 @@ def run_trial(plan: TrialPlan, progress: Progress = SILENT) -> Iterator[Rollout]
                 succeeds=succeeds,
                 cause=cause,
                 measures={"end_mm": run.distances_mm[-1], "held_mm": measure_held_mm(run)},
-                decisions=decisions,
-                ticks=run.ticks,
-                frames=run.frames,
+                decisions=tuple(decisions),
+                ticks=tuple(run.ticks),
+                frames=tuple(run.frames),
                 pairings=(pairing,) if len(record) > 1 else (),
                 mesh=make_ball(),
             )
@@ -476,3 +482,79 @@ TASK = ManipulationTask(
     run=run_trial,
     published={("marble", TRUE): "20/20", ("marble", "t2d2"): "15/20"},
 )
+
+
+_MAX_BYTES = 2 << 30  # of the demonstrations at hand
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClonedPolicyTask(Task):
+    """Settings of the demonstrations: a controller copies the scripted expert (behaviour cloning).
+
+    The expert knows where the ball is. Its demonstrations are what the target sensor records
+    meanwhile; noise on the motion that is carried out, and not on the expert's command, leads to
+    places that the network will visit by its own errors.
+    """
+
+    n_demonstrations: int = setting(
+        160, "Demonstrations", low=1, high=100_000, help="each with another sensor instance"
+    )
+    n_ticks: int = setting(25, "Ticks", low=1, high=1000, help="of each demonstration")
+    noise_mm: float = setting(
+        0.5, "Motion noise", unit="mm", low=0.0, high=10.0, help="deviation of the plate's steps"
+    )
+    demonstration_seed: int = setting(1, "Seed of presses", low=0, high=2**31 - 1)
+
+    def sample(self, rng: np.random.Generator) -> Example:
+        """An image of the target and the expert's step."""
+        index = int(rng.integers(self.n_demonstrations))
+        tick = int(rng.integers(self.n_ticks))
+        return self._make_example(self.demonstration_seed, index, tick)
+
+    def make_validation_example(self, split: Split, index: int) -> Example:  # noqa: ARG002 - only new starts
+        """A moment of a new demonstration."""
+        return self._make_example(VALIDATION_SEED, *divmod(index, self.n_ticks))
+
+    def count_validation_examples(self, split: Split) -> int:
+        """There are no unseen objects."""
+        return 1 << 30 if split == "unseen_grasps" else 0
+
+    def compute_loss(
+        self, network: nn.Module, batch: Mapping[str, Tensor]
+    ) -> tuple[Tensor, dict[str, Any]]:
+        """Mean distance of the steps, in mm."""
+        error = (network(batch["image"]) - batch["step"]).square().sum(1)
+        loss = (error + 1e-4).sqrt().mean()
+        return loss, {"step error, mm": loss.detach()}
+
+    def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
+        """Distance of the steps from the expert's."""
+        import torch
+
+        with torch.inference_mode():
+            steps = network(torch.from_numpy(np.stack([one["image"] for one in held_out]))).numpy()
+        error = np.linalg.norm(steps - np.stack([one["step"] for one in held_out]), axis=1)
+        return {"step error, mm": float(error.mean())}
+
+    def _make_example(self, seed: int, index: int, tick: int) -> Example:
+        images, steps = demonstrate(seed, index, self.n_ticks, self.noise_mm)
+        return {"image": images[tick], "step": steps[tick]}
+
+
+@memoise(1 << 16, most_bytes=_MAX_BYTES)
+def demonstrate(seed: int, index: int, n_ticks: int, noise_mm: float) -> tuple[Floats, Floats]:
+    """Images (n, 3, 48, 64) of the target and the expert's steps (n, 2) in mm of one
+    demonstration.
+    """
+    trial = draw_trial(seed, index, 1.0)
+    rng = np.random.default_rng([seed, index])
+    ball = trial.start()
+    images = []
+    steps = []
+    for tick in range(n_ticks):
+        step = command_as_expert(ball.contact_mm)
+        frame, _ = trial.record(TARGET, ball, tick)
+        images.append(shrink_image(cast("Image", frame.image)))
+        steps.append(step.astype(np.float32))
+        ball.move_plate(step + noise_mm * rng.normal(size=2))
+    return np.stack(images), np.stack(steps)

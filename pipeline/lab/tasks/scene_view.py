@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.core.arrays import Doubles, Floats, freeze
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
-from pipeline.lab.tasks.in_hand import FINGERS, GRIP_MM, PlanarPose, press_between_fingers
+from pipeline.lab.tasks.grasp import FINGERS, GRIP_MM, PlanarPose, press_between_fingers
 from pipeline.lab.tasks.task import RecordedRollout, SceneBody, TaskScene, load_task
 from pipeline.physics.simulation.shapes.solids import make_mesh, make_wall_faces
 from pipeline.views.colours import Rgb, repeat_colour

@@ -14,7 +14,6 @@ from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.results import DepthMap
-from pipeline.lab.tracking.membrane_surface import make_surface
 from pipeline.lab.tracking.patch_map import (
     ContactView,
     close_loops,
@@ -22,6 +21,7 @@ from pipeline.lab.tracking.patch_map import (
     make_view,
     move_to_keys,
 )
+from pipeline.lab.tracking.surface_registration import make_surface
 from pipeline.lab.tracking.track_record import (
     MOTION,
     TRACKED_STAGES,

@@ -21,11 +21,12 @@ import numpy as np
 from pipeline.core.arrays import Floats
 from pipeline.core.params import setting
 from pipeline.lab.training.distributed import unwrap_network
-from pipeline.lab.training.object_sampling import DataSplit, find_next_contact
 from pipeline.lab.training.recorded_pairs import RecordedPair, derive_contact
 from pipeline.lab.training.simulated_touches import (
     BUBBLE,
     GEL,
+    DataSplit,
+    find_next_contact,
     flip_arrays,
     mirror_pair,
     place_nominal_sensors,

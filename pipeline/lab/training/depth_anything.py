@@ -1,11 +1,9 @@
 """Task: Depth Anything V2 for one sensor, trained as in the paper: SiLog of the depth, cross
 entropy of the contact.
 
-With `answer` "metric", SiLog is of the indentation, image by image and in contact: small
-differences count. "distance" is that of the lab's fork (MMintLab/depth_anything_v2): of the
-distance from the camera over all pixels, with one mean for the whole batch. It still differs from
-the fork in a small constant under the root, which keeps the gradient finite, and in truth from
-simulated membranes.
+SiLog is of the indentation, image by image and in contact: small differences count. That of the
+lab's fork (MMintLab/depth_anything_v2) is of the distance from the camera over all pixels, with one
+mean for the whole batch.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ from pipeline.lab.training.task import Task
 from pipeline.physics.sensor_images import render_reference, render_sensor_image
 from pipeline.physics.simulation import poses, shapes, variation
 from pipeline.physics.simulation.press import simulate_press
-from pipeline.sensors.spec import SensorSpec, load_sensor
+from pipeline.sensors.spec import load_sensor
 from pipeline.stages.networks.depth_anything_input import prepare_image, resize_to_patches
 
 if TYPE_CHECKING:
@@ -34,7 +32,6 @@ if TYPE_CHECKING:
     from pipeline.lab.training.task import Example, Split
 
 ImageContent = Literal["image", "difference"]
-Answer = Literal["metric", "distance"]
 _OFFSET_MM = 0.1  # added to the indentation before the logarithm, which bounds it at zero
 _SILOG_SHARE = 0.5  # of the squared mean that does not count, as in the paper
 _SILOG_EPS = 1e-8  # under the root: the gradient of a perfect prediction is zero instead of NaN
@@ -54,12 +51,6 @@ class DepthAnythingTask(Task):
         low=0.01,
         high=1000.0,
         help="that the network's output 1 stands for",
-    )
-    answer: Answer = setting(
-        "metric",
-        "Answer",
-        choices=Answer,
-        help="must equal `answer` of the network; distance in the lab's fork",
     )
     vary: float = setting(1.0, "Sensor variation", low=0.0, high=variation.MAX_STRENGTH)
     silog_weight: float = setting(1.0, "SiLog weight", low=0.0, high=100.0)
@@ -85,9 +76,8 @@ class DepthAnythingTask(Task):
             return None
         reference = render_reference(pair.source) if frame.reference is None else frame.reference
         contact = derive_contact(truth, pair.source)
-        return self._make_example(
-            pair.source, frame.image, reference, np.nan_to_num(truth.indentation_mm), contact
-        )
+        indentation_mm = np.nan_to_num(truth.indentation_mm)
+        return self._make_example(frame.image, reference, indentation_mm, contact)
 
     def make_pair_example(
         self,
@@ -115,52 +105,46 @@ class DepthAnythingTask(Task):
         )
         flat = np.zeros(sensor.camera.shape, np.float32)
         reference = render_sensor_image(sensor, flat, sensor.rest_depth_mm, seeds[3])
-        return self._make_example(
-            sensor, press.image, reference, press.indentation_mm, press.contact
-        )
+        return self._make_example(press.image, reference, press.indentation_mm, press.contact)
 
     def _make_example(
         self,
-        sensor: SensorSpec,
         image: Image | Floats,
         reference: Image | Floats,
         indentation_mm: Floats,
         contact: Mask,
     ) -> Example:
         shown = prepare_image(image, reference, self.image_content)
-        rest_mm = sensor.rest_depth_mm.astype(np.float32)
         parts: list[Floats] = [
             resize_to_patches(p, self.side)
-            for p in (shown, indentation_mm, contact.astype(np.float32), rest_mm)
+            for p in (shown, indentation_mm, contact.astype(np.float32))
         ]
         return {
             "image": np.ascontiguousarray(parts[0].transpose(2, 0, 1)),
             "indentation_mm": parts[1],
             "contact": (parts[2] > 0.5).astype(np.float32),
-            "rest_mm": parts[3],
         }
 
     def compute_loss(
         self, network: nn.Module, batch: Mapping[str, Tensor]
     ) -> tuple[Tensor, dict[str, Any]]:
         """SiLog, cross entropy of the contact, and the absolute error in mm."""
-        import torch
         from torch.nn import functional
 
-        if unwrap_network(network).answer != self.answer:
-            raise SettingProblem("answer must be the same in [network] and in [settings]")
+        if unwrap_network(network).answer != "metric":
+            raise SettingProblem('answer must be "metric" in [network]: indentation is trained')
         depth, logit = network(batch["image"])
         predicted = self.largest_mm * depth
         truth = batch["indentation_mm"]
         contact = batch["contact"]
-        fields = predicted + _OFFSET_MM, truth + _OFFSET_MM, contact
-        if self.answer == "distance":
-            truth = batch["rest_mm"] - truth
-            fields = tuple(
-                field.flatten(0, 1)[None] for field in (predicted, truth, torch.ones_like(truth))
-            )
         terms: dict[str, Any] = {
-            "silog": compute_silog_loss(*fields, share=_SILOG_SHARE, least=_OFFSET_MM / 2),
+            "silog": compute_silog_loss(
+                predicted + _OFFSET_MM,
+                truth + _OFFSET_MM,
+                contact,
+                share=_SILOG_SHARE,
+                least=_OFFSET_MM / 2,
+            ),
             "contact": functional.binary_cross_entropy_with_logits(logit, contact),
             "metric": (predicted - truth).abs().mean(),
         }
@@ -183,8 +167,6 @@ class DepthAnythingTask(Task):
             predicted = logit[0].numpy() > 0
             contact = example["contact"] > 0.5
             indentation_mm = self.largest_mm * depth[0].numpy()
-            if self.answer == "distance":
-                indentation_mm = example["rest_mm"] - indentation_mm
             errors += float(np.abs(indentation_mm - example["indentation_mm"])[contact].sum())
             n_contact += np.count_nonzero(contact)
             n_both += np.count_nonzero(predicted & contact)

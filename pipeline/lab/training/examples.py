@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Generator, Iterable
-from concurrent.futures import Executor, Future, wait
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Executor
 from contextlib import closing, contextmanager
 from functools import partial
 from itertools import count, islice
@@ -13,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.core.errors import NotConverged
 from pipeline.core.params import check_range
 from pipeline.core.processes import WorkerPool
 from pipeline.lab.training.distributed import ProcessGroup
 from pipeline.lab.training.recipe import TrainingSettings
 from pipeline.lab.training.task import SPLITS, Split, Task
+from pipeline.lab.workers import map_ahead
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -28,7 +26,6 @@ if TYPE_CHECKING:
 MAX_WORKERS = 64
 _NICE = 5  # of the workers: training has priority
 _BATCHES_AHEAD = 2  # for each worker
-_CHECK_S = 0.5  # between two looks for a request to stop
 _N_AXES = 4  # of batches of images, which are held in 16 bits: their noise is coarser
 
 
@@ -71,31 +68,8 @@ class ExampleSource:
         self, function: Callable[[int], Any], numbers: Iterable[int]
     ) -> Generator[Any, None, None]:
         """Results in order; the pool makes some ahead."""
-        if self._pool is None:
-            for number in numbers:
-                self.check()
-                yield function(number)
-            return
-        left = iter(numbers)
-        waiting: deque[Future[Any]] = deque()
-        try:
-            while True:
-                for number in islice(left, self._ahead - len(waiting)):
-                    waiting.append(self._pool.submit(function, number))
-                if not waiting:
-                    return
-                future = waiting.popleft()
-                while not wait((future,), timeout=_CHECK_S).done:
-                    self.check()
-                yield future.result()
-        except BrokenProcessPool as error:
-            raise NotConverged(
-                "a worker process died, perhaps out of memory; run again with --resume and fewer "
-                "--workers"
-            ) from error
-        finally:
-            for future in waiting:
-                future.cancel()
+        remedy = "--resume and fewer --workers"
+        return map_ahead(self._pool, function, numbers, self._ahead, remedy, self.check)
 
 
 @contextmanager

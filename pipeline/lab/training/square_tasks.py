@@ -19,11 +19,12 @@ from pipeline.core.arrays import Floats
 from pipeline.core.errors import SettingProblem
 from pipeline.core.params import setting
 from pipeline.lab.training.distributed import unwrap_network
-from pipeline.lab.training.object_sampling import DataSplit, find_next_contact
 from pipeline.lab.training.recorded_pairs import RecordedPair
 from pipeline.lab.training.simulated_touches import (
     BUBBLE,
     GEL,
+    DataSplit,
+    find_next_contact,
     flip_arrays,
     load_working_sensor,
     mirror_pair,

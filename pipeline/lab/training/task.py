@@ -104,7 +104,7 @@ TASKS: dict[str, TaskEntry] = {
         subcommand="t2d2", import_path="pipeline.lab.training.denoising:TouchResidualTask"
     ),
     "cloned_policy": TaskEntry(
-        subcommand="policy", import_path="pipeline.lab.tasks.cloning:ClonedPolicyTask"
+        subcommand="policy", import_path="pipeline.lab.tasks.marble:ClonedPolicyTask"
     ),
     "touch_to_touch": TaskEntry(
         subcommand="t2t", import_path="pipeline.lab.training.denoising:TouchToTouchTask"

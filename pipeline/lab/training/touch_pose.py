@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from pipeline.core.arrays import Doubles, Floats
 from pipeline.core.errors import SettingProblem
 from pipeline.core.params import setting
-from pipeline.lab.training.object_sampling import find_next_contact
 from pipeline.lab.training.simulated_touches import (
     BUBBLE,
+    find_next_contact,
     load_working_sensor,
     sample_depth_noise,
     simulate_target_touch,

@@ -19,7 +19,7 @@ from pipeline.core.graph import Fallback, Skipped
 from pipeline.core.params import NoParams
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import Cloud, DepthMap, TargetDepth
-from pipeline.lab.tracking import membrane_surface, patch_map, surface_registration, track_recording
+from pipeline.lab.tracking import patch_map, surface_registration, track_recording
 from pipeline.lab.tracking.tracker import Tracker
 from pipeline.stages.cloud import back_projection
 from pipeline.stages.depth import bubble_depth, contact_force
@@ -142,7 +142,7 @@ def force(name: str, kind: str, place: Any) -> Any:
 
 def tracked(name: str, kind: str, place: Any) -> Any:
     depth = make_depth(name, kind, place)
-    surface = membrane_surface.make_surface(depth)
+    surface = surface_registration.make_surface(depth)
     assert not surface.is_touched
     assert (
         surface_registration.register_surfaces(surface, surface, np.eye(4)) is None
@@ -165,7 +165,7 @@ def tracked_at_the_rim(name: str, _kind: str, place: Any) -> Any:
     pushed = np.zeros(sensor.camera.shape)
     along = int(place[0] * (sensor.camera.cols - 26))
     pushed[:3, along : along + 26] = 0.5
-    surface = membrane_surface.make_surface(depth_map(sensor, pushed))
+    surface = surface_registration.make_surface(depth_map(sensor, pushed))
     assert surface_registration.register_surfaces(surface, surface, np.eye(4)) is None
     assert surface_registration.measure_overlap(surface, np.eye(4)) == 0.0
 

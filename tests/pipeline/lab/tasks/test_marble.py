@@ -6,7 +6,6 @@ import pytest
 from pipeline.core.errors import SettingProblem
 from pipeline.io import open_recording
 from pipeline.lab.tasks import marble
-from pipeline.lab.tasks.cloning import ClonedPolicyTask
 from pipeline.lab.tasks.marble import (
     EXPERT,
     MAX_STEP_MM,
@@ -15,6 +14,7 @@ from pipeline.lab.tasks.marble import (
     SOURCE,
     START_MM,
     TARGET,
+    ClonedPolicyTask,
     draw_trial,
     is_held,
     limit_step,

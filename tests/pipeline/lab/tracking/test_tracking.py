@@ -15,8 +15,11 @@ from pipeline.core.geometry.meshes import load_mesh
 from pipeline.core.values.results import DepthErrorModel
 from pipeline.lab.tracking import patch_map, tracker
 from pipeline.lab.tracking import track_recording as track_module
-from pipeline.lab.tracking.membrane_surface import average_surfaces, make_surface
-from pipeline.lab.tracking.surface_registration import register_surfaces
+from pipeline.lab.tracking.surface_registration import (
+    average_surfaces,
+    make_surface,
+    register_surfaces,
+)
 from pipeline.lab.tracking.track_record import (
     format_patch,
     format_table,
