@@ -55,7 +55,7 @@ from pipeline.lab.tasks.touches import (
     place_sensor,
     share_error,
 )
-from pipeline.lab.training.task import VALIDATION_SEED, Task
+from pipeline.lab.training.task import VALIDATION_SEED, Task, weigh_terms
 from pipeline.physics.simulation.press import simulate_press
 from pipeline.physics.simulation.shapes.solids import revolve_profile
 from pipeline.stages.networks.network_factory import load_predictor
@@ -524,8 +524,7 @@ class ClonedPolicyTask(Task):
     ) -> tuple[Tensor, dict[str, Any]]:
         """Mean distance of the steps, in mm."""
         error = (network(batch["image"]) - batch["step"]).square().sum(1)
-        loss = (error + 1e-4).sqrt().mean()
-        return loss, {"step error, mm": loss.detach()}
+        return weigh_terms({"step error, mm": (1.0, (error + 1e-4).sqrt().mean())})
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
         """Distance of the steps from the expert's."""

@@ -24,7 +24,7 @@ from pipeline.lab.training.simulated_touches import (
     SampleCache,
     sample_object,
 )
-from pipeline.lab.training.task import VALIDATION_SEED, SimulatedPresses
+from pipeline.lab.training.task import VALIDATION_SEED, SimulatedPresses, average_rows, weigh_terms
 from pipeline.physics import bubble_camera
 from pipeline.physics.simulation import poses, variation
 from pipeline.physics.simulation.datasets import BUBBLE_DEEPER_MM
@@ -341,10 +341,7 @@ class BubbleDepthTask(SimulatedPresses):
         from torch.nn import functional
 
         prediction = decode_tensors(network(batch["image"]), batch["smooth"])
-        truth = batch["truth"]
-        displacement = truth[:, 0]
-        gap = truth[:, 1]
-        contact = truth[:, 2]
+        displacement, gap, contact = batch["truth"].unbind(1)
         observed = (gap < OBSERVED_GAP_MM).float()
         weight = observed * (
             1.0 + 3.0 * torch.exp(-torch.clamp(batch["tip_mm"][:, 0], min=0.0) / _TIP_MM)
@@ -352,7 +349,6 @@ class BubbleDepthTask(SimulatedPresses):
         error = torch.abs(prediction.object_displacement_mm - (displacement - gap))
         surface = ((error * weight).sum((1, 2)) / (weight.sum((1, 2)) + _SMALL_CONTACT_PX)).mean()
         membrane_error = torch.abs(prediction.displacement_mm - displacement)
-        membrane = membrane_error.mean()
         masks = functional.binary_cross_entropy_with_logits(prediction.contact, contact)
         masks = masks + functional.binary_cross_entropy_with_logits(
             prediction.object_in_view, observed
@@ -360,21 +356,15 @@ class BubbleDepthTask(SimulatedPresses):
         known = torch.where(observed > 0, error, membrane_error).detach()
         spread = (known * torch.exp(-prediction.log_error) + prediction.log_error).mean()
         touch = _compute_touch_error(prediction, displacement - gap, batch["tip_mm"][:, 0])
-        loss = (
-            surface
-            + self.membrane_weight * membrane
-            + self.mask_weight * masks
-            + self.uncertainty_weight * spread
+        return weigh_terms(
+            {
+                "surface": (1.0, surface),
+                "membrane": (self.membrane_weight, membrane_error.mean()),
+                "masks": (self.mask_weight, masks),
+                "spread": (self.uncertainty_weight, spread),
+                "touch": (self.touch_weight, touch),
+            }
         )
-        loss = loss + self.touch_weight * touch
-        terms = {
-            "surface": surface,
-            "membrane": membrane,
-            "masks": masks,
-            "spread": spread,
-            "touch": touch,
-        }
-        return loss, {name: term.detach() for name, term in terms.items()}
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
         """Errors of the object's surface where it is observed and of the membrane, and IoU of
@@ -382,24 +372,22 @@ class BubbleDepthTask(SimulatedPresses):
         """
         import torch
 
-        rows: list[tuple[float, ...]] = []
+        rows: list[Sequence[float]] = []
         for example in held_out:
             with torch.inference_mode():
                 image, smooth = (torch.tensor(example[k])[None] for k in ("image", "smooth"))
                 prediction = decode_tensors(network(image), smooth)
             displacement, gap, contact = example["truth"]
             observed = gap < OBSERVED_GAP_MM
-            predicted = prediction.contact[0].numpy() > 0
             error = np.abs(prediction.object_displacement_mm[0].numpy() - (displacement - gap))
             tip = observed & (example["tip_mm"][0] < 1.0)
-            predicted_observed = prediction.object_in_view[0].numpy() > 0
             rows.append(
                 (
                     float(error[observed].mean()),
                     float(error[tip].mean()),
                     float(np.abs(prediction.displacement_mm[0].numpy() - displacement).mean()),
-                    _compute_iou(predicted, contact > 0),
-                    _compute_iou(observed, predicted_observed),
+                    _compute_iou(prediction.contact[0].numpy() > 0, contact > 0),
+                    _compute_iou(prediction.object_in_view[0].numpy() > 0, observed),
                 )
             )
         names = (
@@ -409,7 +397,7 @@ class BubbleDepthTask(SimulatedPresses):
             "contact IoU",
             "observed object IoU",
         )
-        return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
+        return average_rows(names, rows)
 
 
 def _compute_touch_error(

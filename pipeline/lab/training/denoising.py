@@ -33,7 +33,13 @@ from pipeline.lab.training.simulated_touches import (
     simulate_target_touch,
     simulate_touch_pair,
 )
-from pipeline.lab.training.task import VALIDATION_SEED, AugmentedPresses, TargetSensor
+from pipeline.lab.training.task import (
+    VALIDATION_SEED,
+    AugmentedPresses,
+    TargetSensor,
+    average_rows,
+    weigh_terms,
+)
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth import photometric as depth
@@ -137,7 +143,7 @@ class DenoisingTask(AugmentedPresses):
             for which in ("", "sample ", "no-prediction ")
             for what in ("error in contact, mm", "error over all, mm", "contact IoU")
         ]
-        return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
+        return average_rows(names, rows)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -348,18 +354,16 @@ def compute_denoising_loss(
     level_weight = per_example(((1.0 + sigma**2) / sigma**2).clamp(max=5.0))
     robust = functional.huber_loss(error, torch.zeros_like(error), delta=_HUBER, reduction="none")
     squared = 0.5 * error**2 * level_weight
+    residual = torch.where(per_example(terminal), robust / _HUBER, squared) * weight
     terms = {
-        "residual": (torch.where(per_example(terminal), robust / _HUBER, squared) * weight).mean(),
-        "contact": (contact_error**2 * level_weight).mean(),
-        "spread": _compute_laplace_loss(prediction, error),
+        "residual": (1.0, residual.mean()),
+        "contact": (_CONTACT_TERM, (contact_error**2 * level_weight).mean()),
+        "spread": (_UNCERTAINTY_TERM, _compute_laplace_loss(prediction, error)),
     }
-    total = (
-        terms["residual"] + _CONTACT_TERM * terms["contact"] + _UNCERTAINTY_TERM * terms["spread"]
-    )
     if slope_weight > 0.0:
-        terms["slopes"] = sum(error.diff(dim=axis).square().mean() for axis in (-1, -2))
-        total = total + slope_weight * terms["slopes"]
-    return total, {name: term.detach() for name, term in terms.items()}
+        slopes = [error.diff(dim=axis).square().mean() for axis in (-1, -2)]
+        terms["slopes"] = slope_weight, slopes[0] + slopes[1]
+    return weigh_terms(terms)
 
 
 def compute_uncertainty_loss(
@@ -378,7 +382,7 @@ def compute_uncertainty_loss(
     sigma = torch.full((len(clean),), float(net.sigma_max), device=clean.device)
     prediction = network(torch.zeros_like(clean), sigma, batch["condition"])
     spread = _compute_laplace_loss(prediction, prediction[:, 0] - clean[:, 0])
-    return spread, {"spread": spread.detach()}
+    return spread, {"spread": spread}
 
 
 def _compute_laplace_loss(prediction: Tensor, error: Tensor) -> Tensor:

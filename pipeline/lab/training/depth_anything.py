@@ -19,7 +19,7 @@ from pipeline.core.errors import SettingProblem
 from pipeline.core.params import setting
 from pipeline.lab.training.distributed import unwrap_network
 from pipeline.lab.training.recorded_pairs import RecordedPair, derive_contact
-from pipeline.lab.training.task import Task
+from pipeline.lab.training.task import Task, weigh_terms
 from pipeline.physics.sensor_images import render_reference, render_sensor_image
 from pipeline.physics.simulation import poses, shapes, variation
 from pipeline.physics.simulation.press import simulate_press
@@ -137,24 +137,21 @@ class DepthAnythingTask(Task):
         predicted = self.largest_mm * depth
         truth = batch["indentation_mm"]
         contact = batch["contact"]
-        terms: dict[str, Any] = {
-            "silog": compute_silog_loss(
-                predicted + _OFFSET_MM,
-                truth + _OFFSET_MM,
-                contact,
-                share=_SILOG_SHARE,
-                least=_OFFSET_MM / 2,
-            ),
-            "contact": functional.binary_cross_entropy_with_logits(logit, contact),
-            "metric": (predicted - truth).abs().mean(),
-        }
-        weights = {
-            "silog": self.silog_weight,
-            "contact": self.contact_weight,
-            "metric": self.metric_weight,
-        }
-        total: Any = sum(weights[name] * term for name, term in terms.items())
-        return total, {name: term.detach() for name, term in terms.items()}
+        silog = compute_silog_loss(
+            predicted + _OFFSET_MM,
+            truth + _OFFSET_MM,
+            contact,
+            share=_SILOG_SHARE,
+            least=_OFFSET_MM / 2,
+        )
+        entropy = functional.binary_cross_entropy_with_logits(logit, contact)
+        return weigh_terms(
+            {
+                "silog": (self.silog_weight, silog),
+                "contact": (self.contact_weight, entropy),
+                "metric": (self.metric_weight, (predicted - truth).abs().mean()),
+            }
+        )
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
         """Contact IoU, and mean error of the indentation in contact."""

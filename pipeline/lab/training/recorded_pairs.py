@@ -27,7 +27,7 @@ from pipeline.core.values.pairing import NO_PARTNER, pair_frames
 from pipeline.io import open_recording
 from pipeline.io.grasp_files import is_grasp_folder, is_training_split, read_split_file
 from pipeline.io.inspection.synchrony import compare_streams
-from pipeline.lab.training.task import SPLITS, Split, Task
+from pipeline.lab.training.task import Split, Task
 from pipeline.physics.simulation import shapes
 from pipeline.sensors import alignment as alignments
 from pipeline.sensors.alignment import Alignment
@@ -101,63 +101,54 @@ def assign_roles(grasps: Sequence[Grasp], hold_out: str = "", share: float = 1.0
     """The role of every grasp; `hold_out` is as `HOLD_OUT_HELP` says. The same grasps give the same
     roles.
 
-    Of the grasps to train on, `share` is used, and more for a larger share; the others are left
-    out.
+    Of the grasps to train on, `share` is used, at least one and more for a larger share; the others
+    are left out.
 
     Raises SettingProblem for an unknown tool or where nothing is left to train on, FileProblem for
     a split file.
     """
     has_own_splits = any(not is_training_split(grasp.split) for grasp in grasps)
-    if hold_out.endswith(".json") or (not hold_out and has_own_splits):
-        split_of = read_split_file(Path(hold_out)) if hold_out else None
-        roles = _roles_by_split(grasps, split_of)
+    if hold_out.endswith(".json"):
+        split_of = read_split_file(Path(hold_out))
+        roles = _roles_by_split(grasps, [split_of.get((g.tool, g.number)) for g in grasps])
+    elif not hold_out and has_own_splits:
+        roles = _roles_by_split(grasps, [grasp.split for grasp in grasps])
     else:
-        roles = _roles_by_tool(
-            grasps, _select_tools({grasp.tool for grasp in grasps}, hold_out or BY_TOOL)
-        )
-    if "training" not in roles:
+        tools = {grasp.tool for grasp in grasps}
+        roles = _roles_by_tool(grasps, _select_tools(tools, hold_out or BY_TOOL))
+    trained = np.flatnonzero([role == "training" for role in roles])
+    if not trained.size:
         raise SettingProblem(
             f"no grasp is left to train on with --hold-out {hold_out or BY_TOOL}; hold out fewer "
             "tools"
         )
-    n_all = roles.count("training")
-    _thin_training(roles, share)
-    notes = _describe(grasps, roles)
-    if share < 1.0:
-        notes += (f"of {n_all} grasps to train on a share of {share:g} is used",)
-    return HoldOut(roles=tuple(roles), notes=notes)
-
-
-def _thin_training(roles: list[Role], share: float) -> None:
-    """Leave out all but a share of the grasps to train on, at least one."""
-    trained = np.flatnonzero([role == "training" for role in roles])
     n_used = max(1, round(share * len(trained)))
     for k in np.random.default_rng(0).permutation(trained)[n_used:]:
         roles[k] = "left_out"
+    notes = [_describe_roles(grasps, roles)]
+    if share < 1.0:
+        notes.append(f"of {len(trained)} grasps to train on a share of {share:g} is used")
+    return HoldOut(roles=tuple(roles), notes=tuple(notes))
 
 
-def _roles_by_split(
-    grasps: Sequence[Grasp], split_of: Mapping[tuple[str, int], str] | None
-) -> list[Role]:
-    """Roles by the data set's own splits, or those of a file.
-
-    Grasps that the file does not list are left out.
+def _roles_by_split(grasps: Sequence[Grasp], splits: Sequence[str | None]) -> list[Role]:
+    """Roles by a data set's splits; grasps of split None, which a file does not list, are left
+    out.
     """
-    splits = [g.split if split_of is None else split_of.get((g.tool, g.number)) for g in grasps]
     trained = {
-        g.tool
-        for g, split in zip(grasps, splits, strict=True)
+        grasp.tool
+        for grasp, split in zip(grasps, splits, strict=True)
         if split is not None and is_training_split(split)
     }
-
-    def decide(grasp: Grasp, split: str | None) -> Role:
+    roles: list[Role] = []
+    for grasp, split in zip(grasps, splits, strict=True):
         if split is None:
-            return "left_out"
-        if is_training_split(split):
-            return "training"
-        return "unseen_grasps" if grasp.tool in trained else "unseen_tools"
-
-    return [decide(g, split) for g, split in zip(grasps, splits, strict=True)]
+            roles.append("left_out")
+        elif is_training_split(split):
+            roles.append("training")
+        else:
+            roles.append("unseen_grasps" if grasp.tool in trained else "unseen_tools")
+    return roles
 
 
 def _select_tools(tools: set[str], hold_out: str) -> ToolSplit:
@@ -173,10 +164,7 @@ def _select_tools(tools: set[str], hold_out: str) -> ToolSplit:
         unseen = {name.strip() for name in hold_out.split(",")}
         unknown = sorted(unseen - tools)
         if unknown:
-            known = ", ".join(names[:_MAX_NAMES]) + (", ..." if len(names) > _MAX_NAMES else "")
-            raise SettingProblem(
-                f"no tool {unknown[0]!r} to hold out; there are {escape_text(known)}"
-            )
+            raise SettingProblem(f"no tool {unknown[0]!r} to hold out; there are {_shorten(names)}")
     return ToolSplit(training=tuple(tools - unseen), unseen=tuple(sorted(unseen)))
 
 
@@ -185,31 +173,29 @@ def _roles_by_tool(grasps: Sequence[Grasp], tools: ToolSplit) -> list[Role]:
     roles: list[Role] = ["unseen_tools" if g.tool in tools.unseen else "left_out" for g in grasps]
     for tool in tools.training:
         own = [k for k, grasp in enumerate(grasps) if grasp.tool == tool]
-        order = np.random.default_rng(0).permutation(len(own))
         n_held_out = math.ceil(_GRASP_SHARE * len(own)) if len(own) > 1 else 0
-        for place, k in enumerate(order):
+        for place, k in enumerate(np.random.default_rng(0).permutation(len(own))):
             roles[own[k]] = "unseen_grasps" if place < n_held_out else "training"
     return roles
 
 
-def _describe(grasps: Sequence[Grasp], roles: Sequence[Role]) -> tuple[str, ...]:
+def _describe_roles(grasps: Sequence[Grasp], roles: Sequence[Role]) -> str:
     counts = Counter(roles)
-    unseen = sorted(
-        {g.tool for g, role in zip(grasps, roles, strict=True) if role == "unseen_tools"}
+    unseen = {g.tool for g, role in zip(grasps, roles, strict=True) if role == "unseen_tools"}
+    text = (
+        f"{counts['training']} grasps are trained on, {counts['unseen_grasps']} validate as unseen "
+        f"grasps, {counts['unseen_tools']} validate as unseen tools"
     )
-    shown = escape_text(", ".join(unseen[:_MAX_NAMES])) + (
-        ", ..." if len(unseen) > _MAX_NAMES else ""
-    )
-    tools = f" ({shown})" if unseen else ""
-    parts = [f"{counts['training']} grasps are trained on"]
-    parts += [
-        f"{counts[split]} validate as "
-        f"{split.replace('_', ' ')}{tools if split == 'unseen_tools' else ''}"
-        for split in SPLITS
-    ]
+    if unseen:
+        text += f" ({_shorten(sorted(unseen))})"
     if counts["left_out"]:
-        parts.append(f"{counts['left_out']} belong to no list and are left out")
-    return (", ".join(parts),)
+        text += f", {counts['left_out']} belong to no list and are left out"
+    return text
+
+
+def _shorten(names: Sequence[str]) -> str:
+    more = ", ..." if len(names) > _MAX_NAMES else ""
+    return escape_text(", ".join(names[:_MAX_NAMES])) + more
 
 
 _MAX_UNTOUCHED = 1000  # pairs in a row that a task cannot use

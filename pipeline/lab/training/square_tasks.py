@@ -9,7 +9,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -33,11 +32,17 @@ from pipeline.lab.training.simulated_touches import (
     simulate_target_touch,
     simulate_touch_pair,
 )
-from pipeline.lab.training.task import VALIDATION_SEED, AugmentedPresses, TargetSensor
+from pipeline.lab.training.task import (
+    VALIDATION_SEED,
+    AugmentedPresses,
+    TargetSensor,
+    average_rows,
+    weigh_terms,
+)
 from pipeline.physics.sensor_images import render_reference, render_sensor_image
 from pipeline.sensors.alignment import Alignment, resolve_alignment
 from pipeline.sensors.spec import SensorSpec, load_sensor
-from pipeline.stages.networks import network_factory
+from pipeline.stages.networks.network_factory import load_network
 from pipeline.stages.networks.square_images import (
     SIDE,
     decode_image,
@@ -46,7 +51,7 @@ from pipeline.stages.networks.square_images import (
     normalise,
     resize_to_square,
 )
-from pipeline.stages.networks.weights import load_weights
+from pipeline.stages.networks.weights_registry import load_file
 from pipeline.stages.touch.depth_condition import build_depth_square
 from pipeline.stages.touch.image_condition import reproject_square
 from pipeline.stages.touch.latent_diffusion import build_image_square
@@ -281,16 +286,15 @@ class LatentTask(SquareTask):
         output = network(
             batch["target"], batch["source"], time, has_condition, noises, self.trained_part
         )
-        terms: dict[str, Tensor] = {}
+        terms: dict[str, tuple[float, Tensor]] = {}
         if output.predicted_noise is not None:
-            terms["noise"] = (output.predicted_noise - output.true_noise).abs().mean()
+            terms["noise"] = 1.0, (output.predicted_noise - output.true_noise).abs().mean()
         if output.reconstruction is not None:
-            terms["reconstruction"] = (output.reconstruction - batch["target"]).abs().mean()
+            error = (output.reconstruction - batch["target"]).abs().mean()
             divergence = output.mean**2 + output.log_variance.exp() - 1.0 - output.log_variance
-            terms["kl"] = 0.5 * divergence.mean()
-        weights = {"noise": 1.0, "reconstruction": self.reconstruction_weight, "kl": self.kl_weight}
-        loss = torch.stack([weights[name] * value for name, value in terms.items()]).sum()
-        return loss, {name: value.detach() for name, value in terms.items()}
+            terms["reconstruction"] = self.reconstruction_weight, error
+            terms["kl"] = self.kl_weight, 0.5 * divergence.mean()
+        return weigh_terms(terms)
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
         """Mean absolute errors of the autoencoder's reconstruction and of the predicted noise."""
@@ -312,7 +316,7 @@ class LatentTask(SquareTask):
             noise = float((output.predicted_noise - output.true_noise).abs().mean())
             rows.append((reconstruction, noise))
         names = (f"reconstruction error, {kind.change_unit}", "noise error")
-        return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
+        return average_rows(names, rows)
 
 
 def _encode(file: str, target: Floats) -> Floats:
@@ -321,14 +325,10 @@ def _encode(file: str, target: Floats) -> Floats:
     """
     import torch
 
+    network: Any = load_network(load_file(Path(file)))
     with torch.inference_mode():
-        moments = _load_autoencoder(file).encode(torch.tensor(target)[None])
+        moments = network.first_stage_model.encode(torch.tensor(target)[None])
     return torch.cat(moments, dim=1)[0].numpy()
-
-
-@lru_cache(maxsize=1)
-def _load_autoencoder(file: str) -> Any:
-    return network_factory.load_network(load_weights(Path(file))).first_stage_model
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -362,13 +362,15 @@ class VqVaeTask(SquareTask):
         if unwrap_network(network).reprojects_input != self.reprojects_input:
             raise SettingProblem("reprojects_input must be the same in [network] and in [settings]")
         output = network(batch["source"])
-        reconstruction = mse_loss(output.generated, batch["target"])
         codebook = mse_loss(output.quantised, output.encoded.detach())
         commitment = mse_loss(output.encoded, output.quantised.detach())
-        loss = (
-            reconstruction + self.codebook_weight * codebook + self.commitment_weight * commitment
+        return weigh_terms(
+            {
+                "reconstruction": (1.0, mse_loss(output.generated, batch["target"])),
+                "codebook": (self.codebook_weight, codebook),
+                "commitment": (self.commitment_weight, commitment),
+            }
         )
-        return loss, {"reconstruction": reconstruction.detach(), "codebook": codebook.detach()}
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
         """Mean absolute error over all, and where the touch changes the target."""
@@ -385,4 +387,4 @@ class VqVaeTask(SquareTask):
             touched = size > _TOUCHED_SHARE * size.max()
             rows.append((float(error.mean()), float(error[touched].mean())))
         names = (f"error, {kind.change_unit}", f"error where touched, {kind.change_unit}")
-        return dict(zip(names, (kind.full_change * np.mean(rows, axis=0)).tolist(), strict=True))
+        return average_rows(names, (kind.full_change * np.array(rows)).tolist())

@@ -61,7 +61,8 @@ class Task(Protocol):
     def compute_loss(
         self, network: nn.Module, batch: Mapping[str, Tensor]
     ) -> tuple[Tensor, dict[str, Any]]:
-        """The loss, a mean over the examples, and its named terms (numbers or scalar tensors).
+        """The loss, a mean over the examples, and its named terms (numbers or scalar tensors, also
+        of the graph).
 
         `network` is only called: it may be wrapped for several processes.
         `distributed.unwrap_network` gives its configuration. Its output is float32 in any
@@ -110,6 +111,19 @@ TASKS: dict[str, TaskEntry] = {
         subcommand="t2t", import_path="pipeline.lab.training.denoising:TouchToTouchTask"
     ),
 }
+
+
+def weigh_terms(terms: Mapping[str, tuple[float, Tensor]]) -> tuple[Tensor, dict[str, Tensor]]:
+    """The loss, a weighted sum, and its terms; `terms` are name -> (weight, term)."""
+    loss: Any = sum(weight * term for weight, term in terms.values())
+    return loss, {name: term for name, (_, term) in terms.items()}
+
+
+def average_rows(names: Sequence[str], rows: Sequence[Sequence[float]]) -> dict[str, float]:
+    """Name -> mean of its column; a row for each validation example."""
+    import numpy as np
+
+    return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
 
 
 def import_task_class(name: str) -> type[Any]:

@@ -29,7 +29,7 @@ from pipeline.lab.training.simulated_touches import (
     simulate_target_touch,
 )
 from pipeline.lab.training.square_tasks import render_square
-from pipeline.lab.training.task import VALIDATION_SEED, AugmentedPresses, TargetSensor
+from pipeline.lab.training.task import VALIDATION_SEED, AugmentedPresses, TargetSensor, weigh_terms
 from pipeline.physics.simulation import poses, shapes
 from pipeline.stages.networks.square_images import SIDE, normalise
 
@@ -105,12 +105,13 @@ class TouchPoseTask(AugmentedPresses):
         )
         rotation = compute_rotation_loss(prediction.headings, truth[:, 2], truth[:, 3]).mean()
         name = functional.cross_entropy(prediction.object_logits, truth[:, 4].long())
-        loss = translation + rotation + self.name_weight * name
-        return loss, {
-            "translation": translation.detach(),
-            "rotation": rotation.detach(),
-            "class": name.detach(),
-        }
+        return weigh_terms(
+            {
+                "translation": (1.0, translation),
+                "rotation": (1.0, rotation),
+                "class": (self.name_weight, name),
+            }
+        )
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
         """Mean errors and accuracy of the object's class; partial touches by themselves."""
