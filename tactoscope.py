@@ -451,7 +451,6 @@ def train(
         TouchError: The recipe, the pairs or the folder cannot be used.
     """
     from pipeline.core.errors import SettingProblem
-    from pipeline.lab.training.export import export_run
     from pipeline.lab.training.loop import TrainingRun
     from pipeline.lab.training.loop import train as train_run
     from pipeline.lab.training.recipe import (
@@ -460,6 +459,7 @@ def train(
         override_pairs,
         override_training,
     )
+    from pipeline.lab.training.run_folder import export_run
     from pipeline.lab.training.task import TASKS
 
     known = sorted({task.subcommand for task in TASKS.values()})

@@ -20,7 +20,7 @@ from benchmarks.harness.timing import Requirement, Timing, build_measurement
 from benchmarks.scenes.depth_helpers import build_reader
 from pipeline.core.geometry import rigid
 from pipeline.core.values.frames import TactileFrame
-from pipeline.lab.tracking.track import compute_error, track_frames
+from pipeline.lab.tracking.track_recording import compute_error, track_frames
 from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.physics.simulation import shapes
 from pipeline.physics.simulation.poses import compute_lowest_mm

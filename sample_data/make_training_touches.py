@@ -3,7 +3,7 @@
 
     python sample_data/make_training_touches.py [N_TOUCHES]
 
-The touches are those of `pipeline.lab.training.target_touches`, first press seed, as the recipes
+The touches are those of `pipeline.lab.training.simulated_touches`, first press seed, as the recipes
 t2d2_* train on them; the numbers are those of `pipeline.translation.round_trip`. The window and
 `translate` rank frames by the distance from them.
 """
@@ -18,7 +18,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from pipeline.core.files import write_arrays
-from pipeline.lab.training.target_touches import simulate_target_touch
+from pipeline.lab.training.simulated_touches import simulate_target_touch
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.networks.weights_registry import WEIGHTS_FOLDER
 from pipeline.stages.touch.t2d2 import make_working_sensor

@@ -47,8 +47,8 @@ from pipeline.lab.tracking.track_record import (
     read_record,
     write_record,
 )
-from pipeline.lab.training.object_sampling import SampleCache
-from pipeline.lab.training.state import TrainingState, load_state, save_state
+from pipeline.lab.training.run_folder import TrainingState, load_state, save_state
+from pipeline.lab.training.simulated_touches import SampleCache
 from pipeline.sensors.alignment import (
     Alignment,
     AlignmentFile,
@@ -805,11 +805,10 @@ WRITERS = {
     "pipeline/translation/reports/video.py": "no reader: its frames are counted before it is moved",
     "pipeline/translation/reports/viewer_files.py": "viewer file",
     "pipeline/sensors/alignment.py": "alignment",
-    "pipeline/lab/tasks/rollout_bundle.py": "report",
+    "pipeline/lab/tasks/rerun.py": "report",
     "pipeline/lab/tracking/track_record.py": "track",
-    "pipeline/lab/training/curves.py": "no reader: a table for people",
-    "pipeline/lab/training/object_sampling.py": "training sample",
-    "pipeline/lab/training/state.py": "training",
+    "pipeline/lab/training/simulated_touches.py": "training sample",
+    "pipeline/lab/training/run_folder.py": "training",
 }
 
 

@@ -57,7 +57,7 @@ class RolloutExportController(Feature):
 
     def write_bundle(self, folder: Path) -> None:
         """Write the rollout on screen as a repro bundle."""
-        from pipeline.lab.tasks.rollout_bundle import write_rollout_bundle
+        from pipeline.lab.tasks.rerun import write_rollout_bundle
 
         opened = self._rollouts.shown
         if opened is not None:

@@ -85,9 +85,9 @@ def open_rollout(path: Path, report: JobReporter) -> OpenRollout:
         compute_bounds,
         make_plain_scene,
         make_scene_layers,
+        make_traces,
     )
     from pipeline.lab.tasks.task import load_task
-    from pipeline.lab.tasks.traces import make_traces
 
     report.step(0.0, "reading the rollout")
     rollout = read_rollout(path)

@@ -17,8 +17,12 @@ from app.views.stage_previews import SourcePreview, StagePreview
 from app.window.jobs import JobReporter
 from pipeline.core.errors import TouchError
 from pipeline.io.mounts import is_mounted
-from pipeline.lab.tasks.scene_view import ESTIMATE_COLOUR, ESTIMATE_NAME, OBJECT_COLOUR
-from pipeline.lab.tasks.traces import describe_tick
+from pipeline.lab.tasks.scene_view import (
+    ESTIMATE_COLOUR,
+    ESTIMATE_NAME,
+    OBJECT_COLOUR,
+    describe_tick,
+)
 from pipeline.lab.tasks.trial_rows import SUFFIXES, TrialRow
 
 _NOTHING = "Open a folder that `tactoscope task NAME --record FOLDER` wrote, or drop it here."

@@ -8,10 +8,8 @@ from typing import Literal
 
 import numpy as np
 from cyclopts import Parameter
-from rich.console import Console
-from rich.table import Table
 
-from pipeline.cli.terminal import open_progress_bar, print_line
+from pipeline.cli.terminal import open_progress_bar, print_line, print_table
 from pipeline.cli.translation_options import Flag
 from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.files import check_folder_for
@@ -19,7 +17,6 @@ from pipeline.core.frame_lists import parse_frames
 from pipeline.sensors.alignment import ALIGNMENT_SUFFIX, AlignmentFile, save_alignment
 from pipeline.translation.alignment import refine as refinement
 from pipeline.translation.alignment.refine import (
-    AlignmentFit,
     Refinement,
     estimate_alignment,
     hold_out_touches,
@@ -202,31 +199,41 @@ def _write_refinement(out: Path, translation: Translation, fit: Refinement, orig
 
 
 def _print_scores(touches: Sequence[AlignmentTouch], scores: Sequence[AlignmentScore]) -> None:
-    table = Table("frame", "mask IoU", "edge px", "depth mm", "depth rms mm", "bias mm")
     rows = [(str(touch.index), score) for touch, score in zip(touches, scores, strict=True)]
     median = median_score(scores)
     if median is not None and len(scores) > 1:
         rows.append(("median", median))
-    for name, score in rows:
-        lengths = (score.depth_mm, score.depth_rms_mm, score.bias_mm)
-        edge = _format_number(score.edge_px, 2)
-        table.add_row(
-            name, f"{score.iou:.3f}", edge, *(_format_number(length, 3) for length in lengths)
-        )
-    Console().print(table)
+    print_table(
+        ("frame", "mask IoU", "edge px", "depth mm", "depth rms mm", "bias mm"),
+        (
+            (
+                name,
+                f"{score.iou:.3f}",
+                _format_number(score.edge_px, 2),
+                *(
+                    _format_number(length, 3)
+                    for length in (score.depth_mm, score.depth_rms_mm, score.bias_mm)
+                ),
+            )
+            for name, score in rows
+        ),
+    )
 
 
 def _print_sensitivities(sensitivities: Sequence[Sensitivity], frame: int) -> None:
-    title = f"change per {UNIT_STEP:g} mm or deg, frame {frame}"
-    table = Table("axis", "mask IoU", "edge px", "depth rms mm", title=title)
-    for axis in sensitivities:
-        cells = (
-            _format_change(axis.iou, 4),
-            _format_change(axis.edge_px, 3),
-            _format_change(axis.depth_mm, 4),
-        )
-        table.add_row(f"{axis.axis} ({axis.unit})", *cells)
-    Console().print(table)
+    print_table(
+        ("axis", "mask IoU", "edge px", "depth rms mm"),
+        (
+            (
+                f"{axis.axis} ({axis.unit})",
+                _format_change(axis.iou, 4),
+                _format_change(axis.edge_px, 3),
+                _format_change(axis.depth_mm, 4),
+            )
+            for axis in sensitivities
+        ),
+        title=f"change per {UNIT_STEP:g} mm or deg, frame {frame}",
+    )
     print_line("mean absolute change to either side, in brackets the slope along the axis")
 
 
@@ -234,18 +241,20 @@ def print_refinement(fit: Refinement) -> None:
     """Print the fit before and after, the motion, and the directions that the touches do not
     determine.
     """
-    table = Table("touches", "n", "surface mm", "outline mm", "compared")
-    rows: list[tuple[str, tuple[AlignmentFit, AlignmentFit] | None]] = [
-        ("used", fit.used_fit),
-        ("held out", fit.held_out_fit),
-    ]
-    for name, pair in rows:
-        for when, one in zip(("before", "after"), pair or (), strict=False):
-            lengths = (f"{one.surface_mm:.3f}", f"{one.outline_mm:.3f}")
-            table.add_row(
-                f"{name}, {when}", str(one.n_touches), *lengths, f"{one.share_compared:.0%}"
+    print_table(
+        ("touches", "n", "surface mm", "outline mm", "compared"),
+        (
+            (
+                f"{name}, {when}",
+                str(one.n_touches),
+                f"{one.surface_mm:.3f}",
+                f"{one.outline_mm:.3f}",
+                f"{one.share_compared:.0%}",
             )
-    Console().print(table)
+            for name, pair in (("used", fit.used_fit), ("held out", fit.held_out_fit))
+            for when, one in zip(("before", "after"), pair or (), strict=False)
+        ),
+    )
     rotation = fit.std[:3]
     translation = fit.std[3:]
     moved = fit.motion[:3, :3] @ fit.pivot_mm + fit.motion[:3, 3] - fit.pivot_mm

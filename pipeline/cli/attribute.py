@@ -5,10 +5,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-
-from pipeline.cli.terminal import open_progress_bar, print_line
+from pipeline.cli.terminal import open_progress_bar, print_line, print_table
 from pipeline.cli.translation_options import (
     DEFAULT_OPTIONS,
     StageSettings,
@@ -77,21 +74,28 @@ def attribute(
 
 def _print_table(results: Sequence[ErrorAttribution]) -> None:
     titles = list(dict.fromkeys(part.title for result in results for part in result.shares))
-    table = Table("frame", f"{results[0].metric}, {results[0].unit}", *titles, "remainder")
-    shares = [{part.title: part.share for part in result.shares} for result in results]
-    for result, share in zip(results, shares, strict=True):
-        cells = (f"{share[title]:+.3f}" if title in share else "" for title in titles)
-        table.add_row(str(result.frame), f"{result.total:.3f}", *cells, f"{result.remainder:+.3f}")
-    if len(results) > 1:
-        medians = (statistics.median(share[t] for share in shares if t in share) for t in titles)
-        remainder = statistics.median(result.remainder for result in results)
-        total = statistics.median(result.total for result in results)
-        table.add_row(
-            "median",
-            f"{total:.3f}",
-            *(f"{m:+.3f}" for m in medians),
-            f"{remainder:+.3f}",
-            style="bold",
-        )
-    Console().print(table)
+    rows = [
+        (str(r.frame), r.total, {part.title: part.share for part in r.shares}, r.remainder)
+        for r in results
+    ]
+    if len(rows) > 1:
+        total = statistics.median(r.total for r in results)
+        remainder = statistics.median(r.remainder for r in results)
+        medians = {
+            title: statistics.median(shares[title] for _, _, shares, _ in rows if title in shares)
+            for title in titles
+        }
+        rows.append(("median", total, medians, remainder))
+    print_table(
+        ("frame", f"{results[0].metric}, {results[0].unit}", *titles, "remainder"),
+        (
+            (
+                name,
+                f"{total:.3f}",
+                *(f"{shares[title]:+.3f}" if title in shares else "" for title in titles),
+                f"{remainder:+.3f}",
+            )
+            for name, total, shares, remainder in rows
+        ),
+    )
     print_line(f"frame {results[0].frame} is the worst: {results[0].summary}")

@@ -4,13 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import cast
 
-from rich.console import Console
-from rich.table import Table
-
 from pipeline.calibration.calibration_file import save
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.calibration.quality_notes import format_calibration
-from pipeline.cli.terminal import open_progress_bar, print_line
+from pipeline.cli.terminal import open_progress_bar, print_line, print_table
 from pipeline.core.arrays import Image
 from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.files import check_folder_for
@@ -119,10 +116,12 @@ def _load_presses(
 
 
 def _print_report(calibration: Calibration, names: Sequence[str]) -> None:
-    table = Table("press", "centre (px)", "contact radius (px)", "slope residual (mm/mm)")
+    rows: list[tuple[str, ...]] = []
     for p in calibration.presses:
-        values = (f"{p.x_px:.1f}, {p.y_px:.1f}", f"{p.radius_px:.1f}", f"{p.residual:.3f}")
-        table.add_row(names[p.index], *(values if p.used else ("-", "-", "not used")))
-    Console().print(table)
+        values = ("-", "-", "not used")
+        if p.used:
+            values = (f"{p.x_px:.1f}, {p.y_px:.1f}", f"{p.radius_px:.1f}", f"{p.residual:.3f}")
+        rows.append((names[p.index], *values))
+    print_table(("press", "centre (px)", "contact radius (px)", "slope residual (mm/mm)"), rows)
     for line in format_calibration(calibration):
         print_line(line)

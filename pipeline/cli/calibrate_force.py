@@ -3,16 +3,13 @@
 import math
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-
 from pipeline.calibration.force_scale import (
     ForceScale,
     fit_force_scale,
     format_force_scale,
     save_force_scale,
 )
-from pipeline.cli.terminal import open_progress_bar, print_line
+from pipeline.cli.terminal import open_progress_bar, print_line, print_table
 from pipeline.cli.translation_options import (
     DEFAULT_OPTIONS,
     RecordingPath,
@@ -103,11 +100,12 @@ def _parse_forces(forces: str, indices: list[int], translation: Translation) -> 
 
 
 def _print_report(scale: ForceScale, indices: list[int]) -> None:
-    table = Table("frame", "estimated (N)", "weighed (N)", "scaled (N)")
-    for index, (estimated, weighed) in zip(indices, scale.weighings_n, strict=True):
-        table.add_row(
-            str(index), f"{estimated:.3f}", f"{weighed:.3f}", f"{scale.apply(float(estimated)):.3f}"
-        )
-    Console().print(table)
+    print_table(
+        ("frame", "estimated (N)", "weighed (N)", "scaled (N)"),
+        (
+            (str(index), *(f"{n:.3f}" for n in (estimated, weighed, scale.apply(float(estimated)))))
+            for index, (estimated, weighed) in zip(indices, scale.weighings_n, strict=True)
+        ),
+    )
     for line in format_force_scale(scale):
         print_line(line)

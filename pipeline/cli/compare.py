@@ -9,10 +9,8 @@ from pathlib import Path
 from typing import Annotated
 
 from cyclopts import App, CycloptsError, Parameter
-from rich.console import Console
-from rich.table import Table
 
-from pipeline.cli.terminal import open_progress_bar, print_line
+from pipeline.cli.terminal import open_progress_bar, print_line, print_table
 from pipeline.cli.translation_options import DEFAULT_OPTIONS, TargetName, TranslationOptions
 from pipeline.core.errors import SettingProblem
 from pipeline.core.params import replace_value
@@ -201,11 +199,14 @@ def _with_base(
 
 def _print_metrics(tiles: Sequence[Tile]) -> None:
     names = list(dict.fromkeys(name for tile in tiles for name in tile.metrics))
-    table = Table("", *names, "")
-    for tile in tiles:
-        table.add_row(
-            tile.title,
-            *(f"{tile.metrics[n]:.4g}" if n in tile.metrics else "" for n in names),
-            tile.problem,
-        )
-    Console().print(table)
+    print_table(
+        ("", *names, ""),
+        (
+            (
+                tile.title,
+                *(f"{tile.metrics[name]:.4g}" if name in tile.metrics else "" for name in names),
+                tile.problem,
+            )
+            for tile in tiles
+        ),
+    )

@@ -1,6 +1,4 @@
-"""`tactoscope evaluate`: the paper's tables, its results next to ours, and run time against
-error.
-"""
+"""`tactoscope evaluate`: the paper's tables, its results next to ours."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -10,18 +8,14 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
-from rich.console import Console
-from rich.table import Table
 
-from pipeline.cli.terminal import open_progress_bar, print_line
+from pipeline.cli.terminal import open_progress_bar, print_line, print_table
 from pipeline.cli.translation_options import StageSettings, split_list
 from pipeline.core.cluster import connect_cluster
 from pipeline.core.errors import SettingProblem
 from pipeline.core.files import check_folder, check_folder_for, write_json
 from pipeline.core.machine import describe_machine, format_machine
-from pipeline.core.progress import SubProgress
-from pipeline.lab.evaluation.candidates import BASELINES
-from pipeline.lab.evaluation.held_out import HeldOutOptions
+from pipeline.lab.evaluation.held_out import BASELINES, HeldOutOptions, find_trained_hold_out
 from pipeline.lab.evaluation.paper_figures import draw_paper_figures
 from pipeline.lab.evaluation.paper_tables import (
     POSE_METHODS,
@@ -31,16 +25,8 @@ from pipeline.lab.evaluation.paper_tables import (
     parse_direction,
 )
 from pipeline.lab.evaluation.published_results import MeanStd
-from pipeline.lab.evaluation.recorded_folders import find_trained_hold_out
-from pipeline.lab.evaluation.recorded_touch import REGIONS
 from pipeline.lab.evaluation.table_rows import TableRow
-from pipeline.lab.evaluation.time_error_sweep import (
-    SweepPoint,
-    check_sweep_parameters,
-    draw_sweep_plots,
-    sweep_parameters,
-)
-from pipeline.lab.evaluation.touch_metrics import TOUCH_METRICS
+from pipeline.lab.evaluation.touch_metrics import REGIONS, TOUCH_METRICS
 from pipeline.lab.evaluation.touch_scoring import PAPER_GRASP
 from pipeline.lab.training.recorded_pairs import PairFolder
 from pipeline.sensors.spec import load_sensor
@@ -51,6 +37,9 @@ _POSE_TITLES = {
     "network": "network",
     PAPER_GRASP: "the paper's protocol",
 }
+_FIRST_COLUMNS = ("transfer", "model", "PSNR, dB", "SSIM", "Frechet (floor; FID)")
+_POSE_COLUMNS = ("translation, mm", "rotation, deg")
+_WIDTH = 200  # of a table, letters
 _REGION_METRICS = {  # columns of the second table, each with a value per region
     "error_mm": "error, mm",
     "iou": "contact IoU",
@@ -75,8 +64,6 @@ def evaluate(
     stage_methods: Annotated[tuple[str, ...], Parameter(name="--method", negative="")] = (),
     settings: StageSettings = (),
     poses: str = "signed_distances,network",
-    sweep: str = "",
-    plots: Path | None = None,
     figures: Path | None = None,
     folder: Path | None = None,
     scheduler: str = "",
@@ -105,8 +92,6 @@ def evaluate(
         poses: Pose methods to judge touches by, comma-separated; `none` leaves poses out.
             `paper_grasp` is the paper's released protocol: both fingers of a recorded grasp
             together.
-        sweep: `steps`, `guidance` or both, comma-separated: run time against error at many values.
-        plots: Folder for one plot of the sweep per direction.
         figures: Folder for the paper's figures 4 and 5 of this split: touches by T2T and T2D2 next
             to the recorded ones.
         folder: Folder of the simulated touches; default: the user's cache.
@@ -114,8 +99,6 @@ def evaluate(
             `tcp://host:8786`. It must be
             trusted: what it sends is run on this machine.
     """
-    swept = split_list(sweep)
-    check_sweep_parameters(swept)
     chosen: dict[str, str] = {}
     for assignment in stage_methods:
         chosen = with_method(chosen, assignment)
@@ -140,31 +123,20 @@ def evaluate(
     )
     if json is not None:
         check_folder_for(json)
-    if plots is not None:
-        check_folder(plots)
     if figures is not None:
         check_folder(figures)
     machine = describe_machine()
     drawn: list[Path] = []
-    points: list[SweepPoint] = []
     with ExitStack() as stack:
         progress = stack.enter_context(open_progress_bar())
         job_mapper = stack.enter_context(connect_cluster(scheduler)).map if scheduler else None
-        table = evaluate_tables(
-            request, SubProgress(progress, 0.0, 0.5 if swept else 1.0), job_mapper
-        )
-        if swept:
-            points = sweep_parameters(request, swept, SubProgress(progress, 0.5, 0.5), job_mapper)
+        table = evaluate_tables(request, progress, job_mapper)
         if figures is not None:
             drawn = draw_paper_figures(request, figures, progress)
     _print_tables(table, is_recorded=recordings is not None)
-    if swept:
-        _print_sweep(points)
     print_line(format_machine(machine))
     if json is not None:
-        write_json(json, _as_json(table, points, request, machine), "the tables")
-    for path in draw_sweep_plots(points, plots) if plots is not None and points else ():
-        print_line(f"plot written: {path}")
+        write_json(json, _as_json(table, request, machine), "the tables")
     for path in drawn:
         print_line(f"figure written: {path}")
     return 0
@@ -189,48 +161,34 @@ def parse_weights(assignments: Sequence[str]) -> dict[str, Path]:
 
 
 def _print_tables(table: EvaluationTable, *, is_recorded: bool) -> None:
-    console = Console(width=200)
     judges = list(dict.fromkeys(name for row in table.rows for name in row.pose_errors))
+    titles = [_POSE_TITLES.get(name, name) for name in judges]
     split = table.split.replace("_", " ")
-    first = Table(
-        "transfer",
-        "model",
-        "PSNR, dB",
-        "SSIM",
-        "Frechet (floor; FID)",
-        *(
-            f"{what} by {_POSE_TITLES.get(name, name)}"
-            for name in judges
-            for what in ("translation, mm", "rotation, deg")
+    print_table(
+        (
+            *_FIRST_COLUMNS,
+            *(f"{what} by {title}" for title in titles for what in _POSE_COLUMNS),
         ),
+        (_paper_cells(row, judges) for row in table.rows),
         title=f"{split}: ours, {'recorded' if is_recorded else 'simulated'} [95 % interval] (the "
         "paper's)",
+        width=_WIDTH,
     )
-    second = Table(
-        "transfer",
-        "model",
-        *_REGION_METRICS.values(),
-        "kernel",
-        "ms a touch",
+    print_table(
+        ("transfer", "model", *_REGION_METRICS.values(), "kernel", "ms a touch"),
+        (_region_cells(row) for row in table.rows if row.metrics),
         title=f"{split}: {' / '.join(REGIONS.values())}",
+        width=_WIDTH,
     )
-    for row in table.rows:
-        first.add_row(*_paper_cells(row, judges))
-        if row.metrics:
-            second.add_row(*_region_cells(row))
-    console.print(first)
-    console.print(second)
     for note in table.notes:
         print_line(f"note: {note}")
 
 
 def _format_transfer(row: TableRow) -> str:
     target = load_sensor(row.target).title
-    return (
-        target
-        if not row.source or row.candidate in BASELINES
-        else f"{load_sensor(row.source).title} > {target}"
-    )
+    if not row.source or row.candidate in BASELINES:
+        return target
+    return f"{load_sensor(row.source).title} > {target}"
 
 
 def _paper_cells(row: TableRow, judges: Sequence[str]) -> list[str]:
@@ -242,74 +200,45 @@ def _paper_cells(row: TableRow, judges: Sequence[str]) -> list[str]:
     ]
     for name, published in (("psnr_db", paper and paper.psnr_db), ("ssim", paper and paper.ssim)):
         ours = row.metrics.get(name, {}).get("all")
-        text = "-" if ours is None else f"{ours:.2f}{_format_interval(row, name, 'all')}"
+        text = "-" if ours is None else f"{ours:.2f}{_format_interval(row, name)}"
         cells.append(f"{text} ({published:.2f})" if published else text)
     fid = f"; {paper.fid:.1f}" if paper and paper.fid else ""
     cells.append("-" if sets is None else f"{sets.frechet:.2f} ({sets.frechet_floor:.2f}{fid})")
     for judge in judges:
-        errors = row.pose_errors.get(judge)
-        cells.append(
-            _format_spread(errors and errors.translation_mm, paper and paper.translation_mm)
-        )
-        cells.append(_format_spread(errors and errors.rotation_deg, paper and paper.rotation_deg))
+        ours = row.pose_errors.get(judge)
+        for name in ("translation_mm", "rotation_deg"):
+            text = "-" if ours is None else _format_spread(getattr(ours, name))
+            cells.append(f"{text} ({_format_spread(getattr(paper, name))})" if paper else text)
     return cells
 
 
-def _format_spread(ours: MeanStd | None, published: MeanStd | None) -> str:
-    text = "-" if ours is None else f"{ours[0]:.2f} ± {ours[1]:.2f}"
-    return f"{text} ({published[0]:.2f} ± {published[1]:.2f})" if published else text
+def _format_spread(spread: MeanStd) -> str:
+    return f"{spread[0]:.2f} ± {spread[1]:.2f}"
 
 
 def _region_cells(row: TableRow) -> list[str]:
+    cells = [_format_transfer(row), row.title]
+    for name in _REGION_METRICS:
+        known = row.metrics.get(name, {})
+        values = " / ".join(_format_number(known.get(region)) for region in REGIONS)
+        cells.append(values + _format_interval(row, name))
     sets = row.set_distances
-    return [
-        _format_transfer(row),
-        row.title,
-        *(
-            " / ".join(_format_number(row.metrics.get(n, {}).get(region)) for region in REGIONS)
-            + _format_interval(row, n, "all")
-            for n in _REGION_METRICS
-        ),
-        "-" if sets is None else f"{sets.kernel:.4f}",
-        f"{row.ms:.0f}" if row.ms else "-",
-    ]
+    cells.append("-" if sets is None else f"{sets.kernel:.4f}")
+    return [*cells, f"{row.ms:.0f}" if row.ms else "-"]
 
 
-def _format_interval(row: TableRow, metric: str, region: str) -> str:
-    """The 95 % interval of a metric, with a leading space; "" where it is not known."""
-    interval = row.intervals.get(metric, {}).get(region)
-    return (
-        ""
-        if interval is None
-        else f" [{_format_number(interval[0])}, {_format_number(interval[1])}]"
-    )
+def _format_interval(row: TableRow, metric: str) -> str:
+    """The 95 % interval of a metric over the image, with a leading space; "" where unknown."""
+    interval = row.intervals.get(metric, {}).get("all")
+    return f" [{', '.join(map(_format_number, interval))}]" if interval else ""
 
 
 def _format_number(value: float | None) -> str:
     return "-" if value is None else f"{value:.1f}" if abs(value) >= 10 else f"{value:.2f}"
 
 
-def _print_sweep(points: Sequence[SweepPoint]) -> None:
-    table = Table(
-        "transfer", "model", "parameter", "ms a touch", "error in contact, mm", "SSIM, no noise"
-    )
-    for point in points:
-        error = point.contact_error_mm
-        ssim = point.row.metrics.get("ssim_exact", {}).get("all")
-        table.add_row(
-            _format_transfer(point.row),
-            point.row.title,
-            f"{point.parameter} {point.value:g}" if point.parameter else "default",
-            f"{point.row.ms:.0f}",
-            "-" if error is None else f"{error:.3f}",
-            "-" if ssim is None else f"{ssim:.4f}",
-        )
-    Console().print(table)
-
-
 def _as_json(
     table: EvaluationTable,
-    points: Sequence[SweepPoint],
     request: EvaluationRequest,
     machine: Mapping[str, object],
 ) -> dict[str, object]:
@@ -321,7 +250,4 @@ def _as_json(
         "request": {"methods": dict(request.methods), "settings": list(request.settings)},
         "machine": dict(machine),
         "rows": [asdict(row) for row in table.rows],
-        "sweep": [
-            {"parameter": p.parameter, "value": p.value, "row": asdict(p.row)} for p in points
-        ],
     }

@@ -6,11 +6,8 @@ from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
-from pipeline.cli.terminal import open_progress_bar, print_error, print_line
+from pipeline.cli.terminal import open_progress_bar, print_error, print_line, print_table
 from pipeline.cli.translation_options import (
     DEFAULT_OPTIONS,
     RecordingPath,
@@ -18,8 +15,7 @@ from pipeline.cli.translation_options import (
     TargetName,
     TranslationOptions,
 )
-from pipeline.core.errors import escape_text, shorten_text
-from pipeline.lab.tasks.rollout_bundle import is_rollout_bundle, replay_rollout
+from pipeline.lab.tasks.rerun import is_rollout_bundle, replay_rollout
 from pipeline.translation.reports.export import export_file
 from pipeline.translation.reports.export_request import SHEET, ExportRequest, PaneContent
 from pipeline.translation.reports.repro_bundle import (
@@ -130,13 +126,19 @@ def replay(folder: Path) -> int:
         result = replay_bundle(folder, progress)
     if result.note:
         print_line(result.note)
-    table = Table("stage", "arrays", "agreement", "largest difference in")
-    for stage in result.agreements:
-        worst = stage.worst_array if stage.largest_difference > 0 else ""
-        cells = (stage.stage, str(stage.n_arrays), _format_agreement(stage), worst)
-        # names of a file are no markup
-        table.add_row(*(Text(shorten_text(escape_text(cell), 80)) for cell in cells))
-    Console().print(table)
+    print_table(
+        ("stage", "arrays", "agreement", "largest difference in"),
+        (
+            (
+                stage.stage,
+                str(stage.n_arrays),
+                _format_agreement(stage),
+                stage.worst_array if stage.largest_difference > 0 else "",
+            )
+            for stage in result.agreements
+        ),
+        most_letters=80,
+    )
     for name, value in result.metrics.items():
         print_line(
             f"{name} {value:.4g}, recorded {result.expected_metrics.get(name, float('nan')):.4g}"

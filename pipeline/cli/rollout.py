@@ -5,14 +5,8 @@ import os
 import shlex
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
-
-from pipeline.cli.terminal import open_progress_bar, print_line
-from pipeline.core.errors import escape_text, shorten_text
-from pipeline.lab.tasks.rerun import attribute_rollout, describe_error
-from pipeline.lab.tasks.rollout_bundle import write_rollout_bundle
+from pipeline.cli.terminal import open_progress_bar, print_line, print_table
+from pipeline.lab.tasks.rerun import attribute_rollout, describe_error, write_rollout_bundle
 from pipeline.lab.tasks.rollout_file import read_rollout
 from pipeline.lab.tasks.rollout_video import write_rollout_video
 from pipeline.lab.tasks.task import load_task
@@ -29,22 +23,25 @@ def list_rollouts(folder: Path) -> int:
     """
     with open_progress_bar() as progress:
         trials = list_trials(folder, progress)
-    table = Table(*_COLUMNS)
-    for trial in trials:
-        cause = trial.problem or ": ".join(filter(None, (trial.cause, trial.share)))
-        cells = (
-            str(trial.trial),
-            trial.task,
-            trial.case or trial.path.name,
-            trial.touch,
-            _format(trial.tolerance_mm, "g"),
-            trial.outcome,
-            _format(trial.error_mm, ".2f"),
-            _format(trial.error_deg, ".1f"),
-            cause,
-        )
-        table.add_row(*(Text(shorten_text(escape_text(cell), 100)) for cell in cells))
-    Console(width=200).print(table)
+    print_table(
+        _COLUMNS,
+        (
+            (
+                str(trial.trial),
+                trial.task,
+                trial.case or trial.path.name,
+                trial.touch,
+                _format(trial.tolerance_mm, "g"),
+                trial.outcome,
+                _format(trial.error_mm, ".2f"),
+                _format(trial.error_deg, ".1f"),
+                trial.problem or ": ".join(filter(None, (trial.cause, trial.share))),
+            )
+            for trial in trials
+        ),
+        width=200,
+        most_letters=100,
+    )
     return 0
 
 

@@ -7,14 +7,12 @@ from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
-from rich.console import Console
-from rich.table import Table
 
-from pipeline.cli.terminal import open_progress_bar, print_line
+from pipeline.cli.terminal import open_progress_bar, print_line, print_table
 from pipeline.cli.translation_options import Flag, split_list
 from pipeline.core.cluster import connect_cluster
 from pipeline.core.files import check_folder, check_folder_for, write_json
-from pipeline.lab.tasks.rollout_bundle import copy_case
+from pipeline.lab.tasks.rerun import copy_case
 from pipeline.lab.tasks.rollout_file import CASE_SUFFIX
 from pipeline.lab.tasks.runner import Summary, make_jobs, run_jobs
 from pipeline.lab.tasks.task import ManipulationTask, load_task
@@ -103,31 +101,23 @@ def _print_table(chosen: ManipulationTask, summaries: Sequence[Summary]) -> None
         list(dict.fromkeys(one[key] for one in summaries))
         for key in ("touch", "tolerance_mm", "case")
     )
-    table = Table(
-        "case",
-        chosen.tolerance_title,
-        *touches,
-        title=f"{chosen.title}: successes (95 %); the paper's",
-    )
+    rows: list[list[str]] = []
     for case in [*cases, *(["all"] if len(cases) > 1 else [])]:
         for tolerance in tolerances:
-            cells: list[str] = []
+            row = [case, f"{tolerance:g}"]
             for touch in touches:
                 outcomes = [
                     one["succeeds"]
                     for one in summaries
-                    if one["touch"] == touch
-                    and one["tolerance_mm"] == tolerance
+                    if (one["touch"], one["tolerance_mm"]) == (touch, tolerance)
                     and case in (one["case"], "all")
                 ]
                 low, high = binomtest(sum(outcomes), len(outcomes)).proportion_ci(method="wilson")
-                published = chosen.published.get((case, touch), "")
-                cells.append(
-                    f"{sum(outcomes)}/{len(outcomes)} ({low:.0%}-{high:.0%})"
-                    + (f"; {published}" if published else "")
-                )
-            table.add_row(case, f"{tolerance:g}", *cells)
-    Console(width=200).print(table)
+                text = f"{sum(outcomes)}/{len(outcomes)} ({low:.0%}-{high:.0%})"
+                row.append("; ".join((text, *filter(None, [chosen.published.get((case, touch))]))))
+            rows.append(row)
+    title = f"{chosen.title}: successes (95 %); the paper's"
+    print_table(("case", chosen.tolerance_title, *touches), rows, title=title, width=200)
     for one in [one for one in summaries if not one["succeeds"] and one["decisions"][0]["shares"]]:
         print_line(
             f"{one['case']} {one['trial']} by {one['touch']} at {one['tolerance_mm']:g} mm: "

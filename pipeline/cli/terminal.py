@@ -10,11 +10,11 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from pipeline.core.errors import escape_text
+from pipeline.core.errors import escape_text, shorten_text
 
 if TYPE_CHECKING:  # an error sentence is printed without loading rich
     from rich.console import Console
@@ -102,6 +102,28 @@ def print_line(text: str) -> None:
     from rich.console import Console
 
     Console(soft_wrap=True, highlight=False, emoji=False).print(escape_text(text), markup=False)
+
+
+def print_table(
+    columns: Iterable[str],
+    rows: Iterable[Iterable[str]],
+    *,
+    title: str | None = None,
+    width: int | None = None,
+    most_letters: int = 1000,
+) -> None:
+    """Print a table on stdout.
+
+    Cells are shortened to `most_letters` and may hold names of a file: they are no markup.
+    """
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(*columns, title=title)
+    for row in rows:
+        table.add_row(*(Text(shorten_text(escape_text(cell), most_letters)) for cell in row))
+    Console(width=width).print(table)
 
 
 def print_error(text: str) -> None:

@@ -4,10 +4,8 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
-from rich.console import Console
-from rich.table import Table
 
-from pipeline.cli.terminal import open_progress_bar, print_error, print_line
+from pipeline.cli.terminal import open_progress_bar, print_error, print_line, print_table
 from pipeline.cli.translation_options import (
     DEFAULT_OPTIONS,
     RecordingPath,
@@ -66,15 +64,14 @@ def track(
 
 
 def _print_summary(record: TrackRecord, out: Path) -> None:
-    table = Table("frames", "tracked", "lost", "no contact", "parts", "key frames", "closed loops")
-    counts = (
-        len(record.rows),
-        *(record.count(state) for state in ("tracked", "lost", "no contact")),
-    )
-    table.add_row(
-        *(str(n) for n in (*counts, record.n_parts, len(record.key_frames), record.n_loops))
-    )
-    Console().print(table)
+    counts = {
+        "frames": len(record.rows),
+        **{state: record.count(state) for state in ("tracked", "lost", "no contact")},
+        "parts": record.n_parts,
+        "key frames": len(record.key_frames),
+        "closed loops": record.n_loops,
+    }
+    print_table(counts, [map(str, counts.values())])
     if record.weak_directions:
         print_line(
             "not measured in some frames, and taken as in the frame before: "

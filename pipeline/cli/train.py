@@ -9,12 +9,10 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 from rich.console import Console
-from rich.table import Table
 
-from pipeline.cli.terminal import open_progress_bar, print_line
+from pipeline.cli.terminal import open_progress_bar, print_line, print_table
 from pipeline.cli.translation_options import Flag
 from pipeline.core.errors import FileProblem, SettingProblem
-from pipeline.lab.training.export import export_run
 from pipeline.lab.training.loop import TrainingRun
 from pipeline.lab.training.loop import train as train_run
 from pipeline.lab.training.recipe import (
@@ -23,6 +21,7 @@ from pipeline.lab.training.recipe import (
     override_pairs,
     override_training,
 )
+from pipeline.lab.training.run_folder import export_run
 from pipeline.lab.training.task import TASKS
 from pipeline.stages.networks.weights import SUFFIX, Weights
 
@@ -144,11 +143,8 @@ def run_with_progress_bar(run: TrainingRun) -> None:
 
 
 def _print_model_card(weights: Weights) -> None:
-    table = Table("weights", f"{weights.kind}, {weights.n_parameters:,} parameters")
-    for name, value in weights.card.items():
-        if name != "recipe":
-            table.add_row(name, value)
-    Console().print(table)
+    rows = ((name, value) for name, value in weights.card.items() if name != "recipe")
+    print_table(("weights", f"{weights.kind}, {weights.n_parameters:,} parameters"), rows)
 
 
 class _ConsoleHandler(logging.Handler):

@@ -4,12 +4,11 @@ continued.
 
 import math
 import time
-from collections import deque
 from collections.abc import Generator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from pipeline.core.errors import FileProblem, NotConverged, TouchError
@@ -19,6 +18,7 @@ from pipeline.core.progress import SILENT, Cancelled, Progress
 from pipeline.core.values.frames import Recording
 from pipeline.io import hdf5
 from pipeline.io.hdf5_writer import RecordingWriter
+from pipeline.lab.workers import map_ahead
 from pipeline.physics.simulation import datasets
 from pipeline.physics.simulation.datasets import SimulatedMoment, SimulationPlan
 
@@ -142,13 +142,8 @@ def record_plan(
                         progress.step(
                             done / plan.n_poses, f"{plan.object_name}: {done} of {plan.n_poses}"
                         )
-                except (Cancelled, KeyboardInterrupt) as error:
+                except (Cancelled, KeyboardInterrupt, NotConverged) as error:
                     stopped = error
-                except BrokenProcessPool as error:
-                    stopped = NotConverged(
-                        "a worker process died, perhaps out of memory; run again with --jobs 1"
-                    )
-                    stopped.__cause__ = error
                 if stopped is not None and done == written:
                     raise stopped  # inside the writer: nothing new to save
     if stopped is not None:
@@ -188,19 +183,6 @@ def _iterate_moments(
     plan: SimulationPlan, start: int, pool: Executor | None
 ) -> Generator[SimulatedMoment, None, None]:
     """All moments from `start` on, in order; a pool simulates a few ahead."""
-    if pool is None:
-        for index in range(start, plan.n_poses):
-            yield datasets.simulate_moment(plan, index)
-        return
-    waiting: deque[Future[SimulatedMoment]] = deque()
     ahead = _MOMENTS_AHEAD * getattr(pool, "_max_workers", 2)
-    try:
-        for index in range(start, plan.n_poses):
-            waiting.append(pool.submit(datasets.simulate_moment, plan, index))
-            if len(waiting) >= ahead:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
-    finally:
-        for future in waiting:
-            future.cancel()
+    simulate = partial(datasets.simulate_moment, plan)
+    return map_ahead(pool, simulate, range(start, plan.n_poses), ahead, "--jobs 1")

@@ -16,7 +16,13 @@ from pipeline.core.params import Value, list_settings, replace_value
 from pipeline.core.progress import SILENT, Progress, SubProgress
 from pipeline.core.values.results import DepthMap
 from pipeline.lab.evaluation.comparison_tiles import Comparison
-from pipeline.lab.evaluation.variants import MethodParams, Variant, VariantResult, VariantRunner
+from pipeline.lab.evaluation.variants import (
+    MethodParams,
+    Variant,
+    VariantResult,
+    VariantRunner,
+    choose_methods,
+)
 from pipeline.translation.translate import Translation
 from pipeline.views.display_params import DisplayParams
 from pipeline.views.preview import Preview, Tile
@@ -46,18 +52,13 @@ class GridAxis:
     def vary(self, variant: Variant, index: int) -> Variant:
         """The variant with one value of this axis; raises SettingProblem."""
         value = self.values[index]
-        translation = variant.translation
-        request = translation.request
-        if self.name == METHOD:
-            methods = {**dict(request.methods), self.stage: str(value)}
-            request = replace(request, methods=tuple(sorted(methods.items())))
-        elif self.name == WEIGHTS:
-            weights = {**dict(request.weights), self.stage: Path(str(value))}
-            request = replace(request, weights=tuple(sorted(weights.items())))
-        else:
-            method = next(method for method in translation.methods if method.stage == self.stage)
+        if self.name not in (METHOD, WEIGHTS):
+            method = variant.translation.get_method(self.stage)
             return variant.with_value(method, self.name, value)
-        return replace(variant, translation=replace(translation, request=request))
+        methods = {self.stage: str(value)} if self.name == METHOD else {}
+        weights = {self.stage: Path(str(value))} if self.name == WEIGHTS else {}
+        translation = choose_methods(variant.translation, methods, weights)
+        return replace(variant, translation=translation)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,28 +168,23 @@ def compare_grid(
     cells: list[GridCell] = []
     touches: dict[tuple[int, int], DepthMap] = {}
     names = " by ".join(axis.title for axis in plan.axes)
-    order = plan.run_order
-    for index, (row, col) in enumerate(order):
-        part = SubProgress(
-            progress, index / len(order), 1.0 / len(order), f"{index + 1} of {len(order)}"
-        )
+    n = len(plan.run_order)
+    for number, (row, col) in enumerate(plan.run_order, start=1):
+        part = SubProgress(progress, (number - 1) / n, 1.0 / n, f"{number} of {n}")
         part.step(0.0, "")
         try:
-            result = runner.evaluate(
-                plan.build_variant(base, row, col), frame, [stage], part, timed=True
-            )
+            variant = plan.build_variant(base, row, col)
+            result = runner.evaluate(variant, frame, [stage], part, timed=True)
             cells.append(_make_cell(result, plan, row, col, stage, display))
+            touch = result.results.get(_TOUCH_DEPTH)
+            if touch is not None and not cells[-1].problem and isinstance(touch.output, DepthMap):
+                touches[row, col] = touch.output
         except TouchError as error:
             cells.append(GridCell(row=row, col=col, problem=str(error)))
-        else:
-            output = result.results[_TOUCH_DEPTH].output if _TOUCH_DEPTH in result.results else None
-            if isinstance(output, DepthMap) and not cells[-1].problem:
-                touches[row, col] = output
-        facts = [f"frame {frame}: {names}, {index + 1} of {len(order)}"]
-        if index + 1 == len(order):
-            facts += _describe_spread(
-                plan, touches, translation.read_true_outputs(frame).get(_TOUCH_DEPTH)
-            )
+        facts = [f"frame {frame}: {names}, {number} of {n}"]
+        if number == n:
+            truth = translation.read_true_outputs(frame).get(_TOUCH_DEPTH)
+            facts += _describe_spread(plan, touches, truth)
         yield GridComparison(
             tiles=build_tiles(plan, cells), summary="; ".join(facts), cells=tuple(cells)
         )

@@ -1,21 +1,35 @@
-"""Held-out touches that methods are scored on: presses that no method was trained on, simulated
-once and cached.
+"""What is scored: held-out touches that no method was trained on, simulated once and cached or
+recorded as pairs, and the candidates, every touch method with weights of the direction and the
+baselines.
 """
 
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal
 
+import numpy as np
+
 from pipeline.core import disk_store
+from pipeline.core.arrays import Floats, freeze
+from pipeline.core.derived import derive_once
 from pipeline.core.digests import compute_digest
-from pipeline.core.errors import FileProblem
+from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.files import set_aside
 from pipeline.core.params import check_range
 from pipeline.core.progress import SILENT, Progress, SubProgress
+from pipeline.io import open_recording
 from pipeline.lab import recorder
-from pipeline.lab.evaluation.published_results import Split
+from pipeline.lab.evaluation.published_results import PAPER_DIRECTIONS, PAPER_MODELS, Split
+from pipeline.lab.training.recorded_pairs import NoPairs, PairFolder, PairPlace, PairSet, open_pairs
 from pipeline.physics.simulation import datasets
 from pipeline.physics.simulation.datasets import SimulationPlan
+from pipeline.sensors.spec import SensorSpec, load_sensor
+from pipeline.stages.networks import weights_registry
+from pipeline.stages.networks.weights import NoWeights
+from pipeline.translation.catalogue import BUILT_IN
 
 SENSORS = ("gelslim", "soft_bubble", "digit")
 _TARGETS = SENSORS[:2]
@@ -123,3 +137,172 @@ def _load_or_record(
     if done < plan.n_poses:
         recorder.record_plan(plan, path, progress=progress)
     return path
+
+
+def select_recorded(pairs: PairSet, of: TouchSet) -> tuple[PressRecordings, ...]:
+    """The pairs of a role; () where it has none."""
+    groups: dict[tuple[str, str, str], list[PairPlace]] = {}
+    for place in pairs.places.get(of, ()):
+        groups.setdefault(
+            (str(place.recording.path), place.grasp.tool, place.source_stream.name), []
+        ).append(place)
+    return tuple(_select(sorted(group, key=lambda place: place.index)) for group in groups.values())
+
+
+def _select(places: Sequence[PairPlace]) -> PressRecordings:
+    first = places[0]
+    return PressRecordings(
+        object_name=first.grasp.tool,
+        source=first.recording.path,
+        target=first.recording.path,
+        source_stream=first.source_stream.name,
+        target_stream=first.target_stream.name,
+        frames=tuple(place.index for place in places),
+        target_frames=tuple(place.target_index for place in places),
+        frame_names=tuple(place.grasp.name for place in places),
+        mesh=None if first.recording.object_mesh is not None else first.grasp.mesh_file,
+    )
+
+
+def open_directions(
+    folder: PairFolder, directions: Sequence[tuple[str, str]]
+) -> dict[tuple[str, str], PairSet]:
+    """The pairs of every direction.
+
+    Of the paper's directions those that are recorded. Raises SettingProblem.
+    """
+    found: dict[tuple[str, str], PairSet] = {}
+    problem = NoPairs("no direction is given")
+    for direction in directions or PAPER_DIRECTIONS:
+        try:
+            found[direction] = open_pairs(folder, *direction)
+        except NoPairs as error:
+            if directions:
+                raise
+            problem = error
+    if not found:
+        raise problem
+    return found
+
+
+def find_trained_hold_out(weights: Mapping[str, Path]) -> str:
+    """What trainings on recorded pairs held out, from the cards of their weights.
+
+    "" where none was.
+
+    Raises SettingProblem where they held out different pairs: the touches of one were trained on by
+    another.
+    """
+    held_out: dict[str, str] = {}
+    for name, file in weights.items():
+        loaded = weights_registry.load_file(file)
+        if isinstance(loaded, NoWeights):
+            continue
+        pairs = json.loads(loaded.card.get("recipe", "{}")).get("data", {})
+        if "pairs" in pairs:
+            held_out[name] = pairs["hold_out"]
+    if len(set(held_out.values())) > 1:
+        texts = ", ".join(
+            f"{name}: {value or 'splits of the folder'}" for name, value in held_out.items()
+        )
+        raise SettingProblem(
+            f"the weights held out different pairs ({texts}); give --hold-out, or train them alike"
+        )
+    return next(iter(held_out.values()), "")
+
+
+def require_touches(pairs: PairSet, split: Split) -> None:
+    """Raise SettingProblem where a split has no pairs."""
+    if not pairs.places.get(split):
+        raise SettingProblem(
+            f"no {split.replace('_', ' ')} are held out ({pairs.notes[0]}); choose another "
+            "--hold-out or --split"
+        )
+
+
+RECORDED = "recorded"
+OWN = "own"
+NO_CONTACT = "no_contact"
+MEAN_TOUCH = "mean"
+BASELINES = (NO_CONTACT, MEAN_TOUCH)  # need no source
+_TITLES = {
+    RECORDED: "recorded touch",
+    OWN: "own sensor, no translation",
+    NO_CONTACT: "reference image",
+    MEAN_TOUCH: "mean of other touches",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Candidate:
+    """A touch method or a baseline."""
+
+    name: str  # a touch method, or RECORDED, OWN, NO_CONTACT or MEAN_TOUCH
+    title: str
+    paper_model: str = ""  # model of the paper, "" = none
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CandidateSet:
+    """Candidates of one direction, and which methods are excluded."""
+
+    candidates: tuple[Candidate, ...]
+    excluded: Mapping[str, str]  # method -> a sentence
+
+
+def select_candidates(
+    source: SensorSpec,
+    target: SensorSpec,
+    only: Sequence[str] = (),
+    weights: Mapping[str, Path] = MappingProxyType({}),
+) -> CandidateSet:
+    """Baselines, then the catalogue's methods in its order; `only` names some of all.
+
+    `weights` (method -> file) replace shipped ones.
+    """
+    candidates = [Candidate(name=name, title=title) for name, title in _TITLES.items()]
+    excluded: dict[str, str] = {}
+    for method in BUILT_IN.stage("touch").methods:
+        found = method.weights and method.weights(source, target, weights.get(method.name))
+        if isinstance(found, NoWeights):
+            excluded[method.name] = f"{source.name} to {target.name} by {method.name}: {found.why}"
+        else:
+            model = PAPER_MODELS.get(method.name, "")
+            candidates.append(Candidate(name=method.name, title=method.title, paper_model=model))
+    return CandidateSet(
+        candidates=tuple(c for c in candidates if not only or c.name in only),
+        excluded={name: why for name, why in excluded.items() if not only or name in only},
+    )
+
+
+def check_candidate_names(names: Sequence[str]) -> None:
+    """Check that each name is a baseline or a method of the catalogue; raises SettingProblem."""
+    known = [*_TITLES, *(m.name for m in BUILT_IN.stage("touch").methods)]
+    unknown = sorted(set(names) - set(known))
+    if unknown:
+        raise SettingProblem(f"no candidate is called {unknown[0]!r}; there are {', '.join(known)}")
+
+
+@derive_once
+def compute_mean_change(recordings: tuple[PressRecordings, ...], target: str) -> Floats:
+    """Mean change from the reference (rows, cols, channels) of a sensor's frames over recordings
+    of other touches.
+    """
+    total = None
+    count = 0
+    kind = load_sensor(target).sensor_kind
+    for of in recordings:
+        recording = open_recording(of.target)
+        try:
+            stream = recording.stream(of.target_stream or target)
+            for index in of.target_frames or range(stream.n_frames):
+                frame = stream.frame(index)
+                assert frame.reference is not None
+                one = kind.compute_relative_change(frame.image, frame.reference).astype(np.float64)
+                total = one if total is None else total + one
+                count = count + 1
+        finally:
+            recording.close()
+    if total is None:
+        raise SettingProblem("the recordings hold no touch for the mean")
+    return freeze((total / count).astype(np.float32))

@@ -11,13 +11,15 @@ import numpy as np
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.results import DepthMap, GeneratedTouch
 from pipeline.lab.evaluation.comparison_tiles import Comparison
-from pipeline.lab.evaluation.recorded_touch import (
+from pipeline.lab.evaluation.touch_metrics import (
     RecordedTouch,
+    Region,
     build_recorded_touch,
     build_without_truth,
     compute_generated_change,
+    compute_touch_metrics,
+    pool_metrics,
 )
-from pipeline.lab.evaluation.touch_metrics import compute_touch_metrics, pool_metrics
 from pipeline.lab.evaluation.variants import (
     MethodParams,
     VariantResult,
@@ -31,12 +33,12 @@ from pipeline.views.preview import Preview, Tile
 
 SortOrder = Literal["worst first", "best first", "in order"]
 _STAGE = "touch"
-# metric of a tile -> how its subtitle states it; in contact, and over the whole image
-_METRIC_FORMATS = {
-    "contact_error_mm": "contact {}",
-    "error_mm": "all {} mm",
-    "psnr_db": "{} dB",
-    "ssim": "SSIM {}",
+# metric of a tile -> the touch metric and region that it is, and how its subtitle states it
+_METRICS: Mapping[str, tuple[str, Region, str]] = {
+    "contact_error_mm": ("error_mm", "contact", "contact {:.3g}"),
+    "error_mm": ("error_mm", "all", "all {:.3g} mm"),
+    "psnr_db": ("psnr_db", "all", "{:.3g} dB"),
+    "ssim": ("ssim", "all", "SSIM {:.3g}"),
 }
 
 
@@ -54,7 +56,11 @@ def compare_methods(
     """
     variants, excluded = list_method_variants(translation, params, _STAGE)
     recorded = _read_recorded_touch(translation, frame)
-    truth = _make_truth_preview(translation, frame, display)
+    truth = None
+    true = translation.read_true_outputs(frame).get(_STAGE)
+    if recorded is not None and true is not None:
+        context = translation.make_preview_context({}, display)
+        truth = translation.catalogue.views[_STAGE].make_preview(true, context)
     target = translation.target
     facts = [
         f"frame {frame}, {translation.source.title} to {target.title}: {len(variants)} methods"
@@ -89,25 +95,17 @@ def sort_tiles(tiles: Sequence[Tile], order: str) -> list[Tile]:
     Those without any come last.
     """
 
-    def get_error(tile: Tile) -> float:
+    def get_error(tile: Tile) -> float | None:
         metrics = tile.metrics
-        errors = (
-            metrics.get("contact_error_mm"),
-            metrics.get("error_mm"),
-            -metrics.get("psnr_db", math.nan),
-        )
-        return next((e for e in errors if e is not None and math.isfinite(e)), math.nan)
+        if "psnr_db" in metrics:
+            metrics = {**metrics, "psnr_db": -metrics["psnr_db"]}
+        return next((metrics[name] for name in _METRICS if name in metrics), None)
 
     if order == "in order":
         return list(tiles)
-    sign = -1.0 if order == "worst first" else 1.0
-    return sorted(
-        tiles,
-        key=lambda t: (
-            math.isnan(get_error(t)),
-            0.0 if math.isnan(get_error(t)) else sign * get_error(t),
-        ),
-    )
+    known = [tile for tile in tiles if get_error(tile) is not None]
+    known.sort(key=lambda tile: get_error(tile) or 0.0, reverse=order == "worst first")
+    return [*known, *(tile for tile in tiles if get_error(tile) is None)]
 
 
 def _make_tile(
@@ -120,15 +118,9 @@ def _make_tile(
     label = result.variant.label
     if result.problem or result.results[_STAGE].fallback:
         return Tile(title=label, problem=result.problem or result.results[_STAGE].fallback)
-    touch = result.results[_STAGE].output
-    assert isinstance(touch, GeneratedTouch)
-    metrics = {} if recorded is None else _compute_metrics(runner, result, touch, recorded)
-    words = [
-        text.format(f"{metrics[name]:.3g}")
-        for name, text in _METRIC_FORMATS.items()
-        if name in metrics
-    ]
-    preview = _make_touch_preview(touch, result.variant.translation, display)
+    metrics = {} if recorded is None else _compute_metrics(runner, result, recorded)
+    words = [_METRICS[name][2].format(value) for name, value in metrics.items()]
+    preview = result.make_preview(_STAGE, display)
     return Tile(
         title=label,
         subtitle=" · ".join([*words, f"{result.ms:.0f} ms"]),
@@ -140,73 +132,39 @@ def _make_tile(
 
 
 def _compute_metrics(
-    runner: VariantRunner, result: VariantResult, touch: GeneratedTouch, recorded: RecordedTouch
+    runner: VariantRunner, result: VariantResult, recorded: RecordedTouch
 ) -> dict[str, float]:
     """The finite metrics of a touch.
 
     A gel image without membrane is measured by the route's touch_depth stage.
     """
     translation = result.variant.translation
+    touch = result.results[_STAGE].output
+    assert isinstance(touch, GeneratedTouch)
     touch_depth = touch.membrane
     if touch_depth is None and touch.image.ndim != 2 and "touch_depth" in translation.stages:
-        output = (
-            runner.evaluate(result.variant, result.frame, ["touch_depth"])
-            .results["touch_depth"]
-            .output
-        )
+        read = runner.evaluate(result.variant, result.frame, ["touch_depth"])
+        output = read.results["touch_depth"].output
         touch_depth = output if isinstance(output, DepthMap) else None
     everywhere = np.ones(recorded.contact.shape, np.bool_)
     change = compute_generated_change(touch, translation.target)
-    pooled: Mapping[str, Mapping[str, float]] = pool_metrics(
-        [compute_touch_metrics(change, touch_depth, recorded, everywhere, None)]
-    )
-    metrics = {
-        name: pooled.get(name, {}).get("all", math.nan) for name in ("error_mm", "psnr_db", "ssim")
+    pooled = pool_metrics([compute_touch_metrics(change, touch_depth, recorded, everywhere, None)])
+    return {
+        name: pooled[metric][region]
+        for name, (metric, region, _) in _METRICS.items()
+        if math.isfinite(pooled.get(metric, {}).get(region, math.nan))
     }
-    metrics["contact_error_mm"] = pooled.get("error_mm", {}).get("contact", math.nan)
-    return {name: metrics[name] for name in _METRIC_FORMATS if math.isfinite(metrics[name])}
-
-
-def _make_touch_preview(
-    touch: GeneratedTouch, translation: Translation, display: DisplayParams
-) -> Preview:
-    """The touch as its column shows it."""
-    return translation.catalogue.views[_STAGE].make_preview(
-        touch, translation.make_preview_context({}, display)
-    )
-
-
-def _make_truth_preview(
-    translation: Translation, frame: int, display: DisplayParams
-) -> Preview | None:
-    """What the target recorded, as the window shows it next to a generated touch.
-
-    None if it recorded none.
-    """
-    truth = translation.read_ground_truth(frame)
-    touch = translation.catalogue.stage(_STAGE).make_ground_truth(truth, translation.target)
-    observation = truth.target_observation
-    if (
-        not isinstance(touch, GeneratedTouch)
-        or observation is None
-        or observation.reference is None
-    ):
-        return None
-    return _make_touch_preview(touch, translation, display)
 
 
 def _read_recorded_touch(translation: Translation, frame: int) -> RecordedTouch | None:
     """The target's frame of the same touch at its described size; None if it recorded none."""
     observed = translation.read_target_observation(frame)
+    target = translation.target
     if observed is None or observed[0].reference is None:
         return None
-    if observed[0].image.shape[:2] != translation.target.camera.shape:
+    if observed[0].image.shape[:2] != target.camera.shape:
         return None
     truth = observed[1]
-    is_known = truth is not None and truth.indentation_mm is not None and truth.contact is not None
-    target = translation.target
-    return (
-        build_recorded_touch(*observed, target)
-        if is_known
-        else build_without_truth(observed[0], target)
-    )
+    if truth is None or truth.indentation_mm is None or truth.contact is None:
+        return build_without_truth(observed[0], target)
+    return build_recorded_touch(*observed, target)

@@ -1,12 +1,12 @@
-"""The paper's figures 4 and 5: touches of one split by T2T and T2D2, between the source's frame and
-the recorded touch.
+"""The paper's figures 4 and 5: touches of one split by T2T and T2D2, between the source's frame
+and the recorded touch.
 
 Figure 4 shows both directions between GelSlim and Soft Bubble, figure 5 the target depth of T2D2
 for every direction.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,16 @@ from pipeline.core.arrays import Image
 from pipeline.core.figures import make_figure, save_figure
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame
-from pipeline.lab.evaluation.candidates import Candidate, select_candidates
-from pipeline.lab.evaluation.held_out import PressRecordings
-from pipeline.lab.evaluation.paper_tables import EvaluationRequest, collect_touches
-from pipeline.lab.evaluation.touch_scoring import open_presses
+from pipeline.lab.evaluation.held_out import (
+    Candidate,
+    PressRecordings,
+    select_candidates,
+)
+from pipeline.lab.evaluation.paper_tables import (
+    EvaluationRequest,
+    collect_touches,
+)
+from pipeline.lab.evaluation.touch_scoring import choose_candidate, open_presses
 from pipeline.sensors.spec import load_sensor
 from pipeline.translation.translate import Translation
 from pipeline.views.display_params import DisplayParams
@@ -112,24 +118,16 @@ def _draw_stages(
     candidate: Candidate,
 ) -> dict[str, Image]:
     """The touch of a model; with T2D2 its target depth too."""
-    methods = {**request.methods, "touch": candidate.name}
-    files = {stage: file for stage, file in request.weights.items() if stage == "depth"}
-    if candidate.name in request.weights:
-        files["touch"] = request.weights[candidate.name]
-    chosen = replace(
-        translation,
-        request=replace(
-            translation.request, methods=tuple(methods.items()), weights=tuple(files.items())
-        ),
-    )
-    stages = {DEPTH: "target_depth", model: "touch"} if model == T2D2 else {model: "touch"}
+    chosen = choose_candidate(translation, candidate.name, request.methods, request.weights)
     results = chosen.evaluate(index, ["target_depth", "touch"])
     context = chosen.make_preview_context(results)
-    previews = {
-        title: chosen.catalogue.views[stage].make_preview(results[stage].output, context)
+    stages = {model: "touch"}
+    if model == T2D2:
+        stages[DEPTH] = "target_depth"
+    return {
+        title: chosen.catalogue.views[stage].make_preview(results[stage].output, context).pixels
         for title, stage in stages.items()
     }
-    return {title: preview.pixels for title, preview in previews.items()}
 
 
 def _draw(rows: Sequence[FigureRow], columns: Sequence[str], split: str, path: Path) -> None:

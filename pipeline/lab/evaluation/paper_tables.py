@@ -8,30 +8,26 @@ from typing import Any
 from pipeline.core.errors import SettingProblem
 from pipeline.core.params import list_settings
 from pipeline.core.progress import SILENT, Progress, SubProgress
-from pipeline.lab.evaluation import touch_features
-from pipeline.lab.evaluation.candidates import (
+from pipeline.lab.evaluation.held_out import (
     BASELINES,
     RECORDED,
-    check_candidate_names,
-    select_candidates,
-)
-from pipeline.lab.evaluation.held_out import (
     HeldOutOptions,
     PressRecordings,
+    check_candidate_names,
     load_or_simulate,
+    open_directions,
+    require_touches,
+    select_candidates,
+    select_recorded,
     select_sensors,
 )
 from pipeline.lab.evaluation.published_results import COMPARISON_NOTE, PAPER_DIRECTIONS, Split
-from pipeline.lab.evaluation.recorded_folders import (
-    open_directions,
-    require_touches,
-    select_recorded,
-)
 from pipeline.lab.evaluation.table_rows import TableRow, build_rows
 from pipeline.lab.evaluation.touch_scoring import (
     PAPER_GRASP,
     ScoredTouch,
     ScoringJob,
+    load_encoder_weights,
     score_recording,
 )
 from pipeline.lab.training.recorded_pairs import PairFolder
@@ -99,12 +95,7 @@ def evaluate_tables(
         for source, target in touches
     ]
     for method in set(request.weights).intersection(request.candidates or request.weights):
-        whys = [
-            why
-            for one in candidate_sets
-            for why in one.excluded
-            if why.split(":")[0].endswith(f" by {method}")
-        ]
+        whys = [one.excluded[method] for one in candidate_sets if method in one.excluded]
         # a file of one direction leaves the method out of the others
         if len(whys) == len(candidate_sets):
             raise SettingProblem(f"--weights {method}={request.weights[method]}: {whys[0]}")
@@ -118,7 +109,7 @@ def evaluate_tables(
         pose_methods, missing = _select_pose_methods(
             request.pose_methods, load_sensor(source), load_sensor(target)
         )
-        notes += [*candidate_set.excluded, *missing]
+        notes += [*candidate_set.excluded.values(), *missing]
         jobs = [
             ScoringJob(
                 recordings=one,
@@ -266,7 +257,7 @@ def _describe_conditions(request: EvaluationRequest, touches: DirectionTouches) 
             f"instances vary by {request.held_out.sensor_variation:g}, targets are as described"
         ]
     for target in dict.fromkeys(target for _, target in touches):
-        encoder = touch_features.load_encoder_weights(load_sensor(target))
+        encoder = load_encoder_weights(load_sensor(target))
         if isinstance(encoder, Weights):
             notes.append(f"encoder of {target}: {encoder.name}, {encoder.content_digest[:12]}")
         else:

@@ -33,22 +33,18 @@ class PaperRow:
 def _rows(
     *cells: tuple[str, str, str, tuple[float, float, float] | None, MeanStd, MeanStd],
 ) -> tuple[PaperRow, ...]:
-    rows: list[PaperRow] = []
-    for source, target, model, image, translation_mm, rotation_deg in cells:
-        psnr, ssim, fid = image or (None, None, None)
-        rows.append(
-            PaperRow(
-                source=source,
-                target=target,
-                model=model,
-                psnr_db=psnr,
-                ssim=ssim,
-                fid=fid,
-                translation_mm=translation_mm,
-                rotation_deg=rotation_deg,
-            )
+    names = ("psnr_db", "ssim", "fid")
+    return tuple(
+        PaperRow(
+            source=source,
+            target=target,
+            model=model,
+            translation_mm=translation_mm,
+            rotation_deg=rotation_deg,
+            **dict(zip(names, image or (), strict=False)),
         )
-    return tuple(rows)
+        for source, target, model, image, translation_mm, rotation_deg in cells
+    )
 
 
 PAPER_ROWS: Mapping[Split, tuple[PaperRow, ...]] = {

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.core.arrays import Doubles
-from pipeline.lab.evaluation.candidates import RECORDED, Candidate
+from pipeline.lab.evaluation.held_out import RECORDED, Candidate
 from pipeline.lab.evaluation.published_results import MeanStd, PaperRow, Split, find_paper_row
 from pipeline.lab.evaluation.touch_metrics import bootstrap_metrics, pool_metrics
 from pipeline.lab.evaluation.touch_scoring import PAPER_GRASP, GraspFinger, ScoredTouch

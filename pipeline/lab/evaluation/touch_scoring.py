@@ -6,10 +6,11 @@ from collections.abc import Generator, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from pipeline.core.arrays import Doubles, Floats
+from pipeline.core.arrays import Doubles, Floats, freeze
 from pipeline.core.errors import SettingProblem
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
@@ -20,25 +21,29 @@ from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame, Truth
 from pipeline.core.values.results import DepthMap, GeneratedTouch, ObjectPose, TargetDepth
 from pipeline.io import open_recording
-from pipeline.lab.evaluation import touch_features
-from pipeline.lab.evaluation.candidates import (
+from pipeline.lab.evaluation.held_out import (
     BASELINES,
     MEAN_TOUCH,
     NO_CONTACT,
     OWN,
     RECORDED,
     Candidate,
+    PressRecordings,
     compute_mean_change,
 )
-from pipeline.lab.evaluation.held_out import PressRecordings
-from pipeline.lab.evaluation.recorded_touch import (
+from pipeline.lab.evaluation.touch_metrics import (
     RecordedTouch,
+    TouchMetrics,
     build_recorded_touch,
     build_without_truth,
     compute_generated_change,
+    compute_touch_metrics,
 )
-from pipeline.lab.evaluation.touch_metrics import TouchMetrics, compute_touch_metrics
+from pipeline.lab.evaluation.variants import choose_methods
 from pipeline.lab.training.recorded_pairs import derive_contact
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.networks import weights_registry
+from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.stages.touch.frame_chain import make_touch_from_change
 from pipeline.stages.touch.physical_render import make_reference_touch
 from pipeline.translation.catalogue import default_params, with_setting
@@ -161,62 +166,53 @@ class _TouchScorer:
         self._known = target_depth.in_view
 
     def score_candidate(self, candidate: Candidate) -> ScoredTouch:
-        if candidate.name == OWN:
-            return self._score_own_sensor(candidate)
-        given = self._make_baseline(candidate)
-        results = {} if given else self._evaluate(candidate.name, {}, "touch")
-        touch = given.get("touch") or results["touch"].output
+        results, given = self._run(candidate.name)
+        touch = given["touch"]
+        touch_depth = given["touch_depth"]
         assert isinstance(touch, GeneratedTouch)
+        assert isinstance(touch_depth, DepthMap)
         change = compute_generated_change(touch, self._translation.target)
-        touch_depth = given.get("touch_depth") or self._measure_touch_depth(touch)
-        assert touch_depth is None or isinstance(touch_depth, DepthMap)
-        mean = self._mean if candidate.name not in (*BASELINES, RECORDED) else None
-        metrics = compute_touch_metrics(change, touch_depth, self._true, self._known, mean)
-        if candidate.name == RECORDED:
-            metrics = replace(metrics, values={})
+        # the source itself has no touch to compare, and the recorded one is the truth
+        metrics = TouchMetrics(values={}, n_pixels={}, peak_value=self._true.peak_value)
+        if candidate.name not in (OWN, RECORDED):
+            mean = None if candidate.name in BASELINES else self._mean
+            metrics = compute_touch_metrics(change, touch_depth, self._true, self._known, mean)
+        is_own = candidate.name == OWN
+        judges_grasps = PAPER_GRASP in self._job.pose_methods and not is_own
         return ScoredTouch(
             candidate=candidate.name,
             touch_name=self._name,
             metrics=metrics,
-            ms=sum(
-                self._ms[result.method.key]
-                for result in results.values()
-                if result.method is not None
-            ),
-            pose_errors=self._compute_pose_errors(
-                candidate, {**given, "touch": touch, "touch_depth": touch_depth}
-            ),
-            features=touch_features.encode_change(self._translation.target, change),
-            notes=tuple(
-                dict.fromkeys(result.fallback for result in results.values() if result.fallback)
-            ),
-            finger=self._find_finger(touch_depth)
-            if PAPER_GRASP in self._job.pose_methods
-            else None,
-        )
-
-    def _score_own_sensor(self, candidate: Candidate) -> ScoredTouch:
-        """Poses of the source's own depth, registered in its frame.
-
-        There is no touch to compare.
-        """
-        results = self._evaluate("physics", {}, "depth")
-        given = {
-            "touch": make_reference_touch(self._translation.target),
-            "touch_depth": results["depth"].output,
-        }
-        return ScoredTouch(
-            candidate=candidate.name,
-            touch_name=self._name,
-            features=None,
-            ms=sum(
-                self._ms[result.method.key]
-                for result in results.values()
-                if result.method is not None
-            ),
-            metrics=TouchMetrics(values={}, n_pixels={}, peak_value=self._true.peak_value),
+            ms=sum(self._ms[r.method.key] for r in results.values() if r.method is not None),
             pose_errors=self._compute_pose_errors(candidate, given),
+            features=None if is_own else encode_change(self._translation.target, change),
+            notes=tuple(dict.fromkeys(r.fallback for r in results.values() if r.fallback)),
+            finger=self._find_finger(touch_depth) if judges_grasps else None,
         )
+
+    def _run(self, name: str) -> tuple[dict[str, StageResult], dict[str, object]]:
+        """Results by a touch method, and the touch of any candidate with its depth."""
+        target = self._translation.target
+        given: dict[str, object] = {"touch": make_reference_touch(target)}
+        results: dict[str, StageResult] = {}
+        if name == OWN:  # the source's own depth, registered in its frame
+            results = self._evaluate("physics", {}, "depth")
+            return results, {**given, "touch_depth": results["depth"].output}
+        if name == RECORDED:
+            touch = make_touch_from_change(target, self._true.change)
+            return results, {"touch": touch, "touch_depth": self._estimate_target_depth()}
+        if name == MEAN_TOUCH and self._mean is not None:
+            given["touch"] = make_touch_from_change(target, self._mean)
+        elif name not in BASELINES:
+            results = self._evaluate(name, {}, "touch")
+            given["touch"] = results["touch"].output
+        # its own membrane if it has one, else read from its image as from a frame of the target
+        touch = given["touch"]
+        assert isinstance(touch, GeneratedTouch)
+        how = "from_image" if touch.membrane is None else "membrane"
+        chosen = choose_methods(self._translation, {**self._job.methods, "touch_depth": how}, {})
+        read = chosen.evaluate(self._index, ["touch_depth"], given=given)
+        return results, {**given, "touch_depth": read["touch_depth"].output}
 
     def _find_finger(self, touch_depth: DepthMap | None) -> GraspFinger | None:
         """The contact of a touch in the grasp frame.
@@ -244,18 +240,8 @@ class _TouchScorer:
 
         Remembers the times of computed stages.
         """
-        chosen = {**self._job.methods, "touch": touch} | ({"pose": pose} if pose else {})
-        files = {
-            stage: file
-            for stage, file in self._job.weights.items()
-            if stage in chosen or stage == "depth"
-        }
-        if touch in self._job.weights:
-            files["touch"] = self._job.weights[touch]
-        request = replace(
-            self._translation.request, methods=tuple(chosen.items()), weights=tuple(files.items())
-        )
-        like = replace(self._translation, request=request)
+        methods = {**self._job.methods, **({"pose": pose} if pose else {})}
+        like = choose_candidate(self._translation, touch, methods, self._job.weights)
         params = default_params(like.methods)
         for assignment in self._job.settings:
             if _has_setting(assignment, params):
@@ -266,31 +252,9 @@ class _TouchScorer:
                 self._ms.setdefault(result.method.key, result.ms)
         return results
 
-    def _make_baseline(self, candidate: Candidate) -> dict[str, object]:
-        """Stage -> value of a baseline or the recorded touch; empty for touch methods."""
-        target = self._translation.target
-        if candidate.name == NO_CONTACT:
-            return {"touch": make_reference_touch(target)}
-        if candidate.name == MEAN_TOUCH:
-            return (
-                {"touch": make_touch_from_change(target, self._mean)}
-                if self._mean is not None
-                else {"touch": make_reference_touch(target)}
-            )
-        if candidate.name == RECORDED:
-            depth = self._estimate_target_depth()
-            return {
-                "touch": make_touch_from_change(target, self._true.change),
-                "touch_depth": depth,
-            }
-        return {}
-
     def _estimate_target_depth(self) -> DepthMap:
         """Depth of the target's own frame."""
-        read = self._translation.with_target_as_source()
-        read = replace(
-            read, request=replace(read.request, methods=tuple(self._job.methods.items()))
-        )
+        read = choose_methods(self._translation.with_target_as_source(), self._job.methods, {})
         output = read.evaluate(self._index, ["depth"])["depth"].output
         assert isinstance(output, DepthMap)
         return output
@@ -315,24 +279,6 @@ class _TouchScorer:
             recorded, indentation_mm=np.nan_to_num(depth.indentation_mm), contact=depth.contact
         )
 
-    def _measure_touch_depth(self, touch: GeneratedTouch) -> DepthMap | None:
-        """The touch's own membrane if it has one, else depth estimated from its image as from a
-        frame of the target.
-        """
-        how = "from_image" if touch.membrane is None else "membrane"
-        chosen = replace(
-            self._translation,
-            request=replace(
-                self._translation.request,
-                methods=(*self._job.methods.items(), ("touch_depth", how)),
-            ),
-        )
-        result = chosen.evaluate(self._index, ["touch_depth"], given={"touch": touch})[
-            "touch_depth"
-        ].output
-        assert isinstance(result, DepthMap)
-        return result
-
     def _compute_pose_errors(
         self, candidate: Candidate, given: Mapping[str, object]
     ) -> dict[str, tuple[float, float]]:
@@ -340,13 +286,10 @@ class _TouchScorer:
         pose_errors: dict[str, tuple[float, float]] = {}
         truth = self._translation.read_ground_truth(self._index)
         stage = self._translation.catalogue.stage("pose")
+        is_own = candidate.name == OWN
         for name in self._job.pose_methods:
-            is_own = candidate.name == OWN
-            if (
-                candidate.name == NO_CONTACT
-                or name == PAPER_GRASP
-                or (is_own and name == "network")
-            ):
+            is_unfit = name == "network" and is_own
+            if candidate.name == NO_CONTACT or name == PAPER_GRASP or is_unfit:
                 continue
             pose = self._evaluate("physics", given, "pose", name)["pose"].output
             assert isinstance(pose, ObjectPose)
@@ -359,7 +302,50 @@ class _TouchScorer:
         return pose_errors
 
 
+def choose_candidate(
+    translation: Translation,
+    touch: str,
+    methods: Mapping[str, str],
+    weights: Mapping[str, Path],
+) -> Translation:
+    """The translation by one touch method; `weights` are of touch methods or of stages."""
+    chosen = {**methods, "touch": touch}
+    files = {stage: file for stage, file in weights.items() if stage in {"depth", *chosen}}
+    if touch in weights:
+        files["touch"] = weights[touch]
+    return choose_methods(translation, chosen, files)
+
+
 def _has_setting(assignment: str, params: Mapping[str, object]) -> bool:
     """Whether these methods have a setting; touch methods differ in their parameters."""
     stage, _, name = assignment.partition("=")[0].strip().partition(".")
     return stage != "touch" or name in list_settings(params[stage])
+
+
+_TASK = "touch_pose"
+
+
+def load_encoder_weights(target: SensorSpec) -> Weights | NoWeights:
+    """The encoder of a sensor's touches, or the reason that there is none."""
+    own = weights_registry.load_for_task(_TASK, f"encoder_{target.name}", None)
+    return (
+        own
+        if isinstance(own, Weights)
+        else weights_registry.load_for_task(_TASK, f"pose_{target.name}", None)
+    )
+
+
+def encode_change(target: SensorSpec, change: Floats) -> Floats | None:
+    """Features (n,) of a change (rows, cols, channels) of a sensor; None without encoder."""
+    known = load_encoder_weights(target)
+    if isinstance(known, NoWeights):
+        return None
+    import torch
+
+    from pipeline.stages.networks.network_factory import load_network
+    from pipeline.stages.networks.touch_formats import normalise, resize_to_square
+
+    encoder: Any = load_network(known)
+    with torch.inference_mode():
+        image = torch.from_numpy(np.array(normalise(resize_to_square(change), target.kind))[None])
+        return freeze(encoder.compute_embedding(image)[0].numpy().astype(np.float32))

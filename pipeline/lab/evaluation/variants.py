@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 from pipeline.core.errors import TouchError
 from pipeline.core.graph import Graph, Method, StageResult
@@ -157,6 +158,17 @@ def _time_key(result: StageResult) -> tuple[str, str]:
     return ("" if result.method is None else result.method.key, result.digest)
 
 
+def choose_methods(
+    translation: Translation, methods: Mapping[str, str], weights: Mapping[str, Path]
+) -> Translation:
+    """The translation with other methods (stage -> name) and weights, besides those it has."""
+    request = translation.request
+    chosen = {**dict(request.methods), **methods}
+    files = {**dict(request.weights), **weights}
+    request = replace(request, methods=tuple(chosen.items()), weights=tuple(files.items()))
+    return replace(translation, request=request)
+
+
 def list_method_variants(
     translation: Translation, params: MethodParams, stage: str
 ) -> tuple[tuple[Variant, ...], tuple[str, ...]]:
@@ -166,25 +178,20 @@ def list_method_variants(
     A network needs weights of this direction; a weights file that the translation names is tried
     first. Raises SettingProblem if there is no such stage.
     """
-    request = translation.request
-    given = dict(request.weights)
+    given = dict(translation.request.weights).get(stage)
+    others = tuple(pair for pair in translation.request.weights if pair[0] != stage)
     variants: list[Variant] = []
     excluded: list[str] = []
     for method in translation.catalogue.stage(stage).methods:
-        weights = given
+        base = translation
         if method.weights is not None:
-            found = method.weights(translation.source, translation.target, given.get(stage))
-            if isinstance(found, NoWeights) and stage in given:
-                weights = {name: file for name, file in given.items() if name != stage}
+            found = method.weights(translation.source, translation.target, given)
+            if isinstance(found, NoWeights) and given is not None:
+                base = replace(base, request=replace(base.request, weights=others))
                 found = method.weights(translation.source, translation.target, None)
             if isinstance(found, NoWeights):
                 excluded.append(f"{method.title}: {found.why.partition(';')[0]}")
                 continue
-        methods = tuple({**dict(request.methods), stage: method.name}.items())
-        changed = replace(request, methods=methods, weights=tuple(weights.items()))
-        variants.append(
-            Variant(
-                label=method.title, translation=replace(translation, request=changed), params=params
-            )
-        )
+        chosen = choose_methods(base, {stage: method.name}, {})
+        variants.append(Variant(label=method.title, translation=chosen, params=params))
     return tuple(variants), tuple(excluded)

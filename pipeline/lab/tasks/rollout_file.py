@@ -34,6 +34,14 @@ from pipeline.lab.tasks.task import RecordedRollout, Rollout, RolloutSummary, Tr
 GROUP = "rollout"
 CASE_SUFFIX = ".toml"
 _BODY = "world_from_"  # of a dataset's name
+# dataset -> field of a tick and of a recorded rollout, unit, shape of one tick
+_TABLES: dict[str, tuple[str, str, tuple[int, ...]]] = {
+    "time": ("time_s", "s", ()),
+    "world_from_object": ("world_from_object", "mm", (4, 4)),
+    "world_from_hand": ("world_from_hand", "mm", (4, 4)),
+    "commanded": ("commanded", "mm", (4, 4)),
+    "force": ("force_n", "N", (3,)),
+}
 _DIGITS = 6  # of numbers in a summary: equal on machines whose last bits differ
 
 
@@ -49,14 +57,20 @@ def write_rollout(rollout: Rollout, path: Path, key: str, plan: TrialPlan) -> No
     Raises FileProblem where nothing can be written.
     """
     ticks = rollout.ticks
-    names = ticks[0].world_from_bodies if ticks else ()
-    bodies = {name: [tick.world_from_bodies[name] for tick in ticks] for name in names}
+    tables = {
+        name: (np.array([getattr(tick, field) for tick in ticks]), unit)
+        for name, (field, unit, _) in _TABLES.items()
+    }
+    for body in ticks[0].world_from_bodies if ticks else ():
+        poses = np.array([tick.world_from_bodies[body] for tick in ticks])
+        tables[f"{_BODY}{body}"] = (poses, "mm")
     own = replace(
         plan,
         touches=(rollout.touch,),
         tolerances_mm=(rollout.tolerance_mm,),
         case=_name_case(plan.case),
     )
+    summary = json.dumps(summarise(rollout))
     with RecordingWriter(
         path,
         object_mesh=rollout.mesh,
@@ -67,22 +81,8 @@ def write_rollout(rollout: Rollout, path: Path, key: str, plan: TrialPlan) -> No
     ) as writer:
         for stream, frame, truth in rollout.frames:
             writer.append(stream, frame, truth)
-        writer.write_group(
-            GROUP,
-            {
-                "time": (np.array([tick.time_s for tick in ticks]), "s"),
-                "world_from_object": (np.array([tick.world_from_object for tick in ticks]), "mm"),
-                "world_from_hand": (np.array([tick.world_from_hand for tick in ticks]), "mm"),
-                "commanded": (np.array([tick.commanded for tick in ticks]), "mm"),
-                "force": (np.array([tick.force_n for tick in ticks]), "N"),
-                **{f"{_BODY}{name}": (np.array(poses), "mm") for name, poses in bodies.items()},
-            },
-            {
-                "summary": json.dumps(summarise(rollout)),
-                "plan": json.dumps(asdict(own)),
-                "key": key,
-            },
-        )
+        attributes = {"summary": summary, "plan": json.dumps(asdict(own)), "key": key}
+        writer.write_group(GROUP, tables, attributes)
 
 
 def _name_case(case: str) -> str:
@@ -99,41 +99,25 @@ def read_rollout(path: Path) -> RecordedRollout:
     with _open_group(path) as group:
         plan = _read_plan(group, path)
         summary = _read_summary(group, path)
-        time_s = _read_table(group, "time", "s", (), path)
-        n = len(time_s)
-        poses = {
-            key: _read_table(group, key, "mm", (4, 4), path)
-            for key in group
-            if key.startswith(_BODY) or key == "commanded"
+        tables = {
+            field: _read_table(group, name, unit, shape, path)
+            for name, (field, unit, shape) in _TABLES.items()
         }
-        for key in ("commanded", "world_from_object", "world_from_hand"):
-            if key not in poses:
-                raise FileProblem(f"the rollout has no table {key!r}", path, field=f"{GROUP}/{key}")
-        rollout = RecordedRollout(
-            path=path,
-            plan=plan,
-            summary=summary,
-            mesh=mesh,
-            time_s=time_s,
-            world_from_object=poses.pop("world_from_object"),
-            world_from_hand=poses.pop("world_from_hand"),
-            commanded=poses.pop("commanded"),
-            force_n=_read_table(group, "force", "N", (3,), path),
-            world_from_bodies={key.removeprefix(_BODY): table for key, table in poses.items()},
-        )
-    tables = (
-        rollout.world_from_object,
-        rollout.world_from_hand,
-        rollout.commanded,
-        rollout.force_n,
-    )
-    if n == 0 or {len(table) for table in (*tables, *rollout.world_from_bodies.values())} != {n}:
+        bodies = {
+            name.removeprefix(_BODY): _read_table(group, name, "mm", (4, 4), path)
+            for name in group
+            if name.startswith(_BODY) and name not in _TABLES
+        }
+    n = len(tables["time_s"])
+    if n == 0 or {len(table) for table in (*tables.values(), *bodies.values())} != {n}:
         raise FileProblem("the rollout's tables have different lengths, or none", path, field=GROUP)
     if not all(0 <= decision.tick < n for decision in summary.decisions):
         raise FileProblem(
             f"a decision of the rollout lies outside its {n} ticks", path, field=f"{GROUP}/summary"
         )
-    return rollout
+    return RecordedRollout(
+        path=path, plan=plan, summary=summary, mesh=mesh, world_from_bodies=bodies, **tables
+    )
 
 
 def list_places(path: Path) -> Mapping[str, str]:
@@ -204,6 +188,8 @@ def _read_summary(group: Any, path: Path) -> RolloutSummary:
 
 
 def _read_table(group: Any, key: str, unit: str, shape: tuple[int, ...], path: Path) -> Doubles:
+    if key not in group:
+        raise FileProblem(f"the rollout has no table {key!r}", path, field=f"{GROUP}/{key}")
     table = hdf5_validation.require_dataset(
         group, key, unit, hdf5_validation.FLOAT_KINDS, (None, *shape), path
     )[()]

@@ -1,19 +1,25 @@
-"""A recorded rollout as a video: the scene, its touches and the force, one image per tick."""
+"""A recorded rollout as a video: the scene, its touches and the force, one image per tick.
 
-from collections.abc import Iterator
+The scene is drawn without a 3D library, by a depth buffer in numpy.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from pipeline.core.arrays import Image, freeze
+from pipeline.core.arrays import Doubles, Image, freeze
 from pipeline.core.errors import TouchError
 from pipeline.core.figures import make_figure
 from pipeline.core.files import check_folder_for, require_separate
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.geometry.rasterisation import render_mesh
 from pipeline.core.progress import SILENT, Progress
 from pipeline.lab.tasks.rerun import describe_error
 from pipeline.lab.tasks.rollout_file import read_rollout
-from pipeline.lab.tasks.scene_image import SceneDrawing, make_view
 from pipeline.lab.tasks.scene_view import (
     ESTIMATE_COLOUR,
     ESTIMATE_NAME,
@@ -21,33 +27,36 @@ from pipeline.lab.tasks.scene_view import (
     TRUE_NAME,
     build_scene,
     compute_bounds,
+    describe_tick,
     make_plain_scene,
     make_scene_layers,
+    make_traces,
 )
 from pipeline.lab.tasks.task import RecordedRollout, load_task
 from pipeline.lab.tasks.touches import NONE, OWN, TRUE, make_touch_request
-from pipeline.lab.tasks.traces import describe_tick, make_traces
 from pipeline.translation.reports.sheet import render_pane
 from pipeline.translation.reports.video import write_video
 from pipeline.translation.translate import open_translation
 from pipeline.views.colours import Rgb
 from pipeline.views.display_params import DisplayParams
+from pipeline.views.layers import Layer, ViewBounds
 from pipeline.views.preview import Preview
 
-_SIZE_PX = (1120, 640)
+_INCHES = (11.2, 6.4)
 _DPI = 100
-_SCENE_PX = (10, 70, 600, 560)  # left, top, width, height of the scene
-_FORCE_AXES = (0.62, 0.1, 0.35, 0.28)  # left, bottom, width, height as shares
+_SCENE_PX = (600, 560)  # width and height
+# left, bottom, width, height as shares
+_SCENE_AXES = (0.01, 0.015, 600 / 1120, 560 / 640)
+_FORCE_AXES = (0.62, 0.1, 0.35, 0.28)
 _TOUCH_TITLES = ("source", "generated touch", "true touch")
 _MAX_RATE_HZ = 60.0
-
-
-class _Background(NamedTuple):
-    """What stays the same during one decision, and where the cursor of the force goes."""
-
-    pixels: Image
-    cursor_x_px: tuple[int, ...]  # of every tick
-    cursor_rows: tuple[int, int]
+# as in the window: angle, and distance in radii of the scene
+_FIELD_OF_VIEW_DEG = 28.0
+_AWAY = 3.7
+_AMBIENT = 0.45  # share of light from everywhere
+_LIGHT = (0.3, -0.5, -0.8)  # in the camera's frame, toward the scene
+_BACKGROUND = 250
+_LINE_PX = 2
 
 
 def write_rollout_video(path: Path, out: Path, progress: Progress = SILENT) -> None:
@@ -71,23 +80,18 @@ def draw_ticks(rollout: RecordedRollout, progress: Progress = SILENT) -> Iterato
         scene = build_scene(rollout)
     except TouchError:
         scene = make_plain_scene(rollout)
-    left, top, width, height = _SCENE_PX
-    drawing = SceneDrawing(
-        make_scene_layers(scene), *make_view(compute_bounds(scene), width, height)
-    )
+    layers = make_scene_layers(scene)
+    camera, camera_from_world = make_view(compute_bounds(scene), *_SCENE_PX)
     shown = -1
-    background = None
+    draw: Callable[[Image, int], Image] | None = None
     for tick in range(rollout.n_ticks):
         progress.step(tick / rollout.n_ticks, f"tick {tick}")
         decision = rollout.find_decision(tick)
-        if background is None or decision != shown:
-            background = _draw_background(rollout, decision)
+        if draw is None or decision != shown:
+            draw = _lay_out(rollout, decision)
             shown = decision
-        image = background.pixels.copy()
-        image[top : top + height, left : left + width] = drawing.draw(scene.place(tick))
-        _draw_cursor(image, background, tick)
-        _write_text(image, describe_tick(rollout, tick), (left + 8, top + height - 12))
-        yield freeze(image)
+        poses = {name: camera_from_world @ pose for name, pose in scene.place(tick).items()}
+        yield draw(draw_scene(layers, camera, poses), tick)
 
 
 def read_touches(rollout: RecordedRollout, decision: int) -> tuple[Preview | None, ...]:
@@ -118,23 +122,24 @@ def read_touches(rollout: RecordedRollout, decision: int) -> tuple[Preview | Non
     )
 
 
-def _draw_background(rollout: RecordedRollout, decision: int) -> _Background:
+def _lay_out(rollout: RecordedRollout, decision: int) -> Callable[[Image, int], Image]:
+    """Lay out what stays the same during one decision.
+
+    Returns what draws the image of a tick, from the scene's image.
+    """
     from matplotlib.lines import Line2D
 
-    width, height = _SIZE_PX
-    figure: Any = make_figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI)
+    figure: Any = make_figure(figsize=_INCHES, dpi=_DPI)
     run = rollout.summary
     title = (
         f"{run.case}, trial {run.trial}, touch {run.touch}, {run.tolerance_mm:g} mm: "
         f"{run.cause.partition(';')[0]}"
     )
-    figure.text(
-        0.01, 0.955, title, fontsize=12, weight="bold", color="black" if run.succeeds else "#8c2d04"
-    )
+    colour = "black" if run.succeeds else "#8c2d04"
+    figure.text(0.01, 0.955, title, fontsize=12, weight="bold", color=colour)
     if run.decisions and not run.succeeds:
-        error = describe_error(
-            run.decisions[decision], load_task(rollout.plan.task).error_title, succeeds=False
-        )
+        error_title = load_task(rollout.plan.task).error_title
+        error = describe_error(run.decisions[decision], error_title, succeeds=False)
         figure.text(0.01, 0.915, error, fontsize=9)
     for k, (name, preview) in enumerate(
         zip(_TOUCH_TITLES, read_touches(rollout, decision), strict=True)
@@ -144,48 +149,100 @@ def _draw_background(rollout: RecordedRollout, decision: int) -> _Background:
         axes.set_title(name if preview is not None else f"{name}: none", fontsize=9)
         if preview is not None:
             axes.imshow(preview.pixels)
-    force = make_traces(rollout)[0]
     axes = figure.add_axes(_FORCE_AXES)
-    axes.plot(rollout.time_s, force.values, color="black", linewidth=1.2)
-    axes.set_xlabel("time, s", fontsize=9)
-    axes.set_ylabel("contact force, N", fontsize=9)
-    axes.tick_params(labelsize=8)
+    axes.plot(rollout.time_s, make_traces(rollout)[0].values, color="black", linewidth=1.2)
+    axes.set(xlabel="time, s", ylabel="contact force, N")
     for one in run.decisions:
         axes.axvline(rollout.time_s[one.tick], color="#d55e00", linewidth=0.8, linestyle=":")
+    cursor = axes.axvline(0.0, color=_to_hex(ESTIMATE_COLOUR))
     handles = [
         Line2D([], [], color=_to_hex(OBJECT_COLOUR), linewidth=4, label=TRUE_NAME),
         Line2D([], [], color=_to_hex(ESTIMATE_COLOUR), linestyle="--", label=ESTIMATE_NAME),
     ]
-    figure.legend(
-        handles=handles,
-        loc="lower left",
-        bbox_to_anchor=(0.3, 0.9),
-        ncols=2,
-        fontsize=8,
-        frameon=False,
-    )
-    figure.canvas.draw()
-    pixels = np.asarray(figure.canvas.buffer_rgba())[:height, :width, :3].copy()
-    x = axes.transData.transform(np.column_stack([rollout.time_s, np.zeros(rollout.n_ticks)]))[:, 0]
-    box = axes.get_window_extent()
-    return _Background(
-        pixels=freeze(pixels),
-        cursor_x_px=tuple(round(value) for value in x.tolist()),
-        cursor_rows=(round(height - box.y1), round(height - box.y0)),
-    )
+    place = {"loc": "lower left", "bbox_to_anchor": (0.3, 0.9), "ncols": 2}
+    figure.legend(handles=handles, fontsize=8, frameon=False, **place)
+    axes = figure.add_axes(_SCENE_AXES)
+    axes.set_axis_off()
+    width, height = _SCENE_PX
+    scene = axes.imshow(np.zeros((height, width, 3), np.uint8))
+    caption = axes.text(8, height - 12, "", color="#282828")
+
+    def draw(image: Image, tick: int) -> Image:
+        scene.set_data(image)
+        caption.set_text(describe_tick(rollout, tick))
+        cursor.set_xdata([rollout.time_s[tick]] * 2)
+        figure.canvas.draw()
+        return freeze(np.asarray(figure.canvas.buffer_rgba())[..., :3].copy())
+
+    return draw
 
 
 def _to_hex(colour: Rgb) -> str:
     return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
-def _draw_cursor(image: Image, background: _Background, tick: int) -> None:
-    first, last = background.cursor_rows
-    x = background.cursor_x_px[tick]
-    image[first:last, x - 1 : x + 1] = ESTIMATE_COLOUR
+def make_view(bounds: ViewBounds, width_px: int, height_px: int) -> tuple[Camera, Doubles]:
+    """A pinhole camera that sees a scene as the window's first view does, and its pose
+    camera_from_world (4, 4).
+    """
+    direction = _normalise(np.array(bounds.direction))
+    centre = np.array(bounds.centre_mm)
+    right = _normalise(np.cross(np.array(bounds.up), direction))
+    camera_from_world = np.eye(4)
+    camera_from_world[:3, :3] = right, np.cross(-direction, right), -direction
+    camera_from_world[:3, 3] = -camera_from_world[:3, :3] @ (
+        centre + _AWAY * bounds.radius_mm * direction
+    )
+    focal_px = 0.5 * min(width_px, height_px) / math.tan(0.5 * math.radians(_FIELD_OF_VIEW_DEG))
+    camera = Camera(
+        rows=height_px,
+        cols=width_px,
+        fx_px=focal_px,
+        fy_px=focal_px,
+        cx_px=0.5 * width_px,
+        cy_px=0.5 * height_px,
+    )
+    return camera, camera_from_world
 
 
-def _write_text(image: Image, text: str, place_px: tuple[int, int]) -> None:
+def draw_scene(layers: Sequence[Layer], camera: Camera, poses: Mapping[str, Doubles]) -> Image:
+    """Solid surfaces, then faint ones, then lines over all; (rows, cols, 3).
+
+    `poses` are those of the layers in the camera, (4, 4) by name.
+    """
+    pixels = np.full((*camera.shape, 3), float(_BACKGROUND))
+    depth = np.full(camera.shape, np.inf)
+    for layer in sorted(layers, key=lambda layer: -layer.opacity):
+        if layer.triangles is None:
+            continue
+        points = rigid.apply(poses[layer.name], layer.points_mm)
+        own_depth, triangle = render_mesh(points, layer.triangles, camera)
+        a, b, c = (points[layer.triangles[:, k]] for k in range(3))
+        normals = np.cross(b - a, c - a)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        shade = _AMBIENT + (1.0 - _AMBIENT) * np.abs(normals @ _normalise(np.array(_LIGHT)))
+        front = (triangle >= 0) & (own_depth < depth)
+        colour = shade[triangle[front]][:, None] * layer.rgb[0].astype(np.float64)
+        pixels[front] += layer.opacity * (colour - pixels[front])
+        if layer.opacity == 1.0:
+            depth[front] = own_depth[front]
+    image = np.clip(pixels, 0, 255).astype(np.uint8)
+    for layer in layers:
+        if layer.segments is not None:
+            _draw_lines(image, layer, camera, poses[layer.name])
+    return freeze(image)
+
+
+def _draw_lines(image: Image, layer: Layer, camera: Camera, camera_from_layer: Doubles) -> None:
     import cv2
 
-    cv2.putText(image, text, place_px, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (40, 40, 40), 1, cv2.LINE_AA)
+    assert layer.segments is not None
+    places = np.stack(camera.project(rigid.apply(camera_from_layer, layer.points_mm))[:2], axis=-1)
+    colour = [int(value) for value in layer.rgb[0]]
+    for begin, end in places[layer.segments]:
+        ends = [tuple(int(value) for value in np.round(place)) for place in (begin, end)]
+        cv2.line(image, ends[0], ends[1], colour, _LINE_PX, cv2.LINE_AA)
+
+
+def _normalise(vector: Doubles) -> Doubles:
+    return vector / np.linalg.norm(vector)

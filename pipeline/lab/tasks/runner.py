@@ -1,8 +1,6 @@
 """Run trials in worker processes or on a cluster; rollouts on disk are not run again."""
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, wait
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,18 +8,18 @@ from typing import Any
 from pipeline import __version__
 from pipeline.core.cluster import ClusterPool
 from pipeline.core.digests import compute_digest
-from pipeline.core.errors import NotConverged, SettingProblem
+from pipeline.core.errors import SettingProblem
 from pipeline.core.params import check_range
 from pipeline.core.processes import WorkerPool, limit_threads
 from pipeline.core.progress import SILENT, Progress
 from pipeline.lab.tasks.rollout_file import read_summary, summarise, write_rollout
 from pipeline.lab.tasks.task import TrialPlan, load_task
 from pipeline.lab.tasks.touches import check_touch
+from pipeline.lab.workers import map_ahead
 
 # incremented when a plan gives another rollout: older ones on disk are run again then
 TASKS_VERSION = 2
 MAX_TRIALS = 10_000
-_POLL_S = 0.5
 Summary = Mapping[str, Any]
 
 
@@ -131,19 +129,13 @@ def run_jobs(
     if cluster is not None:
         return [one for found in cluster.map(run_job, jobs, progress) for one in found]
     check_range("--jobs", n_processes, 1, 64)
-    done = 0
-    try:
-        with WorkerPool(n_processes) as pool:
-            futures = [pool.submit(run_job, job) for job in jobs]
-            waiting = set(futures)
-            while waiting:
-                finished, waiting = wait(waiting, timeout=_POLL_S, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    future.result()
-                done += len(finished)
-                progress.step(done / len(jobs), f"{done} of {len(jobs)} trials")
-    except BrokenProcessPool as error:
-        raise NotConverged(
-            "a worker process died, perhaps out of memory; run again with --jobs 1"
-        ) from error
-    return [one for future in futures for one in future.result()]
+    found: list[list[Summary]] = []
+
+    def report() -> None:
+        progress.step(len(found) / len(jobs), f"{len(found)} of {len(jobs)} trials")
+
+    with WorkerPool(n_processes) as pool:
+        for summaries in map_ahead(pool, run_job, jobs, len(jobs), "--jobs 1", report):
+            found.append(summaries)
+            report()
+    return [one for summaries in found for one in summaries]

@@ -1,5 +1,9 @@
-"""The bodies of a recorded rollout and their poses at every tick, for 3D views."""
+"""The bodies of a recorded rollout and their poses at every tick, for 3D views, its quantities
+against time, and the meshes that surround the object: boxes, rings, and the fingers of a hand.
+"""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,9 +11,12 @@ import numpy as np
 from pipeline.core.arrays import Doubles, Floats, freeze
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
+from pipeline.lab.tasks.grasp import FINGERS, GRIP_MM, PlanarPose, press_between_fingers
 from pipeline.lab.tasks.task import RecordedRollout, SceneBody, TaskScene, load_task
+from pipeline.physics.simulation.shapes.solids import make_mesh, make_wall_faces
 from pipeline.views.colours import Rgb, repeat_colour
 from pipeline.views.layers import Layer, ViewBounds, make_lines_layer, make_mesh_layer
+from pipeline.views.view import StepCurve
 
 OBJECT_COLOUR: Rgb = (0, 114, 178)  # true pose: blue, a solid (Okabe-Ito)
 ESTIMATE_COLOUR: Rgb = (213, 94, 0)  # estimated pose: vermilion, dashed edges
@@ -24,10 +31,10 @@ _SURROUNDINGS_OPACITY = 0.3
 # length of a dash with its gap in mm, and the dash's part of it
 _DASHES = 3.0
 _DASH_SHARE = 0.6
-_SHARP = 0.9  # cosine between two faces up to which their common edge is drawn
+_SHARP = 1.95  # length of the sum of two faces' normals up to which their common edge is drawn
 _MAX_EDGES = 600
 _NO_AREA_MM2 = 1e-9
-_DIGITS = 6  # of vertices in mm that are one place
+_DIGITS = 6  # of vertices in mm that are one place; of a curve: rounding is no motion
 _MARGIN = 0.6  # radius of the view over the diagonal of the object's way
 
 
@@ -127,23 +134,22 @@ def find_edges(mesh: Mesh) -> Floats:
     corners = mesh.vertices_mm[mesh.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(normals, axis=1)
-    faces = mesh.triangles[area > _NO_AREA_MM2]
-    normals = normals[area > _NO_AREA_MM2]
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    has_area = area > _NO_AREA_MM2
+    normals = normals[has_area] / area[has_area, None]
     places, place_of_vertex = np.unique(
         mesh.vertices_mm.round(_DIGITS), axis=0, return_inverse=True
     )
-    edges = np.sort(
-        place_of_vertex.ravel()[faces[:, [[0, 1], [1, 2], [2, 0]]]].reshape(-1, 2), axis=1
+    sides = mesh.triangles[has_area][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    unique, of_edge, counts = np.unique(
+        np.sort(place_of_vertex.ravel()[sides], axis=1),
+        axis=0,
+        return_inverse=True,
+        return_counts=True,
     )
-    unique, of_edge = np.unique(edges, axis=0, return_inverse=True)
-    order = np.argsort(of_edge, kind="stable")
-    starts = np.searchsorted(of_edge[order], np.arange(len(unique)))
-    counts = np.bincount(of_edge, minlength=len(unique))
-    first = order[starts] // 3
-    second = order[np.minimum(starts + 1, len(order) - 1)] // 3
-    cosine = np.abs((normals[first] * normals[second]).sum(axis=1))
-    chosen = unique[(counts != 2) | (cosine < _SHARP)]
+    # two unit normals add up to 2 on one plane
+    sums = np.zeros((len(unique), 3))
+    np.add.at(sums, of_edge.ravel(), np.repeat(normals, 3, axis=0))
+    chosen = unique[(counts != 2) | (np.linalg.norm(sums, axis=1) < _SHARP)]
     if len(chosen) < 6:
         chosen = unique
     chosen = chosen[:: max(1, len(chosen) // _MAX_EDGES)]
@@ -166,3 +172,95 @@ _POINT = Mesh(
     triangles=freeze(np.array([(0, 1, 2)], dtype=np.int32)),
     name="object",
 )  # of a recording without a mesh
+
+
+# half sizes of a finger's pad: GelSlim's sensing area and a part of its housing
+_PAD_MM = (9.0, 11.0, 3.0)
+_BOX_FACES = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5))
+
+
+def make_box(
+    half_mm: Sequence[float], name: str, centre_mm: Sequence[float] = (0.0, 0.0, 0.0)
+) -> Mesh:
+    """A box of these half sizes about a centre."""
+    signs = np.array(
+        [[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], dtype=np.float64
+    )
+    triangles = [(a, b, c) for a, b, c, _ in _BOX_FACES] + [(a, c, d) for a, _, c, d in _BOX_FACES]
+    return make_mesh(np.asarray(centre_mm) + signs * np.asarray(half_mm), triangles, name)
+
+
+def make_ring(profile_mm: Sequence[tuple[Doubles, float]], angles_rad: Doubles, name: str) -> Mesh:
+    """A closed ring about z: its profile is a sequence of radius at every angle and height."""
+    around = np.column_stack([np.cos(angles_rad), np.sin(angles_rad)])
+    rings = [
+        np.column_stack([radius[:, None] * around, np.full(len(around), z)])
+        for radius, z in (
+            (np.broadcast_to(radius, angles_rad.shape), z) for radius, z in profile_mm
+        )
+    ]
+    return make_mesh(
+        np.concatenate(rings), make_wall_faces(len(rings), len(angles_rad), endless=True), name
+    )
+
+
+def make_fingers(
+    mesh: Mesh, held: PlanarPose, hand_from_planar: Doubles | None = None
+) -> tuple[SceneBody, ...]:
+    """The pads of two fingers that hold an object.
+
+    By default the task's hand is the frame of the fingers' plane.
+    """
+    hand_from_object = (np.eye(4) if hand_from_planar is None else hand_from_planar) @ held.matrix
+    pad = make_box(_PAD_MM, "finger", (0.0, 0.0, -_PAD_MM[2]))
+    return tuple(
+        SceneBody(
+            name=f"{finger} finger",
+            mesh=pad,
+            parent="hand",
+            parent_from_body=freeze(
+                hand_from_object @ rigid.invert(press_between_fingers(mesh, held, finger, GRIP_MM))
+            ),
+        )
+        for finger in FINGERS
+    )
+
+
+def list_angles(n: int) -> Doubles:
+    """`n` angles once around, in radians."""
+    return 2.0 * math.pi * np.arange(n) / n
+
+
+FORCE = "force"
+COMMAND = "command"
+MOTION = "motion"
+GAP = "deviation"
+
+
+def make_traces(rollout: RecordedRollout) -> tuple[StepCurve, ...]:
+    """One curve per quantity, one value per tick.
+
+    The force is the contact force on the object; command and motion are the ways of the commanded
+    hand and of the hand from the first command; the deviation is between the two.
+    """
+    begin = rollout.commanded[0, :3, 3]
+    commanded = rollout.commanded[:, :3, 3]
+    moved = rollout.world_from_hand[:, :3, 3]
+    values = (
+        (FORCE, "N", np.linalg.norm(rollout.force_n, axis=1)),
+        (COMMAND, "mm", np.linalg.norm(commanded - begin, axis=1)),
+        (MOTION, "mm", np.linalg.norm(moved - begin, axis=1)),
+        (GAP, "mm", np.linalg.norm(commanded - moved, axis=1)),
+    )
+    return tuple(
+        StepCurve(name=name, unit=unit, values=tuple(one.round(_DIGITS).tolist()))
+        for name, unit, one in values
+    )
+
+
+def describe_tick(rollout: RecordedRollout, tick: int) -> str:
+    """Number, time, force and decision of a tick."""
+    force_n = float(np.linalg.norm(rollout.force_n[tick]))
+    text = f"tick {tick} of {rollout.n_ticks}, {rollout.time_s[tick]:.2f} s, {force_n:.1f} N"
+    decisions = [k for k, decision in enumerate(rollout.summary.decisions) if decision.tick == tick]
+    return text + "".join(f", decision {k}" for k in decisions)

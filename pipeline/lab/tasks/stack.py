@@ -15,10 +15,15 @@ from pipeline.core.derived import derive_once
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.progress import SILENT, Progress
-from pipeline.lab.tasks.grasp import SOURCE, TARGET, run_through_touches
-from pipeline.lab.tasks.in_hand import PlanarPose, parse_planar_pose
+from pipeline.lab.tasks.grasp import (
+    SOURCE,
+    TARGET,
+    PlanarPose,
+    parse_planar_pose,
+    run_through_touches,
+)
 from pipeline.lab.tasks.scene import Scene, write_box, write_pose
-from pipeline.lab.tasks.scene_bodies import list_angles, make_fingers, make_ring
+from pipeline.lab.tasks.scene_view import list_angles, make_fingers, make_ring
 from pipeline.lab.tasks.task import (
     Attempt,
     ManipulationTask,

@@ -1,20 +1,34 @@
 """Register one moved membrane to another without a mesh: Gauss-Newton on distances, normals and the
 contact's outline.
 
-Residuals (`surface_residuals`) that do not move along with the object weigh little, after Geman and
+The motion T takes a point p with normal n of the key frame to T p in the current frame, where the
+membrane has the point s and the normal m. Per point, the second as in NormalFlow (Huang, Kaess,
+Yuan 2024):
+
+    d = m . (s - T p)          distance along the current normal, in mm
+    e = m - R n                difference of the normals
+    o = b(T p) - a(p)          difference of the distances to either contact's outline, in mm
+
+each in units of its expected error. A bubble's smooth membrane shows a turn of the object by the
+outline alone. Residuals that do not move along with the object weigh little, after Geman and
 McClure. Motions that the surface does not determine, such as a slide along a straight rod, keep the
 prediction (`assess_observability`).
+
+Around a contact the membrane bends with the object, so a rim of its moved part takes part, not the
+contact alone: the flat face of a tool shows its motion only where the membrane bends around its
+edge. Farther out a bubble's membrane follows its own rim.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.core.arrays import Doubles, freeze
+from pipeline.core.arrays import Doubles, Floats, Mask, freeze
 from pipeline.core.geometry import rigid
-from pipeline.lab.tracking.membrane_surface import MembraneSurface
-from pipeline.lab.tracking.surface_residuals import Residuals, compute_residuals, sample_key_points
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.values.results import DepthErrorModel, DepthMap
 from pipeline.stages.pose.registration.observability import (
     Observability,
     Tolerances,
@@ -22,6 +36,452 @@ from pipeline.stages.pose.registration.observability import (
     compute_correlated_covariance,
     estimate_systematic_error,
 )
+
+# where a depth map does not state its error
+COMPUTED = DepthErrorModel(rms_mm=0.01, correlation_mm=0.5)
+N_POINTS = 800  # of a surface: twice as many change a pose by a fifth of its uncertainty
+MIN_POINTS = 60  # fewer moved pixels are no touch that could be followed
+# moved: indented by this share of the touch, and at least by that much
+_MOVED_SHARE = 0.15
+_MOVED_MM = 0.03
+RIM_MM = 0.8  # moved part around the contact that takes part
+# standard deviation of the fine level, at least 1 px; that of the coarse one
+_SMOOTHING_MM = 0.08
+_COARSER = 3.0
+_MAX_SMOOTHING_PX = 10.0  # pixels of no depth have no width
+OUTLINE_REACH_MM = 1.0  # distances to the contact's outline are cut off here
+_STENCIL_PX = 2  # normals and their change along the image reach this far
+# Offsets of depth samples: the pixel, its neighbours, and theirs.
+_OFFSETS = (
+    (0, 0),
+    (1, 0),
+    (-1, 0),
+    (0, 1),
+    (0, -1),
+    (2, 0),
+    (-2, 0),
+    (0, 2),
+    (0, -2),
+    (1, 1),
+    (1, -1),
+    (-1, 1),
+    (-1, -1),
+)
+# Of those, the samples right, left, below and above each of the pixel and its four neighbours.
+_NEIGHBOURS = ((1, 2, 3, 4), (5, 0, 9, 10), (0, 6, 11, 12), (9, 11, 7, 0), (10, 12, 0, 8))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SmoothedDepth:
+    """A depth image after a Gaussian filter, and how near to the image's border its values are
+    usable.
+    """
+
+    depth_mm: Floats  # (rows, cols)
+    margin_px: float  # the filter mixes in what is beyond the border
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LocalSurface:
+    """The surface at some image positions."""
+
+    points_mm: Doubles  # (n, 3)
+    normals: Doubles  # (n, 3) unit, toward the camera
+    normals_along_x: Doubles  # (n, 3) change of the normal per pixel to the right
+    normals_along_y: Doubles  # (n, 3) per pixel down
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MembraneSurface:
+    """The moved part of one frame's membrane, in the sensor frame."""
+
+    camera: Camera
+    levels: tuple[SmoothedDepth, ...]  # coarse, fine
+    moved: Floats  # (rows, cols) 1 where the membrane is moved, else 0
+    outline_mm: Floats  # (rows, cols) distance to the contact's outline, negative inside
+    contact: Mask  # (rows, cols)
+    depth_mm: Floats  # (rows, cols) as measured; NaN = no value
+    pixels: Doubles  # (n, 2) x, y of chosen moved pixels
+    error: DepthErrorModel
+    pixel_mm: float  # width of a pixel on the membrane
+    n_frames: int = 1  # that it is the mean of
+
+    @property
+    def is_touched(self) -> bool:
+        """Whether enough of the membrane is moved to be followed."""
+        return len(self.pixels) >= MIN_POINTS
+
+
+def make_surface(depth: DepthMap) -> MembraneSurface:
+    """The surface of a depth map; the same map gives the same points."""
+    import cv2
+
+    known = np.isfinite(depth.depth_mm) & np.isfinite(depth.indentation_mm)
+    indentation = np.where(known, depth.indentation_mm, np.float32(0.0))
+    typical_mm = float(np.median(depth.depth_mm[known])) if known.any() else 0.0
+    filled: Floats = np.where(known, depth.depth_mm, np.float32(typical_mm))
+    pixel_mm = typical_mm / depth.camera.fx_px
+    moved = _find_moved(indentation, depth.contact, RIM_MM / max(pixel_mm, 1e-9))
+    fine_px = _find_fine_px(pixel_mm)
+    unknown_px = (
+        cv2.distanceTransform(known.astype(np.uint8), cv2.DIST_L2, 3) if not known.all() else None
+    )
+    if unknown_px is not None:
+        moved &= unknown_px > 2.5 * fine_px
+    return MembraneSurface(
+        camera=depth.camera,
+        levels=smooth_levels(filled, pixel_mm),
+        moved=moved.astype(np.float32),
+        contact=depth.contact,
+        outline_mm=_measure_outline(depth.contact, pixel_mm),
+        depth_mm=depth.depth_mm,
+        pixels=choose_pixels(moved),
+        error=depth.error or COMPUTED,
+        pixel_mm=pixel_mm,
+    )
+
+
+def choose_pixels(moved: Mask) -> Doubles:
+    """At most `N_POINTS` x, y (n, 2) of the moved pixels; the same mask gives the same ones."""
+    rows, cols = np.nonzero(moved)
+    if rows.size > N_POINTS:
+        chosen = np.linspace(0, rows.size - 1, N_POINTS).astype(np.intp)
+        # no stripes of a regular choice
+        chosen = np.random.default_rng(0).permutation(rows.size)[chosen]
+        rows = rows[chosen]
+        cols = cols[chosen]
+    return freeze(np.column_stack([cols, rows]).astype(np.float64))
+
+
+def _find_moved(indentation_mm: Floats, contact: Mask, rim_px: float) -> Mask:
+    import cv2
+
+    if not contact.any():
+        return np.zeros(contact.shape, np.bool_)
+    typical_mm = float(np.percentile(indentation_mm[contact], 90.0))
+    off_px = cv2.distanceTransform((~contact).astype(np.uint8), cv2.DIST_L2, 5)
+    return (off_px <= rim_px) & (indentation_mm > max(_MOVED_MM, _MOVED_SHARE * typical_mm))
+
+
+def _measure_outline(contact: Mask, pixel_mm: float) -> Floats:
+    """Signed distance (rows, cols) to the contact's outline, smoothed over a pixel."""
+    import cv2
+
+    inside, outside = (
+        cv2.distanceTransform(m.astype(np.uint8), cv2.DIST_L2, 5) for m in (contact, ~contact)
+    )
+    apart = np.clip((outside - inside) * np.float32(pixel_mm), -OUTLINE_REACH_MM, OUTLINE_REACH_MM)
+    return np.asarray(cv2.GaussianBlur(apart, (0, 0), 1.0), np.float32)
+
+
+def _find_fine_px(pixel_mm: float) -> float:
+    return min(max(1.0, _SMOOTHING_MM / max(pixel_mm, 1e-9)), _MAX_SMOOTHING_PX)
+
+
+def smooth_levels(depth_mm: Floats, pixel_mm: float) -> tuple[SmoothedDepth, ...]:
+    """The coarse and the fine level of a depth image without gaps."""
+    fine_px = _find_fine_px(pixel_mm)
+    return tuple(_smooth(depth_mm, sigma_px) for sigma_px in (_COARSER * fine_px, fine_px))
+
+
+def _smooth(depth_mm: Floats, sigma_px: float) -> SmoothedDepth:
+    import cv2
+
+    smooth: Floats = np.asarray(cv2.GaussianBlur(depth_mm, (0, 0), sigma_px), np.float32)
+    return SmoothedDepth(depth_mm=smooth, margin_px=2.5 * sigma_px + _STENCIL_PX)
+
+
+def sample_outline(outline_mm: Floats, pixels: Doubles) -> tuple[Doubles, Doubles]:
+    """Distances (n,) to the outline at image positions (n, 2), and their change (n, 2) per pixel
+    right and down.
+    """
+    offsets = np.array(_OFFSETS[:5], np.float64)
+    x, y = (pixels[:, k] + offsets[:, k, None] for k in (0, 1))
+    apart = _interpolate(outline_mm, x, y)
+    return apart[0], 0.5 * np.column_stack([apart[1] - apart[2], apart[3] - apart[4]])
+
+
+def sample_surface(level: SmoothedDepth, camera: Camera, pixels: Doubles) -> LocalSurface:
+    """Points, normals and their change at image positions (n, 2) x, y, which lie inside the
+    level's margin.
+    """
+    offsets = np.array(_OFFSETS, np.float64)
+    x, y = (pixels[:, k] + offsets[:, k, None] for k in (0, 1))  # (13, n)
+    z = _interpolate(level.depth_mm, x, y)
+    ray_x = (x - camera.cx_px) / camera.fx_px
+    ray_y = (y - camera.cy_px) / camera.fy_px
+    right, left, below, above = (list(side) for side in zip(*_NEIGHBOURS, strict=True))
+    # With p = fx z_x / z and q = fy z_y / z, a pinhole's depth image has the normal (p, q, -(1 + p
+    # x/z + q y/z)).
+    p = 0.5 * camera.fx_px * (z[right] - z[left]) / z[:5]
+    q = 0.5 * camera.fy_px * (z[below] - z[above]) / z[:5]
+    # (5, 3, n): fast along the points
+    normals = np.stack([p, q, -(1.0 + p * ray_x[:5] + q * ray_y[:5])], axis=1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return LocalSurface(
+        points_mm=np.stack([ray_x[0] * z[0], ray_y[0] * z[0], z[0]]).T,
+        normals=normals[0].T,
+        normals_along_x=0.5 * (normals[1] - normals[2]).T,
+        normals_along_y=0.5 * (normals[3] - normals[4]).T,
+    )
+
+
+def _interpolate(image: Floats, x_px: Doubles, y_px: Doubles) -> Doubles:
+    """Values of an image at positions of any shape, also of none, which OpenCV refuses."""
+    import cv2
+
+    if not x_px.size:
+        return np.zeros(x_px.shape)
+    return cv2.remap(
+        image, x_px.astype(np.float32), y_px.astype(np.float32), cv2.INTER_LINEAR
+    ).astype(np.float64)
+
+
+_MARGIN_MM = 3.0  # around the key frame's moved part: nothing farther out is averaged
+_SEEN_SHARE = 0.3  # of the frames: a place that fewer see is not of the mean's moved part
+
+
+def average_surfaces(
+    key: MembraneSurface, surfaces: Sequence[MembraneSurface], current_from_key: Sequence[Doubles]
+) -> MembraneSurface:
+    """The mean membrane of several frames on the key frame's pixels, of their depth and of their
+    outlines.
+    """
+    import cv2
+
+    rows, cols = _find_window(key)
+    filled = np.where(
+        np.isfinite(key.depth_mm), key.depth_mm, np.float32(np.nanmedian(key.depth_mm))
+    )
+    ray_y, ray_x = np.meshgrid(
+        (np.arange(rows.start, rows.stop) - key.camera.cy_px) / key.camera.fy_px,
+        (np.arange(cols.start, cols.stop) - key.camera.cx_px) / key.camera.fx_px,
+        indexing="ij",
+    )
+    rays = np.stack([ray_x, ray_y, np.ones_like(ray_x)], axis=-1)
+    points = rays * np.asarray(cv2.GaussianBlur(filled, (0, 0), 1.0), np.float64)[rows, cols, None]
+    depth_sum, outline_sum, n_seen = (np.zeros(points.shape[:2]) for _ in range(3))
+    for surface, motion in zip(surfaces, current_from_key, strict=True):
+        depth_mm, outline_mm, seen = _warp(surface, motion, points)
+        depth_sum += depth_mm
+        outline_sum += outline_mm
+        n_seen += seen
+    mean_mm = filled.copy()
+    outline_mm = key.outline_mm.copy()
+    contact = np.zeros(key.contact.shape, np.bool_)
+    n = np.maximum(n_seen, 1.0)
+    mean_mm[rows, cols] = np.where(n_seen > 0, depth_sum / n, filled[rows, cols])
+    often = n_seen >= _SEEN_SHARE * len(surfaces)
+    outline_mm[rows, cols] = np.where(often, outline_sum / n, OUTLINE_REACH_MM)
+    contact[rows, cols] = often & (outline_mm[rows, cols] < 0)
+    off_px = cv2.distanceTransform((~contact).astype(np.uint8), cv2.DIST_L2, 5)
+    moved: Mask = off_px * np.float32(key.pixel_mm) <= RIM_MM if contact.any() else contact
+    return replace(
+        key,
+        levels=smooth_levels(mean_mm, key.pixel_mm),
+        moved=freeze(moved.astype(np.float32)),
+        contact=freeze(contact),
+        outline_mm=freeze(outline_mm),
+        depth_mm=freeze(mean_mm),
+        pixels=choose_pixels(moved),
+        n_frames=len(surfaces),
+    )
+
+
+def _find_window(key: MembraneSurface) -> tuple[slice, slice]:
+    """Rows and columns of the key frame's moved part with a margin."""
+    margin_px = round(_MARGIN_MM / key.pixel_mm)
+    rows, cols = (np.flatnonzero(key.moved.any(axis=axis)) for axis in (1, 0))
+    return (
+        slice(
+            max(int(rows[0]) - margin_px, 0), min(int(rows[-1]) + margin_px + 1, key.camera.rows)
+        ),
+        slice(
+            max(int(cols[0]) - margin_px, 0), min(int(cols[-1]) + margin_px + 1, key.camera.cols)
+        ),
+    )
+
+
+def _warp(
+    surface: MembraneSurface, motion: Doubles, points_mm: Doubles
+) -> tuple[Doubles, Doubles, Mask]:
+    """(depth in the key frame, distance to the outline, seen) of a frame at the key frame's points.
+
+    0 where unseen.
+    """
+    import cv2
+
+    camera = surface.camera
+    moved = points_mm @ motion[:3, :3].T + motion[:3, 3]
+    x, y = (
+        (focal * moved[..., axis] / moved[..., 2] + centre).astype(np.float32)
+        for axis, focal, centre in (
+            (0, camera.fx_px, camera.cx_px),
+            (1, camera.fy_px, camera.cy_px),
+        )
+    )
+    depth, outline = (
+        np.asarray(
+            cv2.remap(
+                image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan
+            )
+        )
+        for image in (surface.depth_mm, surface.outline_mm)
+    )
+    seen = np.isfinite(depth) & np.isfinite(outline)
+    # The frame's point on the same ray, brought back: only its depth is averaged.
+    point = moved * (depth / moved[..., 2])[..., None] - motion[:3, 3]
+    back = point @ motion[:3, 2]
+    return np.where(seen, back, 0.0), np.where(seen, outline, 0.0), seen
+
+
+# least expected errors, which weigh the residuals
+_DISTANCE_MM = 0.02
+_NORMAL_RAD = 0.05
+_OUTLINE_MM = 0.1
+_OUTLINE_PX = 1.0  # an outline is known to a pixel
+# change of the distance to the outline per mm: 1 where it is straight, less where it is confused
+_DISTINCT = 0.3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Residuals:
+    """Residuals and their derivatives by (rotation rad, translation mm) about a centre.
+
+    Points last, for speed.
+    """
+
+    centre_mm: Doubles  # (3,)
+    errors: Doubles  # (5, n): distance, normal, outline, each in units of its expected error
+    by_motion: Doubles  # (6, 5, n) their change by the motion
+    outline_normals: Doubles  # (n, 3) of the contact's outline where it is near, else NaN
+    here: LocalSurface
+    on_moved: Doubles  # (n,) 1 on the current frame's moved part
+    n_points: int  # of the key frame
+
+    @property
+    def error_sq(self) -> Doubles:
+        """Squared residual (n,) in units of the expected errors."""
+        return (self.errors**2).sum(axis=0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeyPoints:
+    """The key frame's points of one level, and the expected errors of residuals."""
+
+    surface: LocalSurface
+    outline_mm: Doubles  # (n,)
+    expected: Doubles  # (3,) of distance (mm), normal (rad) and outline (mm)
+
+
+def sample_key_points(key: MembraneSurface, level: int) -> KeyPoints:
+    """The key frame's points on a level (0 = coarse) as far as they are inside its margin."""
+    smooth = key.levels[level]
+    is_fine = level == len(key.levels) - 1
+    # a coarse pose is only a start
+    some = key.pixels[:: 1 if is_fine or len(key.pixels) <= N_POINTS // 2 else 2]
+    pixels = some[find_inside(some, key, smooth.margin_px)]
+    rms_mm = key.error.rms_mm
+    return KeyPoints(
+        surface=sample_surface(smooth, key.camera, pixels),
+        outline_mm=sample_outline(key.outline_mm, pixels)[0],
+        expected=np.array(
+            [
+                max(_DISTANCE_MM, rms_mm),
+                max(_NORMAL_RAD, rms_mm / key.error.correlation_mm),
+                max(_OUTLINE_MM, _OUTLINE_PX * key.pixel_mm),
+            ]
+        ),
+    )
+
+
+def find_inside(pixels: Doubles, surface: MembraneSurface, margin_px: float) -> Mask:
+    """Which pixels (n, 2) x, y are at least `margin_px` inside the image."""
+    x = pixels[:, 0]
+    y = pixels[:, 1]
+    far_x = surface.camera.cols - 1 - margin_px
+    far_y = surface.camera.rows - 1 - margin_px
+    return (x >= margin_px) & (x <= far_x) & (y >= margin_px) & (y <= far_y)
+
+
+def compute_residuals(
+    key: KeyPoints, current: MembraneSurface, level: int, motion: Doubles
+) -> Residuals | None:
+    """The residuals after a motion (4, 4).
+
+    None where too few points are inside the current image.
+    """
+    camera = current.camera
+    smooth = current.levels[level]
+    points = rigid.apply(motion, key.surface.points_mm)
+    x_px, y_px, in_front = camera.project(points)
+    pixels = np.column_stack([x_px, y_px])
+    usable = in_front & find_inside(pixels, current, smooth.margin_px)
+    if usable.sum() < MIN_POINTS:
+        return None
+    points = np.asfortranarray(points[usable])
+    pixels = np.asfortranarray(pixels[usable])
+    here = sample_surface(smooth, camera, pixels)
+    outline_mm, outline_change = sample_outline(current.outline_mm, pixels)
+    turned = np.asfortranarray(key.surface.normals[usable] @ motion[:3, :3].T)
+    centre = points.mean(axis=0)
+    by_x, by_y = (by.T for by in _differentiate_pixels(points, points - centre, camera))
+    errors = np.empty((5, len(points)))
+    by_motion = np.empty((6, 5, len(points)))
+    errors[0] = ((here.points_mm - points) * here.normals).sum(axis=1)
+    by_motion[:, 0] = -np.concatenate(
+        [_cross(points - centre, here.normals), here.normals], axis=1
+    ).T
+    errors[1:4] = (here.normals - turned).T
+    by_motion[:, 1:4] = (
+        here.normals_along_x.T * by_x[:, None] + here.normals_along_y.T * by_y[:, None]
+    )
+    by_motion[:3, 1:4] += rigid.cross_matrix(turned).T  # R n turns along
+    errors[4] = outline_mm - key.outline_mm[usable]
+    by_motion[:, 4] = outline_change[:, 0] * by_x + outline_change[:, 1] * by_y
+    scale = key.expected[[0, 1, 1, 1, 2], None]
+    return Residuals(
+        centre_mm=centre,
+        errors=errors / scale,
+        by_motion=by_motion / scale,
+        here=here,
+        outline_normals=_find_outline_normals(outline_mm, by_motion[3:, 4].T),
+        on_moved=np.round(sample_outline(current.moved, pixels)[0]),
+        n_points=len(key.outline_mm),
+    )
+
+
+def _differentiate_pixels(
+    points: Doubles, arms: Doubles, camera: Camera
+) -> tuple[Doubles, Doubles]:
+    """Change (n, 6) of a moving point's pixel, right and down, by (rotation, translation) of the
+    point.
+    """
+    z = points[:, 2]
+    along_x = np.zeros_like(points)
+    along_y = np.zeros_like(points)
+    along_x[:, 0] = camera.fx_px / z
+    along_x[:, 2] = -camera.fx_px * points[:, 0] / z**2
+    along_y[:, 1] = camera.fy_px / z
+    along_y[:, 2] = -camera.fy_px * points[:, 1] / z**2
+    return (
+        np.concatenate([_cross(arms, along_x), along_x], axis=1),
+        np.concatenate([_cross(arms, along_y), along_y], axis=1),
+    )
+
+
+def _cross(one: Doubles, two: Doubles) -> Doubles:
+    """The cross product of rows (n, 3): `np.cross` takes four times as long for so few."""
+    (ax, ay, az), (bx, by, bz) = one.T, two.T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]).T
+
+
+def _find_outline_normals(outline_mm: Doubles, change: Doubles) -> Doubles:
+    """Unit normals (n, 3) of the outline where it is near and distinct; NaN elsewhere."""
+    steep = np.linalg.norm(change, axis=1)
+    near = (np.abs(outline_mm) < 0.5 * OUTLINE_REACH_MM) & (steep > _DISTINCT)
+    return np.where(near[:, None], change / np.maximum(steep, _DISTINCT)[:, None], np.nan)
+
 
 _ITERATIONS = 12
 # motion of the moved part that ends the iterations, on the coarse and on the fine level

@@ -18,10 +18,10 @@ import numpy as np
 
 from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.geometry import rigid
-from pipeline.lab.tracking.mean_surface import average_surfaces
-from pipeline.lab.tracking.membrane_surface import MembraneSurface
 from pipeline.lab.tracking.surface_registration import (
+    MembraneSurface,
     SurfaceFit,
+    average_surfaces,
     measure_overlap,
     register_surfaces,
 )

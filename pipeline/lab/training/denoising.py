@@ -1,4 +1,5 @@
-"""Base of the tasks that train a denoiser, with its losses and metrics.
+"""Tasks that train a denoiser of the target's touch: touch to depth to touch on touches of the
+target alone, touch to touch on pairs.
 
 At the largest noise level the network sees the condition alone (zero terminal signal, Lin et al.
 2024), and one step gives the posterior mean. Errors count there as squares where they are small and
@@ -13,21 +14,49 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.core.arrays import Floats
 from pipeline.core.params import setting
 from pipeline.lab.training.distributed import unwrap_network
-from pipeline.lab.training.task import SimulatedPresses
+from pipeline.lab.training.recorded_pairs import RecordedPair, derive_contact
+from pipeline.lab.training.simulated_touches import (
+    BUBBLE,
+    GEL,
+    DataSplit,
+    find_next_contact,
+    flip_arrays,
+    mirror_pair,
+    place_nominal_sensors,
+    simulate_target_touch,
+    simulate_touch_pair,
+)
+from pipeline.lab.training.task import (
+    VALIDATION_SEED,
+    AugmentedPresses,
+    TargetSensor,
+    average_rows,
+    weigh_terms,
+)
+from pipeline.sensors import alignment
+from pipeline.sensors.spec import load_sensor
+from pipeline.stages.depth import photometric as depth
 from pipeline.stages.networks.samplers import make_sigma_schedule, sample
 from pipeline.stages.networks.touch_formats import get_touch_format
-from pipeline.stages.touch.residual_diffusion import LOG_ERROR_RANGE, compute_wiener_gain
+from pipeline.stages.touch import t2t
+from pipeline.stages.touch.image_condition import build_image_condition
+from pipeline.stages.touch.residual_diffusion import (
+    LOG_ERROR_RANGE,
+    resample_to_grid,
+)
+from pipeline.stages.touch.t2d2 import build_depth_condition, make_working_sensor
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
-    from pipeline.lab.training.task import Example
+    from pipeline.lab.training.task import Example, Split
 
 _TERMINAL_SHARE = 0.5  # examples at the largest noise level
 _LOG_SIGMA = 0.0, 1.5  # mean and standard deviation of the logarithm of all other noise levels
@@ -37,11 +66,15 @@ _HUBER = 0.25  # in units of the residual
 _CONTACT_TERM = 0.5
 _UNCERTAINTY_TERM = 0.05
 _N_SAMPLE_STEPS = 6  # of the samples in the metrics
-TargetSensor = Literal["soft_bubble", "gelslim"]
+# of recorded pairs; the last in shares of the image's rows
+_MAX_ROTATION_DEG = 5.0
+_MAX_SCALING = 0.05
+_MAX_BRIGHTENING = 0.25
+_MAX_TRANSLATION = 0.03
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DenoisingTask(SimulatedPresses):
+class DenoisingTask(AugmentedPresses):
     """Settings of every task whose network denoises a residual of the target's touch."""
 
     contact_weight: float = setting(1.0, "Contact weight", low=0.0, high=100.0)
@@ -68,8 +101,219 @@ class DenoisingTask(SimulatedPresses):
         return compute_denoising_loss(network, batch, self.contact_weight, self.slope_weight)
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
-        """See `evaluate_denoiser`; the baseline of touch to touch is the untouched target."""
-        return evaluate_denoiser(network, held_out, get_touch_format(self.kind).residual_unit_mm)
+        """Errors in mm, in the target's contact and over all, and contact IoU: of one step, of a
+        sample and of no prediction.
+
+        The last is physics for touch to depth to touch, and the untouched target for touch to
+        touch.
+        """
+        import torch
+
+        from pipeline.stages.networks.residual_denoiser import correlate_noise
+
+        net = unwrap_network(network)
+        unit_mm = get_touch_format(self.kind).residual_unit_mm
+        levels = make_sigma_schedule(
+            _N_SAMPLE_STEPS, sigma_max=net.sigma_max, sigma_min=net.sigma_min
+        )
+        rows: list[list[float]] = []
+        for k, example in enumerate(held_out):
+            condition = torch.tensor(example["condition"])[None]
+            white = torch.randn(
+                (1, *example["residual"].shape), generator=torch.Generator().manual_seed(k)
+            )
+            noise = correlate_noise(white, net.noise_correlation)
+
+            def denoise(noisy: Tensor, sigma: float, condition: Tensor = condition) -> Tensor:
+                return network(noisy, torch.full((1,), sigma), condition)[:, :2]
+
+            with torch.inference_mode():
+                step = denoise(noise * net.sigma_max, net.sigma_max)
+                predictions = (step, sample(denoise, noise, levels).clean, 0.0 * step)
+            has_contact, baseline = example["contact"]
+            row: list[float] = []
+            for field, change in (prediction[0].numpy() for prediction in predictions):
+                error = unit_mm * np.abs(field - example["residual"][0])
+                contact = baseline + change > 0.5
+                both = np.count_nonzero(contact & (has_contact > 0))
+                either = np.count_nonzero(contact | (has_contact > 0))
+                in_contact = (error * has_contact).sum() / max(has_contact.sum(), 1.0)
+                row += [in_contact, error.mean(), both / max(either, 1)]
+            rows.append(row)
+        names = [
+            f"{which}{what}"
+            for which in ("", "sample ", "no-prediction ")
+            for what in ("error in contact, mm", "error over all, mm", "contact IoU")
+        ]
+        return average_rows(names, rows)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TouchResidualTask(DenoisingTask):
+    """Touch to depth to touch: what the physical render misses."""
+
+    target: TargetSensor = setting(BUBBLE, "Target", choices=TargetSensor)
+
+    @property
+    def kind(self) -> str:
+        """Kind of the target."""
+        return load_sensor(self.target).kind
+
+    def sample(self, rng: np.random.Generator) -> Example:
+        """A touch, rotated by 180 degrees or mirrored in a share of the examples."""
+        example = self._make_example("training", self.press_seed, int(rng.integers(self.n_presses)))
+        if rng.random() >= self.augmentation_share:
+            return example
+        return flip_arrays(example, ((-1,), (-2,), (-2, -1))[int(rng.integers(3))])
+
+    def make_validation_example(self, split: Split, index: int) -> Example:
+        """A training object in a new pose, or an unseen tool."""
+        return self._make_example(split, VALIDATION_SEED, index)
+
+    def _make_example(self, split: DataSplit, seed: int, index: int) -> Example:
+        touch = find_next_contact(
+            lambda k: simulate_target_touch(self.target, split, seed, k, self.folder),
+            index,
+            "no source observes any of",
+        )
+        condition = build_depth_condition(
+            self.kind,
+            touch.observed_mm,
+            touch.observed,
+            touch.in_view,
+            touch.physical_mm,
+            touch.physical_contact,
+        )
+        return make_residual_example(
+            condition,
+            touch.target_mm - touch.physical_mm,
+            touch.target_contact,
+            self.kind,
+            touch.physical_contact,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TouchToTouchTask(DenoisingTask):
+    """Touch to touch, from a gel to a bubble."""
+
+    @property
+    def kind(self) -> str:
+        """Kind of the target."""
+        return "bubble"
+
+    def sample(self, rng: np.random.Generator) -> Example:
+        """A pair, mirrored in a share of the examples.
+
+        A gel's image is rendered anew, as its LEDs are asymmetric.
+        """
+        index = int(rng.integers(self.n_presses))
+        return self._make_example("training", self.press_seed, index, rng, self.augmentation_share)
+
+    def make_validation_example(self, split: Split, index: int) -> Example:
+        """A training object in a new pose, or an unseen tool."""
+        return self._make_example(
+            split, VALIDATION_SEED, index, np.random.default_rng([17, index]), 0.0
+        )
+
+    @property
+    def pair_sensors(self) -> tuple[str, str]:
+        """Names of source and target."""
+        return GEL, BUBBLE
+
+    def prepare_pair(self, pair: RecordedPair) -> Example | None:
+        """The example of a recorded pair; None where one of the sensors is untouched."""
+        params = depth.DepthParams()
+        frame = pair.target_frame
+        if depth.skip_without_contact(pair.source_frame, pair.source, None, params) is not None:
+            return None
+        truth = pair.target_truth
+        if truth is not None and truth.indentation_mm is not None:
+            touch = truth.indentation_mm
+            contact = derive_contact(truth, pair.target)
+        elif depth.skip_without_contact(frame, pair.target, None, params) is None:
+            estimate = depth.estimate_depth(frame, pair.target, None, params)
+            touch = np.nan_to_num(estimate.indentation_mm)
+            contact = estimate.contact
+        else:
+            return None
+        if not contact.any():
+            return None
+        shape = make_working_sensor(pair.target).camera.shape
+        return make_residual_example(
+            t2t.build_condition(pair.source_frame, pair.source, pair.alignment, pair.target),
+            resample_to_grid(touch, shape),
+            resample_to_grid(contact, shape) > 0.5,
+            self.kind,
+        )
+
+    def make_pair_example(
+        self, prepared: Example, rng: np.random.Generator, *, is_validation: bool
+    ) -> Example:
+        """A recorded pair, moved, rotated and brightened a little unless it validates."""
+        return prepared if is_validation else jitter_example(prepared, rng)
+
+    def _make_example(
+        self, split: DataSplit, seed: int, index: int, rng: np.random.Generator, mirrored: float
+    ) -> Example:
+        pair = find_next_contact(
+            lambda k: simulate_touch_pair(split, seed, k, self.folder),
+            index,
+            "the gel has no contact in",
+        )
+        if rng.random() < mirrored:
+            pair = mirror_pair(pair, rng)
+        gel, bubble = place_nominal_sensors(float(pair.deeper_mm[0]))
+        change = pair.change_grey + rng.standard_normal(pair.change_grey.shape, np.float32)
+        between = alignment.resolve_alignment(gel, bubble)
+        condition = build_image_condition(change, gel.camera, gel, bubble, between)
+        return make_residual_example(condition, pair.bubble_mm, pair.bubble_contact, self.kind)
+
+
+def make_residual_example(
+    condition: Floats, residual_mm: Floats, contact: Any, kind: str, baseline: Any = None
+) -> Example:
+    """Condition, residual and contact of a denoiser.
+
+    contact: where the target has contact; baseline: where the physical render has, None = nowhere.
+    The residual (2, rows, cols) is that of indentation, in units of `TouchFormat.residual_unit_mm`,
+    and that of contact.
+    """
+    true = contact.astype(np.float32)
+    physical = 0.0 * true if baseline is None else baseline.astype(np.float32)
+    unit_mm = np.float32(get_touch_format(kind).residual_unit_mm)
+    return {
+        "condition": np.ascontiguousarray(condition),
+        "residual": np.stack([residual_mm / unit_mm, true - physical]).astype(np.float32),
+        "contact": np.stack([true, physical]),
+    }
+
+
+def jitter_example(example: Example, rng: np.random.Generator) -> Example:
+    """A pair's example slightly rotated, scaled and translated, its source's change stronger or
+    weaker.
+    """
+    import cv2
+
+    rows, cols = example["contact"].shape[1:]
+    angle_deg = rng.uniform(-_MAX_ROTATION_DEG, _MAX_ROTATION_DEG)
+    scale = 1.0 + rng.uniform(-_MAX_SCALING, _MAX_SCALING)
+    matrix = cv2.getRotationMatrix2D(((cols - 1) / 2, (rows - 1) / 2), angle_deg, scale)
+    matrix[:, 2] += rng.uniform(-_MAX_TRANSLATION, _MAX_TRANSLATION, 2) * rows
+
+    def warp(fields: Floats) -> Floats:
+        warped = [
+            cv2.warpAffine(field, matrix, (cols, rows), borderMode=cv2.BORDER_REPLICATE)
+            for field in fields
+        ]
+        return np.stack(warped).astype(np.float32)
+
+    condition = warp(example["condition"])
+    # the last channel is a mask
+    condition[:-1] *= np.float32(1.0 + rng.uniform(-_MAX_BRIGHTENING, _MAX_BRIGHTENING))
+    contact = np.round(warp(example["contact"]))
+    residual = np.stack([warp(example["residual"][:1])[0], contact[0]])
+    return {"condition": condition, "residual": residual, "contact": contact}
 
 
 def compute_denoising_loss(
@@ -90,36 +334,38 @@ def compute_denoising_loss(
 
     net = unwrap_network(network)
     clean = batch["residual"]
-    condition = batch["condition"]
+
+    def per_example(values: Tensor) -> Tensor:
+        return values.to(clean.device).reshape(-1, 1, 1)
+
     n = len(clean)
     level = torch.exp(torch.empty(n).normal_(*_LOG_SIGMA)).clamp(
         net.sigma_min, 0.999 * net.sigma_max
     )
     terminal = torch.rand(n) < _TERMINAL_SHARE
     sigma = torch.where(terminal, torch.full((n,), float(net.sigma_max)), level).to(clean.device)
-    kept = (torch.rand(n) >= _CONDITION_DROPOUT).to(clean.device).float().reshape(-1, 1, 1, 1)
+    kept = (torch.rand(n) >= _CONDITION_DROPOUT).float()
     noise = correlate_noise(torch.randn_like(clean), net.noise_correlation)
-    prediction = network(clean + sigma.reshape(-1, 1, 1, 1) * noise, sigma, condition * kept)
-    error = prediction[:, 0] - clean[:, 0]
-    contact_error = prediction[:, 1] - clean[:, 1]
-    weight = 1.0 + contact_weight * batch["contact"][:, 0]
-    level_weight = ((1.0 + sigma**2) / sigma**2).clamp(max=5.0).reshape(-1, 1, 1)
-    robust = (
-        functional.huber_loss(error, torch.zeros_like(error), delta=_HUBER, reduction="none")
-        / _HUBER
+    prediction = network(
+        clean + per_example(sigma)[:, None] * noise,
+        sigma,
+        batch["condition"] * per_example(kept)[:, None],
     )
+    error, contact_error = (prediction[:, :2] - clean).unbind(1)
+    weight = 1.0 + contact_weight * batch["contact"][:, 0]
+    level_weight = per_example(((1.0 + sigma**2) / sigma**2).clamp(max=5.0))
+    robust = functional.huber_loss(error, torch.zeros_like(error), delta=_HUBER, reduction="none")
     squared = 0.5 * error**2 * level_weight
-    residual = (
-        torch.where(terminal.to(error.device).reshape(-1, 1, 1), robust, squared) * weight
-    ).mean()
-    contact = (contact_error**2 * level_weight).mean()
-    spread = _compute_laplace_loss(prediction, error)
-    terms = {"residual": residual, "contact": contact, "spread": spread}
-    total = residual + _CONTACT_TERM * contact + _UNCERTAINTY_TERM * spread
+    residual = torch.where(per_example(terminal), robust / _HUBER, squared) * weight
+    terms = {
+        "residual": (1.0, residual.mean()),
+        "contact": (_CONTACT_TERM, (contact_error**2 * level_weight).mean()),
+        "spread": (_UNCERTAINTY_TERM, _compute_laplace_loss(prediction, error)),
+    }
     if slope_weight > 0.0:
-        terms["slopes"] = sum(error.diff(dim=axis).square().mean() for axis in (-1, -2))
-        total = total + slope_weight * terms["slopes"]
-    return total, {name: term.detach() for name, term in terms.items()}
+        slopes = [error.diff(dim=axis).square().mean() for axis in (-1, -2)]
+        terms["slopes"] = slope_weight, slopes[0] + slopes[1]
+    return weigh_terms(terms)
 
 
 def compute_uncertainty_loss(
@@ -138,7 +384,7 @@ def compute_uncertainty_loss(
     sigma = torch.full((len(clean),), float(net.sigma_max), device=clean.device)
     prediction = network(torch.zeros_like(clean), sigma, batch["condition"])
     spread = _compute_laplace_loss(prediction, prediction[:, 0] - clean[:, 0])
-    return spread, {"spread": spread.detach()}
+    return spread, {"spread": spread}
 
 
 def _compute_laplace_loss(prediction: Tensor, error: Tensor) -> Tensor:
@@ -148,76 +394,3 @@ def _compute_laplace_loss(prediction: Tensor, error: Tensor) -> Tensor:
     """
     log = prediction[:, 2].clamp(*LOG_ERROR_RANGE)
     return (error.detach().abs() * (-log).exp() + log).mean()
-
-
-def evaluate_denoiser(
-    network: nn.Module, held_out: Sequence[Example], unit_mm: float
-) -> dict[str, float]:
-    """Errors in mm, in the target's contact and over all, and contact IoU of four predictions.
-
-    They are one step, a sample, one step with confidence weighting, and no prediction. Two samples
-    differ by as much as a sample and the truth if both follow the distribution that the condition
-    allows.
-    """
-    import torch
-
-    from pipeline.stages.networks.residual_denoiser import correlate_noise
-
-    net = unwrap_network(network)
-    rows: list[list[float]] = []
-    for k, example in enumerate(held_out):
-        condition = torch.from_numpy(np.array(example["condition"]))[None]
-        rng = torch.Generator().manual_seed(k)
-        noises = [
-            correlate_noise(
-                torch.randn((1, *example["residual"].shape), generator=rng), net.noise_correlation
-            )
-            for _ in range(2)
-        ]
-
-        def denoise(noisy: Tensor, sigma: float, condition: Tensor = condition) -> Tensor:
-            return network(noisy, torch.full((1,), sigma), condition)[:, :2]
-
-        with torch.inference_mode():
-            first = network(
-                noises[0] * net.sigma_max, torch.full((1,), float(net.sigma_max)), condition
-            )[0].numpy()
-            levels = make_sigma_schedule(
-                _N_SAMPLE_STEPS, sigma_max=net.sigma_max, sigma_min=net.sigma_min
-            )
-            one, other = (sample(denoise, noise, levels).clean[0].numpy() for noise in noises)
-        weighted = first[0] * compute_wiener_gain(
-            first[0], np.exp(np.clip(first[2], *LOG_ERROR_RANGE))
-        )
-        truth = unit_mm * example["residual"][0]
-        has_contact = example["contact"][0] > 0
-        baseline = example["contact"][1]
-        predictions = (
-            (first[0], first[1]),
-            (one[0], one[1]),
-            (weighted, first[1]),
-            (0.0 * first[0], 0.0 * first[1]),
-        )
-        rows.append([])
-        for field, change in predictions:
-            error = np.abs(unit_mm * field - truth)
-            contact = baseline + change > 0.5
-            union = np.count_nonzero(contact | has_contact)
-            iou = np.count_nonzero(contact & has_contact) / max(union, 1)
-            rows[-1] += [
-                float(error[has_contact].mean()) if has_contact.any() else 0.0,
-                float(error.mean()),
-                iou,
-            ]
-        apart = unit_mm * np.abs(one[0] - other[0])
-        rows[-1] += [
-            float(apart[has_contact].mean()) if has_contact.any() else 0.0,
-            float(apart.mean()),
-        ]
-    names = [
-        f"{which}{what}"
-        for which in ("", "sample ", "confidence-weighted ", "no-prediction ")
-        for what in ("error in contact, mm", "error over all, mm", "contact IoU")
-    ]
-    names += ["difference of two samples in contact, mm", "difference of two samples over all, mm"]
-    return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))

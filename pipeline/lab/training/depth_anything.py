@@ -1,11 +1,9 @@
 """Task: Depth Anything V2 for one sensor, trained as in the paper: SiLog of the depth, cross
 entropy of the contact.
 
-With `answer` "metric", SiLog is of the indentation, image by image and in contact: small
-differences count. "distance" is that of the lab's fork (MMintLab/depth_anything_v2): of the
-distance from the camera over all pixels, with one mean for the whole batch. It still differs from
-the fork in a small constant under the root, which keeps the gradient finite, and in truth from
-simulated membranes.
+SiLog is of the indentation, image by image and in contact: small differences count. That of the
+lab's fork (MMintLab/depth_anything_v2) is of the distance from the camera over all pixels, with one
+mean for the whole batch.
 """
 
 from __future__ import annotations
@@ -21,10 +19,11 @@ from pipeline.core.errors import SettingProblem
 from pipeline.core.params import setting
 from pipeline.lab.training.distributed import unwrap_network
 from pipeline.lab.training.recorded_pairs import RecordedPair, derive_contact
+from pipeline.lab.training.task import Task, weigh_terms
 from pipeline.physics.sensor_images import render_reference, render_sensor_image
 from pipeline.physics.simulation import poses, shapes, variation
 from pipeline.physics.simulation.press import simulate_press
-from pipeline.sensors.spec import SensorSpec, load_sensor
+from pipeline.sensors.spec import load_sensor
 from pipeline.stages.networks.depth_anything_input import prepare_image, resize_to_patches
 
 if TYPE_CHECKING:
@@ -33,14 +32,13 @@ if TYPE_CHECKING:
     from pipeline.lab.training.task import Example, Split
 
 ImageContent = Literal["image", "difference"]
-Answer = Literal["metric", "distance"]
 _OFFSET_MM = 0.1  # added to the indentation before the logarithm, which bounds it at zero
 _SILOG_SHARE = 0.5  # of the squared mean that does not count, as in the paper
 _SILOG_EPS = 1e-8  # under the root: the gradient of a perfect prediction is zero instead of NaN
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DepthAnythingTask:
+class DepthAnythingTask(Task):
     """Settings of the examples and weights of the loss."""
 
     sensor: str = setting("gelslim", "Sensor")
@@ -53,12 +51,6 @@ class DepthAnythingTask:
         low=0.01,
         high=1000.0,
         help="that the network's output 1 stands for",
-    )
-    answer: Answer = setting(
-        "metric",
-        "Answer",
-        choices=Answer,
-        help="must equal `answer` of the network; distance in the lab's fork",
     )
     vary: float = setting(1.0, "Sensor variation", low=0.0, high=variation.MAX_STRENGTH)
     silog_weight: float = setting(1.0, "SiLog weight", low=0.0, high=100.0)
@@ -84,9 +76,8 @@ class DepthAnythingTask:
             return None
         reference = render_reference(pair.source) if frame.reference is None else frame.reference
         contact = derive_contact(truth, pair.source)
-        return self._make_example(
-            pair.source, frame.image, reference, np.nan_to_num(truth.indentation_mm), contact
-        )
+        indentation_mm = np.nan_to_num(truth.indentation_mm)
+        return self._make_example(frame.image, reference, indentation_mm, contact)
 
     def make_pair_example(
         self,
@@ -114,88 +105,72 @@ class DepthAnythingTask:
         )
         flat = np.zeros(sensor.camera.shape, np.float32)
         reference = render_sensor_image(sensor, flat, sensor.rest_depth_mm, seeds[3])
-        return self._make_example(
-            sensor, press.image, reference, press.indentation_mm, press.contact
-        )
+        return self._make_example(press.image, reference, press.indentation_mm, press.contact)
 
     def _make_example(
         self,
-        sensor: SensorSpec,
         image: Image | Floats,
         reference: Image | Floats,
         indentation_mm: Floats,
         contact: Mask,
     ) -> Example:
         shown = prepare_image(image, reference, self.image_content)
-        rest_mm = sensor.rest_depth_mm.astype(np.float32)
         parts: list[Floats] = [
             resize_to_patches(p, self.side)
-            for p in (shown, indentation_mm, contact.astype(np.float32), rest_mm)
+            for p in (shown, indentation_mm, contact.astype(np.float32))
         ]
         return {
             "image": np.ascontiguousarray(parts[0].transpose(2, 0, 1)),
             "indentation_mm": parts[1],
             "contact": (parts[2] > 0.5).astype(np.float32),
-            "rest_mm": parts[3],
         }
 
     def compute_loss(
         self, network: nn.Module, batch: Mapping[str, Tensor]
     ) -> tuple[Tensor, dict[str, Any]]:
         """SiLog, cross entropy of the contact, and the absolute error in mm."""
-        import torch
         from torch.nn import functional
 
-        if unwrap_network(network).answer != self.answer:
-            raise SettingProblem("answer must be the same in [network] and in [settings]")
+        if unwrap_network(network).answer != "metric":
+            raise SettingProblem('answer must be "metric" in [network]: indentation is trained')
         depth, logit = network(batch["image"])
         predicted = self.largest_mm * depth
         truth = batch["indentation_mm"]
         contact = batch["contact"]
-        fields = predicted + _OFFSET_MM, truth + _OFFSET_MM, contact
-        if self.answer == "distance":
-            truth = batch["rest_mm"] - truth
-            fields = tuple(
-                field.flatten(0, 1)[None] for field in (predicted, truth, torch.ones_like(truth))
-            )
-        terms: dict[str, Any] = {
-            "silog": compute_silog_loss(*fields, share=_SILOG_SHARE, least=_OFFSET_MM / 2),
-            "contact": functional.binary_cross_entropy_with_logits(logit, contact),
-            "metric": (predicted - truth).abs().mean(),
-        }
-        weights = {
-            "silog": self.silog_weight,
-            "contact": self.contact_weight,
-            "metric": self.metric_weight,
-        }
-        total: Any = sum(weights[name] * term for name, term in terms.items())
-        return total, {name: term.detach() for name, term in terms.items()}
+        silog = compute_silog_loss(
+            predicted + _OFFSET_MM,
+            truth + _OFFSET_MM,
+            contact,
+            share=_SILOG_SHARE,
+            least=_OFFSET_MM / 2,
+        )
+        entropy = functional.binary_cross_entropy_with_logits(logit, contact)
+        return weigh_terms(
+            {
+                "silog": (self.silog_weight, silog),
+                "contact": (self.contact_weight, entropy),
+                "metric": (self.metric_weight, (predicted - truth).abs().mean()),
+            }
+        )
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
         """Contact IoU, and mean error of the indentation in contact."""
         import torch
 
-        device = next(network.parameters()).device
         errors = 0.0
-        both = 0.0
-        either = 0.0
-        n_contact = 0.0
+        n_contact = n_both = n_either = 0
         for example in held_out:
-            depth, logit = network(torch.from_numpy(example["image"])[None].to(device))
-            predicted = (logit[0] > 0).cpu().numpy()
+            depth, logit = network(torch.from_numpy(example["image"])[None])
+            predicted = logit[0].numpy() > 0
             contact = example["contact"] > 0.5
-            predicted_mm = self.largest_mm * depth[0].cpu().numpy()
-            indentation_mm = (
-                example["rest_mm"] - predicted_mm if self.answer == "distance" else predicted_mm
-            )
-            error = np.abs(indentation_mm - example["indentation_mm"])
-            errors = errors + float((error * contact).sum())
-            n_contact = n_contact + float(contact.sum())
-            both = both + float((predicted & contact).sum())
-            either = either + float((predicted | contact).sum())
+            indentation_mm = self.largest_mm * depth[0].numpy()
+            errors += float(np.abs(indentation_mm - example["indentation_mm"])[contact].sum())
+            n_contact += np.count_nonzero(contact)
+            n_both += np.count_nonzero(predicted & contact)
+            n_either += np.count_nonzero(predicted | contact)
         return {
-            "contact IoU": both / max(either, 1.0),
-            "error in contact, um": 1e3 * errors / max(n_contact, 1.0),
+            "contact IoU": n_both / max(n_either, 1),
+            "error in contact, um": 1e3 * errors / max(n_contact, 1),
         }
 
 

@@ -103,13 +103,9 @@ def unwrap_network(network: Any) -> Any:
 
 def _to_float32(output: Any) -> Any:
     """Floating-point tensors, however nested, as float32."""
-    if isinstance(output, dict):
-        return {key: _to_float32(value) for key, value in output.items()}
-    if isinstance(output, (tuple, list)):
-        values = [_to_float32(value) for value in output]
-        return type(output)(*values) if hasattr(output, "_fields") else type(output)(values)
-    return (
-        output.float()
-        if hasattr(output, "is_floating_point") and output.is_floating_point()
-        else output
-    )
+    from torch.utils._pytree import tree_map
+
+    def convert(value: Any) -> Any:
+        return value.float() if getattr(value, "is_floating_point", bool)() else value
+
+    return tree_map(convert, output)

@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import Executor, Future, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Iterable
+from concurrent.futures import Executor
+from contextlib import closing, contextmanager
+from functools import partial
+from itertools import count, islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.core.errors import NotConverged
 from pipeline.core.params import check_range
 from pipeline.core.processes import WorkerPool
-from pipeline.lab.training.task import SPLITS, HasFewExamples, Split, Task
+from pipeline.lab.training.distributed import ProcessGroup
+from pipeline.lab.training.recipe import TrainingSettings
+from pipeline.lab.training.task import SPLITS, Split, Task
+from pipeline.lab.workers import map_ahead
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from pipeline.lab.training.task import Example
 
 MAX_WORKERS = 64
 _NICE = 5  # of the workers: training has priority
 _BATCHES_AHEAD = 2  # for each worker
-_CHUNK = 4  # validation examples that a worker makes in one call
-_CHECK_S = 0.5  # between two looks for a request to stop
+_N_AXES = 4  # of batches of images, which are held in 16 bits: their noise is coarser
 
 
 class ExampleSource:
@@ -36,73 +39,37 @@ class ExampleSource:
         self, task: Task, seed: int, batch: int, pool: Executor | None, ahead: int
     ) -> None:
         self._task = task
-        self._seed = seed
-        self._batch = batch
+        self._make_batch = partial(make_batch, task, seed, n=batch)
         self._pool = pool
         self._ahead = ahead
         self.check: Callable[[], None] = lambda: None
 
     def iterate_batches(self, first: int, stride: int) -> Generator[Example, None, None]:
         """Endless batches that begin at example `first`, `first + stride` and so on."""
-        waiting: deque[Future[Example]] = deque()
-        try:
-            while True:
-                if self._pool is None:
-                    yield make_batch(self._task, self._seed, first, self._batch, self.check)
-                else:
-                    while len(waiting) < self._ahead:
-                        start = first + len(waiting) * stride
-                        waiting.append(
-                            self._pool.submit(
-                                make_batch, self._task, self._seed, start, self._batch
-                            )
-                        )
-                    yield self._get_result(waiting.popleft())
-                first += stride
-        finally:
-            for future in waiting:
-                future.cancel()
+        return self._map(self._make_batch, count(first, stride))
 
     def make_validation_set(self, n: int) -> dict[Split, list[Example]]:
         """The first `n` validation examples of every split, or as many as there are.
 
         Without splits that have none.
         """
-        made: dict[Split, list[Example]] = {}
-        for split in SPLITS:
-            count = (
-                min(n, self._task.count_validation_examples(split))
-                if isinstance(self._task, HasFewExamples)
-                else n
+        made: dict[Split, list[Example]] = {
+            split: list(
+                self._map(
+                    partial(self._task.make_validation_example, split),
+                    range(min(n, self._task.count_validation_examples(split))),
+                )
             )
-            if not count:
-                continue
-            parts = [range(start, min(start + _CHUNK, count)) for start in range(0, count, _CHUNK)]
-            if self._pool is None:
-                made[split] = []
-                for part in parts:
-                    self.check()
-                    made[split] += make_validation_examples(self._task, split, part)
-            else:
-                futures = [
-                    self._pool.submit(make_validation_examples, self._task, split, part)
-                    for part in parts
-                ]
-                made[split] = [
-                    example for future in futures for example in self._get_result(future)
-                ]
-        return made
+            for split in SPLITS
+        }
+        return {split: examples for split, examples in made.items() if examples}
 
-    def _get_result(self, future: Future[Any]) -> Any:
-        try:
-            while not wait((future,), timeout=_CHECK_S).done:
-                self.check()
-            return future.result()
-        except BrokenProcessPool as error:
-            raise NotConverged(
-                "a worker process died, perhaps out of memory; run again with --resume and fewer "
-                "--workers"
-            ) from error
+    def _map(
+        self, function: Callable[[int], Any], numbers: Iterable[int]
+    ) -> Generator[Any, None, None]:
+        """Results in order; the pool makes some ahead."""
+        remedy = "--resume and fewer --workers"
+        return map_ahead(self._pool, function, numbers, self._ahead, remedy, self.check)
 
 
 @contextmanager
@@ -119,21 +86,60 @@ def open_example_source(
         pool.shutdown(wait=False, cancel_futures=True)  # batches ahead that nobody asks for
 
 
-def make_batch(
-    task: Task, seed: int, start: int, n: int, check: Callable[[], None] | None = None
-) -> Example:
-    """Examples `start` to `start + n` as one batch: name -> (n, ...).
-
-    `check` is called before each, and may raise.
-    """
-    made: list[Example] = []
-    for index in range(start, start + n):
-        if check is not None:
-            check()
-        made.append(task.sample(np.random.default_rng([seed, index])))
+def make_batch(task: Task, seed: int, start: int, n: int) -> Example:
+    """Examples `start` to `start + n` as one batch: name -> (n, ...)."""
+    made = [task.sample(np.random.default_rng([seed, start + k])) for k in range(n)]
     return {name: np.stack([one[name] for one in made]) for name in made[0]}
 
 
-def make_validation_examples(task: Task, split: Split, indices: Sequence[int]) -> list[Example]:
-    """Validation examples by index."""
-    return [task.make_validation_example(split, index) for index in indices]
+def iterate_cached_batches(
+    source: ExampleSource, settings: TrainingSettings, group: ProcessGroup, first: int
+) -> Generator[dict[str, Tensor], None, None]:
+    """Batches from step `first` on, sampled from the first `settings.n_cached_examples` examples,
+    which are held on the device: for a GPU that trains faster than processors make examples.
+
+    They are made once, at the start of every part of a run. Each of several processes holds its own
+    share of them. The examples of a step depend on seed and step alone, so that a resumed run
+    continues like an uninterrupted one.
+    """
+    import torch
+
+    stride = settings.batch * group.world_size
+    n_batches = -(-settings.n_cached_examples // stride)
+    n = n_batches * settings.batch
+    pool: dict[str, Tensor] = {}
+    with closing(source.iterate_batches(group.rank * settings.batch, stride)) as batches:
+        for k, batch in enumerate(islice(batches, n_batches)):
+            for name, array in batch.items():
+                tensor = torch.from_numpy(array)
+                if tensor.ndim >= _N_AXES and tensor.is_floating_point():
+                    tensor = tensor.half()
+                if name not in pool:
+                    pool[name] = torch.empty(
+                        (n, *tensor.shape[1:]), dtype=tensor.dtype, device=group.device
+                    )
+                pool[name][k * settings.batch :][: settings.batch] = tensor.to(group.device)
+    for step in count(first):
+        seeds = np.random.SeedSequence([settings.seed, step, group.rank, 1])
+        rng = torch.Generator().manual_seed(int(seeds.generate_state(1)[0]))
+        indices = torch.randint(n, (settings.batch,), generator=rng).to(group.device)
+        yield {
+            name: to_channels_last(t[indices].float() if t.dtype == torch.float16 else t[indices])
+            for name, t in pool.items()
+        }
+
+
+def to_tensors(batch: Example, device: Any) -> dict[str, Any]:
+    """A batch of arrays as tensors on a device."""
+    import torch
+
+    return {
+        name: to_channels_last(torch.from_numpy(array).to(device)) for name, array in batch.items()
+    }
+
+
+def to_channels_last(batch: Tensor) -> Tensor:
+    """Batches of images in torch's channels-last memory format; others as they are."""
+    import torch
+
+    return batch.contiguous(memory_format=torch.channels_last) if batch.ndim == _N_AXES else batch

@@ -8,7 +8,7 @@ import copy
 import logging
 import math
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,14 +19,18 @@ import numpy as np
 from pipeline.core.errors import FileProblem, NotConverged
 from pipeline.core.files import check_folder
 from pipeline.core.progress import SILENT, Cancelled, Progress
-from pipeline.lab.training import curves, optimising, state
-from pipeline.lab.training.cached_examples import iterate_cached_batches, to_channels_last
+from pipeline.lab.training import run_folder
 from pipeline.lab.training.distributed import ProcessGroup, join_process_group, wrap_precision
-from pipeline.lab.training.examples import ExampleSource, open_example_source
-from pipeline.lab.training.recipe import Recipe, load_initial_weights
+from pipeline.lab.training.examples import (
+    ExampleSource,
+    iterate_cached_batches,
+    open_example_source,
+    to_tensors,
+)
+from pipeline.lab.training.recipe import Optimiser, Recipe, load_initial_weights
 from pipeline.lab.training.recorded_pairs import use_pairs
-from pipeline.lab.training.state import TrainingState
-from pipeline.lab.training.task import HasNotes, Task
+from pipeline.lab.training.run_folder import TrainingState
+from pipeline.lab.training.task import Task
 from pipeline.stages.networks.network_factory import (
     build_network,
     initialise_from,
@@ -34,10 +38,11 @@ from pipeline.stages.networks.network_factory import (
 )
 
 if TYPE_CHECKING:
-    from torch import Tensor
+    from torch import Tensor, nn, optim
 
     from pipeline.lab.training.task import Example, Split
 
+_POWER = 0.9  # of the schedule "poly", as depth networks on DINOv2 are trained
 SAVE_INTERVAL_S = 60.0
 LOG_INTERVAL_STEPS = 25
 MAX_SKIPPED_STEPS = 10  # in a row, before training ends with an error
@@ -66,10 +71,10 @@ def train(run: TrainingRun, progress: Progress = SILENT) -> TrainingState:
     but not the same weights. Raises FileProblem, SettingProblem, and NotConverged where the loss
     stays NaN or infinite.
     """
-    if not state.has_state(run.folder):
-        now = TrainingState(recipe=state.serialise_recipe(run.recipe), command=run.command)
+    if not run_folder.has_state(run.folder):
+        now = TrainingState(recipe=run_folder.serialise_recipe(run.recipe), command=run.command)
     elif run.resume:
-        now = state.load_for_resume(run.folder, run.recipe)
+        now = run_folder.load_for_resume(run.folder, run.recipe)
     else:
         raise FileProblem(
             "this folder holds a training run; give --resume to continue it, or another --out",
@@ -78,7 +83,7 @@ def train(run: TrainingRun, progress: Progress = SILENT) -> TrainingState:
     check_folder(run.folder)
     settings = run.recipe.training
     task = use_pairs(run.recipe.settings, run.recipe.pairs)
-    for note in task.collect_notes() if isinstance(task, HasNotes) else ():
+    for note in task.collect_notes():
         log.warning("%s", note)
     with (
         join_process_group() as group,
@@ -106,24 +111,23 @@ class _Training:
         self._group = group
         self._source = source
         self._progress = progress
-        self._recipe = run.recipe
         self._task = task
-        torch.manual_seed(self._recipe.training.seed)
-        arguments = {key: value for key, value in self._recipe.network.items() if key != "kind"}
-        network = build_network(str(self._recipe.network["kind"]), arguments)
-        self._network = use_channels_last(network).to(group.device)
-        if not now.step:
-            self._load_initial_weights()
-        self._average = optimising.copy_for_averaging(self._network)
-        self._optimiser = optimising.make_optimiser(
-            self._network, self._recipe.optimiser, self._recipe.rate_factors
-        )
+        self._recipe = recipe = run.recipe
+        self._settings = recipe.training
+        torch.manual_seed(self._settings.seed)
+        arguments = dict(recipe.network)
+        kind = str(arguments.pop("kind"))
+        self._network = use_channels_last(build_network(kind, arguments)).to(group.device)
+        if self._settings.initial_weights and not now.step:
+            self._load_initial_weights(kind)
+        self._average = copy_for_averaging(self._network)
+        self._optimiser = make_optimiser(self._network, recipe.optimiser, recipe.rate_factors)
         if now.step:
             self._network.load_state_dict(now.network_tensors)
             self._average.load_state_dict(now.averaged_tensors)
             self._optimiser.load_state_dict(now.optimiser_state)
         self._wrapped = group.wrap_distributed(
-            wrap_precision(self._network, self._recipe.training.precision, group.device)
+            wrap_precision(self._network, self._settings.precision, group.device)
         )
         self._held_out: dict[Split, list[Example]] = {}
         if group.device.type == "cuda":
@@ -133,17 +137,11 @@ class _Training:
         self._start_s = time.monotonic() - now.trained_s
         self._saved_s = time.monotonic()
 
-    def _load_initial_weights(self) -> None:
-        file = self._recipe.training.initial_weights
-        if file:
-            weights = load_initial_weights(file, str(self._recipe.network["kind"]))
-            n = initialise_from(self._network, weights)
-            log.warning(
-                "%d tensors start from %s, %d are random",
-                n,
-                file,
-                len(self._network.state_dict()) - n,
-            )
+    def _load_initial_weights(self, kind: str) -> None:
+        file = self._settings.initial_weights
+        n = initialise_from(self._network, load_initial_weights(file, kind))
+        n_random = len(self._network.state_dict()) - n
+        log.warning("%d tensors start from %s, %d are random", n, file, n_random)
 
     def run(self) -> TrainingState:
         """Train to the end or to a request to stop, which is raised once the state is saved."""
@@ -158,7 +156,8 @@ class _Training:
     def _run_steps(self) -> None:
         now = self._now
         group = self._group
-        stride = self._recipe.training.batch * group.world_size
+        stride = self._settings.batch * group.world_size
+        times = self._recipe.validation.n_evaluations
         fraction = group.average_over_processes(self._compute_fraction())[0]
         with closing(self._batches(stride)) as batches:
             while not self._is_over(fraction):
@@ -167,13 +166,12 @@ class _Training:
                 mean_loss, any_stop, next_fraction = group.average_over_processes(
                     loss, float(stop is not None), self._compute_fraction(ahead=1)
                 )
-                now.step, now.n_examples = now.step + 1, now.n_examples + stride
+                now.step += 1
+                now.n_examples += stride
                 self._update_weights(mean_loss, terms)
-                before = fraction
-                fraction = next_fraction
-                times = self._recipe.validation.n_evaluations
-                if math.floor(min(fraction, 1.0) * times) > math.floor(min(before, 1.0) * times):
+                if math.floor(min(next_fraction, 1.0) * times) > math.floor(fraction * times):
                     self._validate()
+                fraction = min(next_fraction, 1.0)
                 if any_stop:
                     raise stop or Cancelled
                 if time.monotonic() > self._saved_s + SAVE_INTERVAL_S:
@@ -184,11 +182,10 @@ class _Training:
 
         Making cached examples does not count as training time.
         """
-        now = self._now
-        group = self._group
-        settings = self._recipe.training
-        if settings.n_cached_examples:
-            cached = iterate_cached_batches(self._source, settings, group, now.step)
+        if self._settings.n_cached_examples:
+            cached = iterate_cached_batches(
+                self._source, self._settings, self._group, self._now.step
+            )
             begin_s = time.monotonic()
             try:
                 batch = next(cached)
@@ -197,23 +194,21 @@ class _Training:
             yield batch
             yield from cached
             return
-        first = now.step * stride + group.rank * settings.batch
+        first = self._now.step * stride + self._group.rank * self._settings.batch
         with closing(self._source.iterate_batches(first, stride)) as batches:
-            for batch in batches:
-                yield to_tensors(batch, group.device)
+            for made in batches:
+                yield to_tensors(made, self._group.device)
 
     def _is_over(self, fraction: float) -> bool:
-        return (
-            fraction >= 1.0
-            if self._run.max_minutes is not None
-            else self._now.step >= self._recipe.training.steps
-        )
+        if self._run.max_minutes is None:
+            return self._now.step >= self._settings.steps
+        return fraction >= 1.0
 
     def _compute_fraction(self, ahead: int = 0) -> float:
         """Share of the run that is done after `ahead` more steps."""
-        if self._run.max_minutes is not None:
-            return (time.monotonic() - self._start_s) / (60.0 * self._run.max_minutes)
-        return (self._now.step + ahead) / self._recipe.training.steps
+        if self._run.max_minutes is None:
+            return (self._now.step + ahead) / self._settings.steps
+        return (time.monotonic() - self._start_s) / (60.0 * self._run.max_minutes)
 
     def _check_stop(self) -> None:
         """Raise the request to stop, if there is one, while examples are made."""
@@ -223,12 +218,11 @@ class _Training:
 
     def _find_stop(self, fraction: float) -> BaseException | None:
         """Report progress; the request to stop, if there is one."""
-        loss = self._now.curve[-1]["loss"] if self._now.curve else math.nan
         status = f"step {self._now.step:,}, {self._now.n_examples:,} examples"
+        if self._now.curve:
+            status += f", loss {self._now.curve[-1]['loss']:.4g}"
         try:
-            self._progress.step(
-                min(fraction, 1.0), status if math.isnan(loss) else f"{status}, loss {loss:.4g}"
-            )
+            self._progress.step(min(fraction, 1.0), status)
         except (Cancelled, KeyboardInterrupt) as stop:
             return stop
         return None
@@ -242,13 +236,11 @@ class _Training:
         """
         import torch
 
-        now = self._now
-        seed = self._recipe.training.seed
         # of dropout and noise in the loss
-        seeds = np.random.SeedSequence([seed, now.step, self._group.rank])
+        seeds = np.random.SeedSequence([self._settings.seed, self._now.step, self._group.rank])
         torch.manual_seed(int(seeds.generate_state(1)[0]))
-        rate = optimising.compute_learning_rate(self._recipe.optimiser, now.step, fraction)
-        optimising.set_learning_rate(self._optimiser, rate)
+        rate = compute_learning_rate(self._recipe.optimiser, self._now.step, fraction)
+        set_learning_rate(self._optimiser, rate)
         self._wrapped.train()
         self._optimiser.zero_grad()
         loss, terms = self._task.compute_loss(self._wrapped, batch)
@@ -260,15 +252,14 @@ class _Training:
 
         Raises NotConverged after many skipped steps.
         """
-        import torch
+        from torch.nn.utils import clip_grad_norm_
 
         now = self._now
         recipe = self._recipe.optimiser
-        norm = float(
-            torch.nn.utils.clip_grad_norm_(self._network.parameters(), recipe.max_gradient_norm)
-        )
+        norm = float(clip_grad_norm_(self._network.parameters(), recipe.max_gradient_norm))
         if not (math.isfinite(loss) and math.isfinite(norm)):
-            now.n_skipped, now.n_skipped_in_a_row = now.n_skipped + 1, now.n_skipped_in_a_row + 1
+            now.n_skipped += 1
+            now.n_skipped_in_a_row += 1
             log.warning("step %d is skipped: loss %g, gradient norm %g", now.step, loss, norm)
             if now.n_skipped_in_a_row >= MAX_SKIPPED_STEPS:
                 self._save()
@@ -281,14 +272,16 @@ class _Training:
             return
         now.n_skipped_in_a_row = 0
         self._optimiser.step()
-        optimising.update_average(self._average, self._network, recipe.ema_decay, now.step - 1)
+        update_average(self._average, self._network, recipe.ema_decay, now.step - 1)
         for name, value in {"loss": loss, "gradient": norm, **terms}.items():
             now.sums[name] = now.sums.get(name, 0.0) + float(value)
         now.n_summed += 1
         if now.step % LOG_INTERVAL_STEPS == 0:
-            seconds = {"minutes": (time.monotonic() - self._start_s) / 60.0}
+            minutes = (time.monotonic() - self._start_s) / 60.0
             means = {name: total / now.n_summed for name, total in now.sums.items()}
-            now.curve.append({"step": now.step, "examples": now.n_examples, **seconds, **means})
+            now.curve.append(
+                {"step": now.step, "examples": now.n_examples, "minutes": minutes, **means}
+            )
             now.sums = {}
             now.n_summed = 0
 
@@ -306,20 +299,17 @@ class _Training:
             self._recipe.validation.n_examples
         )
         network = copy.deepcopy(self._average).cpu()
-        with torch.inference_mode():
-            for split, held_out in self._held_out.items():
-                for name, value in self._task.evaluate(network, held_out).items():
-                    now.metrics.append(
-                        {"step": now.step, "split": split, "name": name, "value": float(value)}
-                    )
-        texts = [
-            f"{row['split'].replace('_', ' ')} {row['name']} {row['value']:.4g}"
-            for row in now.metrics
-            if row["step"] == now.step
-        ]
+        for split, held_out in self._held_out.items():
+            with torch.inference_mode():
+                metrics = self._task.evaluate(network, held_out)
+            now.metrics += [
+                {"step": now.step, "split": split, "name": name, "value": float(value)}
+                for name, value in metrics.items()
+            ]
+        texts = [f"{name} {value:.4g}" for name, value in now.list_last_metrics().items()]
         log.info("step %d: %s", now.step, "; ".join(texts))
         now.trained_s = time.monotonic() - self._start_s
-        self._warn_if_full(lambda: curves.draw_curves(self._run.folder, now))
+        self._warn_if_full(lambda: run_folder.draw_curves(self._run.folder, now))
 
     @staticmethod
     def _warn_if_full(write: Callable[[], None]) -> None:
@@ -342,14 +332,68 @@ class _Training:
         now.network_tensors = self._network.state_dict()
         now.averaged_tensors = self._average.state_dict()
         now.optimiser_state = self._optimiser.state_dict()
-        state.save_state(self._run.folder, now)
-        curves.write_tables(self._run.folder, now)
+        run_folder.save_state(self._run.folder, now)
+        run_folder.write_tables(self._run.folder, now)
 
 
-def to_tensors(batch: Example, device: Any) -> dict[str, Any]:
-    """A batch of arrays as tensors on a device."""
+def make_optimiser(
+    network: nn.Module, recipe: Optimiser, factors: Mapping[str, float]
+) -> optim.Optimizer:
+    """An optimiser with one parameter group for each factor of the learning rate.
+
+    `factors` maps prefixes of parameter names to factors; the longest matching prefix applies, 1
+    without one.
+    """
+    from torch import optim
+
+    shares: dict[float, list[Any]] = {}
+    for name, parameter in network.named_parameters():
+        prefixes = [prefix for prefix in factors if name.startswith(prefix)]
+        shares.setdefault(factors[max(prefixes, key=len)] if prefixes else 1.0, []).append(
+            parameter
+        )
+    groups = [{"params": parameters, "share": share} for share, parameters in shares.items()]
+    kind = optim.AdamW if recipe.kind == "adamw" else optim.Adam
+    return kind(
+        groups, lr=recipe.learning_rate, betas=(0.9, recipe.beta2), weight_decay=recipe.weight_decay
+    )
+
+
+def set_learning_rate(made: optim.Optimizer, rate: float) -> None:
+    """Set the learning rate of every group."""
+    for group in made.param_groups:
+        group["lr"] = rate * group["share"]
+
+
+def compute_learning_rate(recipe: Optimiser, step: int, fraction: float) -> float:
+    """The learning rate of a step, where `fraction` (0..1) of the run is done."""
+    left = 1.0 - min(max(fraction, 0.0), 1.0)
+    falling = {
+        "cosine": 0.5 * (1.0 - math.cos(math.pi * left)),
+        "poly": left**_POWER,
+        "constant": 1.0,
+    }
+    share = recipe.final_share + (1.0 - recipe.final_share) * falling[recipe.schedule]
+    return recipe.learning_rate * share * min(1.0, (step + 1) / max(recipe.warm_up_steps, 1))
+
+
+def copy_for_averaging(network: nn.Module) -> nn.Module:
+    """A copy of the network that holds the moving average."""
+    return copy.deepcopy(network).eval().requires_grad_(requires_grad=False)
+
+
+def update_average(mean: nn.Module, network: nn.Module, decay: float, step: int) -> None:
+    """Move the average towards the network, faster in the first steps, whose weights are far
+    off.
+    """
     import torch
 
-    return {
-        name: to_channels_last(torch.from_numpy(array).to(device)) for name, array in batch.items()
-    }
+    share = 1.0 - min(decay, (1.0 + step) / (10.0 + step))
+    with torch.no_grad():
+        for average, new in zip(
+            mean.state_dict().values(), network.state_dict().values(), strict=True
+        ):
+            if average.is_floating_point():
+                average.lerp_(new, share)
+            else:
+                average.copy_(new)

@@ -14,8 +14,7 @@ from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.files import read_toml
 from pipeline.core.params import Value, list_settings, replace_value, setting
 from pipeline.core.typed_data import InvalidField, Name, check
-from pipeline.lab.training.hold_out import HOLD_OUT_HELP
-from pipeline.lab.training.recorded_pairs import PairFolder
+from pipeline.lab.training.recorded_pairs import HOLD_OUT_HELP, PairFolder
 from pipeline.lab.training.task import TASKS, Task, import_task_class
 from pipeline.stages.networks import weights_registry
 from pipeline.stages.networks.published_weights import READERS

@@ -1,31 +1,34 @@
 """Recorded pairs of two sensors as training examples: folders of a data set, with validation pairs
 held out.
 
-Both fingers of a grasp are pairs of their own and have one role. Pairs are read when they are
-drawn.
+Both fingers of a grasp are pairs of their own and have one role. Two splits validate: other grasps
+of the same tools, and other tools. Both are disjoint, and neither holds a grasp that is trained on.
+Pairs are read when they are drawn.
 """
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from pipeline.core.arrays import Mask, freeze
-from pipeline.core.errors import FileProblem, SettingProblem
+from pipeline.core.errors import FileProblem, SettingProblem, escape_text
 from pipeline.core.memo import Memo
 from pipeline.core.values.frames import Grasp, Recording, Stream, TactileFrame, Truth
 from pipeline.core.values.pairing import NO_PARTNER, pair_frames
 from pipeline.io import open_recording
-from pipeline.io.grasp_files import is_grasp_folder
+from pipeline.io.grasp_files import is_grasp_folder, is_training_split, read_split_file
 from pipeline.io.inspection.synchrony import compare_streams
-from pipeline.lab.training.hold_out import Role, assign_roles
 from pipeline.lab.training.task import Split, Task
+from pipeline.physics.simulation import shapes
 from pipeline.sensors import alignment as alignments
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec, load_sensor
@@ -35,8 +38,168 @@ if TYPE_CHECKING:
 
     from pipeline.lab.training.task import Example
 
+Role = Literal["training", "unseen_grasps", "unseen_tools", "left_out"]
+BY_TOOL = "tool"
+# held out: of 12 tools 3, as the lab's code does; of grasps a fifth, as well
+_TOOL_SHARE = 0.25
+_GRASP_SHARE = 0.2
+_MAX_NAMES = 12  # in a message
+HOLD_OUT_HELP = (
+    "`tool` for a quarter of the tools, names of tools separated by commas, `lab` or `paper` for "
+    "published lists of "
+    "tools, or a split.json; without it the splits of the folder, else `tool`"
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ToolSplit:
+    """A published split by tools."""
+
+    training: tuple[str, ...]
+    unseen: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HoldOut:
+    """The role of every grasp, and what was decided."""
+
+    roles: tuple[Role, ...]
+    notes: tuple[str, ...]
+
+
+def list_tool_splits() -> Mapping[str, ToolSplit]:
+    """Published splits by name.
+
+    `lab`: the tools that train_single.py of the lab's depth_anything_v2 lists. `paper`: the twelve
+    training objects of the simulated catalogue, which stand for the paper's, and its six unseen
+    ones.
+    """
+    lab = (
+        "01_2_lines_angle_1",
+        "02_2_lines_angle_2",
+        "03_2_lines_angle_3",
+        "04_3_lines_angle_1",
+        "06_5_lines_angle_1",
+        "31_rod",
+        "32",
+        "33",
+        "37",
+    )
+    return {
+        "lab": ToolSplit(
+            training=tuple(f"pattern_{name}" for name in lab),
+            unseen=("pattern_05_3_lines_angle_2", "pattern_35", "pattern_36"),
+        ),
+        "paper": ToolSplit(
+            training=tuple(shapes.list_shapes("training")),
+            unseen=tuple(shapes.list_shapes("unseen")),
+        ),
+    }
+
+
+def assign_roles(grasps: Sequence[Grasp], hold_out: str = "", share: float = 1.0) -> HoldOut:
+    """The role of every grasp; `hold_out` is as `HOLD_OUT_HELP` says. The same grasps give the same
+    roles.
+
+    Of the grasps to train on, `share` is used, at least one and more for a larger share; the others
+    are left out.
+
+    Raises SettingProblem for an unknown tool or where nothing is left to train on, FileProblem for
+    a split file.
+    """
+    has_own_splits = any(not is_training_split(grasp.split) for grasp in grasps)
+    if hold_out.endswith(".json"):
+        split_of = read_split_file(Path(hold_out))
+        roles = _roles_by_split(grasps, [split_of.get((g.tool, g.number)) for g in grasps])
+    elif not hold_out and has_own_splits:
+        roles = _roles_by_split(grasps, [grasp.split for grasp in grasps])
+    else:
+        tools = {grasp.tool for grasp in grasps}
+        roles = _roles_by_tool(grasps, _select_tools(tools, hold_out or BY_TOOL))
+    trained = np.flatnonzero([role == "training" for role in roles])
+    if not trained.size:
+        raise SettingProblem(
+            f"no grasp is left to train on with --hold-out {hold_out or BY_TOOL}; hold out fewer "
+            "tools"
+        )
+    n_used = max(1, round(share * len(trained)))
+    for k in np.random.default_rng(0).permutation(trained)[n_used:]:
+        roles[k] = "left_out"
+    notes = [_describe_roles(grasps, roles)]
+    if share < 1.0:
+        notes.append(f"of {len(trained)} grasps to train on a share of {share:g} is used")
+    return HoldOut(roles=tuple(roles), notes=tuple(notes))
+
+
+def _roles_by_split(grasps: Sequence[Grasp], splits: Sequence[str | None]) -> list[Role]:
+    """Roles by a data set's splits; grasps of split None, which a file does not list, are left
+    out.
+    """
+    trained = {
+        grasp.tool
+        for grasp, split in zip(grasps, splits, strict=True)
+        if split is not None and is_training_split(split)
+    }
+    roles: list[Role] = []
+    for grasp, split in zip(grasps, splits, strict=True):
+        if split is None:
+            roles.append("left_out")
+        elif is_training_split(split):
+            roles.append("training")
+        else:
+            roles.append("unseen_grasps" if grasp.tool in trained else "unseen_tools")
+    return roles
+
+
+def _select_tools(tools: set[str], hold_out: str) -> ToolSplit:
+    """The tools to train on and to hold out."""
+    names = sorted(tools)
+    published = list_tool_splits().get(hold_out)
+    if published is not None:
+        return published
+    if hold_out == BY_TOOL:
+        n = max(1, round(_TOOL_SHARE * len(names))) if len(names) > 1 else 0
+        unseen = {names[k] for k in np.random.default_rng(0).permutation(len(names))[:n]}
+    else:
+        unseen = {name.strip() for name in hold_out.split(",")}
+        unknown = sorted(unseen - tools)
+        if unknown:
+            raise SettingProblem(f"no tool {unknown[0]!r} to hold out; there are {_shorten(names)}")
+    return ToolSplit(training=tuple(tools - unseen), unseen=tuple(sorted(unseen)))
+
+
+def _roles_by_tool(grasps: Sequence[Grasp], tools: ToolSplit) -> list[Role]:
+    """Unseen tools by name, and a fifth of the grasps of every other tool."""
+    roles: list[Role] = ["unseen_tools" if g.tool in tools.unseen else "left_out" for g in grasps]
+    for tool in tools.training:
+        own = [k for k, grasp in enumerate(grasps) if grasp.tool == tool]
+        n_held_out = math.ceil(_GRASP_SHARE * len(own)) if len(own) > 1 else 0
+        for place, k in enumerate(np.random.default_rng(0).permutation(len(own))):
+            roles[own[k]] = "unseen_grasps" if place < n_held_out else "training"
+    return roles
+
+
+def _describe_roles(grasps: Sequence[Grasp], roles: Sequence[Role]) -> str:
+    counts = Counter(roles)
+    unseen = {g.tool for g, role in zip(grasps, roles, strict=True) if role == "unseen_tools"}
+    text = (
+        f"{counts['training']} grasps are trained on, {counts['unseen_grasps']} validate as unseen "
+        f"grasps, {counts['unseen_tools']} validate as unseen tools"
+    )
+    if unseen:
+        text += f" ({_shorten(sorted(unseen))})"
+    if counts["left_out"]:
+        text += f", {counts['left_out']} belong to no list and are left out"
+    return text
+
+
+def _shorten(names: Sequence[str]) -> str:
+    more = ", ..." if len(names) > _MAX_NAMES else ""
+    return escape_text(", ".join(names[:_MAX_NAMES])) + more
+
+
 _MAX_UNTOUCHED = 1000  # pairs in a row that a task cannot use
-_MAX_NAMES = 5  # in a note
+_MAX_LISTED = 5  # in a note
 _SUFFIXES = (".h5", ".hdf5", ".pt")
 # of files of gelslim_depth
 _SPLIT_NAME = re.compile(r"^(?P<tool>.+)_(?P<split>train|val|validation|test)$")
@@ -66,28 +229,6 @@ class RecordedPair:
     target_frame: TactileFrame
     target_truth: Truth | None
     alignment: Alignment
-
-
-class LearnsFromPairs(Protocol):
-    """Further methods of a task that trains on recorded pairs."""
-
-    @property
-    def pair_sensors(self) -> tuple[str, str]:
-        """Names of source and target."""
-        ...
-
-    def prepare_pair(self, pair: RecordedPair) -> Any:
-        """What examples of a pair are made of.
-
-        None where the task cannot use it. The result is cached.
-        """
-        ...
-
-    def make_pair_example(
-        self, prepared: Any, rng: np.random.Generator, *, is_validation: bool
-    ) -> Example:
-        """An example with the arrays of a simulated one; augmented unless it validates."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,13 +287,12 @@ def open_pairs(folder: PairFolder, source_name: str, target_name: str) -> PairSe
         streams = _match_streams(recording, source_name, target_name)
         if not streams:
             raise NoPairs(f"{str(file)!r} holds no pairs of {source.title} and {target.title}")
-        moments = _list_moments(recording, streams, file)
-        wrong = [
-            moment[0].grasp.name
-            for moment in moments
-            if recording.find_pair_problem(moment[0].index)
-        ]
-        found += [moment for moment in moments if not recording.find_pair_problem(moment[0].index)]
+        wrong: list[str] = []
+        for moment in _list_moments(recording, streams, file):
+            if recording.find_pair_problem(moment[0].index):
+                wrong.append(moment[0].grasp.name)
+            else:
+                found.append(moment)
         notes |= dict.fromkeys(_describe_recording(recording, streams, wrong))
     if not found:
         raise FileProblem("both sensors are recorded at no moment", path)
@@ -224,9 +364,9 @@ def _describe_recording(
     one, other = streams[0]
     notes = list(recording.notes)
     if wrong:
-        more = ", ..." if len(wrong) > _MAX_NAMES else ""
+        more = ", ..." if len(wrong) > _MAX_LISTED else ""
         notes.append(
-            f"{len(wrong)} wrong pairs are left out: {', '.join(wrong[:_MAX_NAMES])}{more}; see "
+            f"{len(wrong)} wrong pairs are left out: {', '.join(wrong[:_MAX_LISTED])}{more}; see "
             "inspect"
         )
     notes += [note for pair in streams if (note := pair_frames(*pair).note)]
@@ -242,10 +382,10 @@ def _describe_recording(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PairTask:
+class PairTask(Task):
     """A task on recorded pairs; loss and metrics are the task's."""
 
-    task: Any  # a Task that is LearnsFromPairs
+    task: Any  # a Task that trains on pairs
     folder: PairFolder
 
     def sample(self, rng: np.random.Generator) -> Example:
@@ -283,18 +423,12 @@ class PairTask:
         return open_pairs(self.folder, *self.task.pair_sensors)
 
     def _make_example(
-        self, order: Any, rng: np.random.Generator, *, is_validation: bool
+        self, order: Iterable[PairPlace], rng: np.random.Generator, *, is_validation: bool
     ) -> Example:
         for place in order:
-            key = (
-                self.task,
-                self.folder,
-                str(place.recording.path),
-                place.source_stream.name,
-                place.index,
-            )
             (prepared,) = _prepared.get_or_make(
-                key, lambda p=place: (self.task.prepare_pair(self._pairs.load(p)),)
+                (self.task, place.recording.path, place.source_stream.name, place.index),
+                lambda p=place: (self.task.prepare_pair(self._pairs.load(p)),),
             )
             if prepared is not None:
                 return self.task.make_pair_example(prepared, rng, is_validation=is_validation)

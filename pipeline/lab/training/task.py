@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from pipeline.core.errors import SettingProblem
 from pipeline.core.params import setting
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 Split = Literal["unseen_grasps", "unseen_tools"]
 SPLITS: tuple[Split, ...] = ("unseen_grasps", "unseen_tools")
+TargetSensor = Literal["soft_bubble", "gelslim"]
 VALIDATION_SEED = 7  # of presses for validation; recipes train with press_seed 1
 
 
@@ -30,8 +31,13 @@ class Task(Protocol):
     """A frozen dataclass whose fields are `pipeline.core.params.setting`s: the [settings] of a
     recipe.
 
-    Worker processes receive it to make examples, so its module loads no torch on import.
+    Worker processes receive it to make examples, so its module loads no torch on import. A task
+    that also trains on recorded pairs has `pair_sensors`, the names of source and target,
+    `prepare_pair(pair)`, which is cached, None where the pair cannot be used, and
+    `make_pair_example(prepared, rng, is_validation)`, augmented unless it validates.
     """
+
+    __slots__ = ()
 
     def sample(self, rng: np.random.Generator) -> Example:
         """One training example; `rng` is its only randomness.
@@ -44,10 +50,19 @@ class Task(Protocol):
         """Validation example `index`; the same on every call, and never trained on."""
         ...
 
+    def count_validation_examples(self, split: Split) -> int:  # noqa: ARG002
+        """Number of validation examples of a split; 0 = none."""
+        return 1 << 30
+
+    def collect_notes(self) -> tuple[str, ...]:
+        """What was assumed or left out of recordings; called before training starts."""
+        return ()
+
     def compute_loss(
         self, network: nn.Module, batch: Mapping[str, Tensor]
     ) -> tuple[Tensor, dict[str, Any]]:
-        """The loss, a mean over the examples, and its named terms (numbers or scalar tensors).
+        """The loss, a mean over the examples, and its named terms (numbers or scalar tensors, also
+        of the graph).
 
         `network` is only called: it may be wrapped for several processes.
         `distributed.unwrap_network` gives its configuration. Its output is float32 in any
@@ -59,27 +74,6 @@ class Task(Protocol):
         """Metrics on validation examples: name with unit -> value, such as "error in contact,
         um".
         """
-        ...
-
-
-@runtime_checkable
-class HasNotes(Protocol):
-    """Further method of a task that trains on recordings."""
-
-    def collect_notes(self) -> tuple[str, ...]:
-        """Open the recordings and return what was assumed or left out.
-
-        Called before training starts.
-        """
-        ...
-
-
-@runtime_checkable
-class HasFewExamples(Protocol):
-    """Further method of a task whose validation examples are limited."""
-
-    def count_validation_examples(self, split: Split) -> int:
-        """Number of validation examples of a split; 0 = none."""
         ...
 
 
@@ -95,8 +89,12 @@ TASKS: dict[str, TaskEntry] = {
     "depth_anything": TaskEntry(
         subcommand="depth", import_path="pipeline.lab.training.depth_anything:DepthAnythingTask"
     ),
-    "vqvae": TaskEntry(subcommand="vqvae", import_path="pipeline.lab.training.vqvae:VqVaeTask"),
-    "latent": TaskEntry(subcommand="latent", import_path="pipeline.lab.training.latent:LatentTask"),
+    "vqvae": TaskEntry(
+        subcommand="vqvae", import_path="pipeline.lab.training.square_tasks:VqVaeTask"
+    ),
+    "latent": TaskEntry(
+        subcommand="latent", import_path="pipeline.lab.training.square_tasks:LatentTask"
+    ),
     "touch_pose": TaskEntry(
         subcommand="pose", import_path="pipeline.lab.training.touch_pose:TouchPoseTask"
     ),
@@ -104,15 +102,28 @@ TASKS: dict[str, TaskEntry] = {
         subcommand="depth", import_path="pipeline.lab.training.bubble_depth:BubbleDepthTask"
     ),
     "touch_residual": TaskEntry(
-        subcommand="t2d2", import_path="pipeline.lab.training.touch_residual:TouchResidualTask"
+        subcommand="t2d2", import_path="pipeline.lab.training.denoising:TouchResidualTask"
     ),
     "cloned_policy": TaskEntry(
-        subcommand="policy", import_path="pipeline.lab.tasks.cloning:ClonedPolicyTask"
+        subcommand="policy", import_path="pipeline.lab.tasks.marble:ClonedPolicyTask"
     ),
     "touch_to_touch": TaskEntry(
-        subcommand="t2t", import_path="pipeline.lab.training.touch_to_touch:TouchToTouchTask"
+        subcommand="t2t", import_path="pipeline.lab.training.denoising:TouchToTouchTask"
     ),
 }
+
+
+def weigh_terms(terms: Mapping[str, tuple[float, Tensor]]) -> tuple[Tensor, dict[str, Tensor]]:
+    """The loss, a weighted sum, and its terms; `terms` are name -> (weight, term)."""
+    loss: Any = sum(weight * term for weight, term in terms.values())
+    return loss, {name: term for name, (_, term) in terms.items()}
+
+
+def average_rows(names: Sequence[str], rows: Sequence[Sequence[float]]) -> dict[str, float]:
+    """Name -> mean of its column; a row for each validation example."""
+    import numpy as np
+
+    return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
 
 
 def import_task_class(name: str) -> type[Any]:
@@ -124,19 +135,13 @@ def import_task_class(name: str) -> type[Any]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StoredPresses:
-    """Settings of the simulated presses that a task's examples are made of."""
+class SimulatedPresses(Task):
+    """Settings of a task whose examples are drawn from a number of presses."""
 
     press_seed: int = setting(1, "Seed of presses", low=0, high=2**31 - 1)
     folder: str = setting(
         "", "Folder", help="stores simulated presses for other runs; empty = simulated in every run"
     )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SimulatedPresses(StoredPresses):
-    """Settings of a task whose examples are drawn from a number of presses."""
-
     n_presses: int = setting(
         2000,
         "Presses",
@@ -146,6 +151,10 @@ class SimulatedPresses(StoredPresses):
     )
 
 
-def augmentation_setting(help: str = "rotated or mirrored examples") -> Any:  # noqa: A002 - as `setting` has it
-    """Share of augmented examples."""
-    return setting(0.5, "Augmentation share", low=0.0, high=1.0, help=help)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AugmentedPresses(SimulatedPresses):
+    """Presses that are also shown rotated or mirrored."""
+
+    augmentation_share: float = setting(
+        0.5, "Augmentation share", low=0.0, high=1.0, help="rotated or mirrored examples"
+    )

@@ -16,7 +16,7 @@ from app.session.state import load_session
 from app.task.rollout_attribution import RolloutAttributionController
 from app.task.rollout_export import RolloutExportController
 from app.task.rollouts import RolloutController
-from pipeline.lab.tasks.rollout_bundle import replay_rollout
+from pipeline.lab.tasks.rerun import replay_rollout
 from pipeline.lab.tasks.scene_view import ESTIMATE_NAME, TRUE_NAME
 from widgets.task.trials_panel import ERROR_MM
 

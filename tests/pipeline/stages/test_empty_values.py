@@ -19,7 +19,7 @@ from pipeline.core.graph import Fallback, Skipped
 from pipeline.core.params import NoParams
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import Cloud, DepthMap, TargetDepth
-from pipeline.lab.tracking import membrane_surface, patch_map, surface_registration, track
+from pipeline.lab.tracking import patch_map, surface_registration, track_recording
 from pipeline.lab.tracking.tracker import Tracker
 from pipeline.stages.cloud import back_projection
 from pipeline.stages.depth import bubble_depth, contact_force
@@ -139,7 +139,7 @@ def force(name: str, kind: str, place: Any) -> Any:
 
 def tracked(name: str, kind: str, place: Any) -> Any:
     depth = make_depth(name, kind, place)
-    surface = membrane_surface.make_surface(depth)
+    surface = surface_registration.make_surface(depth)
     assert not surface.is_touched
     assert (
         surface_registration.register_surfaces(surface, surface, np.eye(4)) is None
@@ -150,9 +150,9 @@ def tracked(name: str, kind: str, place: Any) -> Any:
         "no contact",
         "lost",
     ]
-    result = track.track_frames((0, 1), lambda _: depth)
-    assert track.compute_error(result, lambda _: np.eye(4)) is None
-    record = track.make_record(result, "depth", None)
+    result = track_recording.track_frames((0, 1), lambda _: depth)
+    assert track_recording.compute_error(result, lambda _: np.eye(4)) is None
+    record = track_recording.make_record(result, "depth", None)
     assert (record.patch, record.n_parts, record.count("no contact")) == (None, 0, 2)
 
 
@@ -162,19 +162,19 @@ def tracked_at_the_rim(name: str, _kind: str, place: Any) -> Any:
     pushed = np.zeros(sensor.camera.shape)
     along = int(place[0] * (sensor.camera.cols - 26))
     pushed[:3, along : along + 26] = 0.5
-    surface = membrane_surface.make_surface(depth_map(sensor, pushed))
+    surface = surface_registration.make_surface(depth_map(sensor, pushed))
     assert surface_registration.register_surfaces(surface, surface, np.eye(4)) is None
     assert surface_registration.measure_overlap(surface, np.eye(4)) == 0.0
 
 
 def nothing_tracked(_kind: str, _place: Any) -> Any:
-    result = track.track_frames((), lambda _: None)
+    result = track_recording.track_frames((), lambda _: None)
     assert (result.frames, result.keys, result.patch) == ((), (), None)
-    assert track.smooth_frames(()) == ()
+    assert track_recording.smooth_frames(()) == ()
     assert patch_map.fuse_views(()) is None
     assert patch_map.close_loops(()) == ((), 0)
-    assert track.smooth_coordinates(np.zeros((1, 6))).shape == (1, 6)
-    assert track.smooth_coordinates(np.zeros((0, 6))).shape == (0, 6)
+    assert track_recording.smooth_coordinates(np.zeros((1, 6))).shape == (1, 6)
+    assert track_recording.smooth_coordinates(np.zeros((0, 6))).shape == (0, 6)
 
 
 def poses(name: str, kind: str, place: Any) -> list[Any]:

@@ -13,7 +13,7 @@ from pipeline.core.graph import Fallback, Graph, Skipped
 from pipeline.core.progress import SILENT
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import TargetDepth, make_pixel_index
-from pipeline.lab.training.touch_residual import TouchResidualTask
+from pipeline.lab.training.denoising import TouchResidualTask
 from pipeline.physics import optics
 from pipeline.physics.simulation import poses, shapes
 from pipeline.physics.simulation.press import simulate_press

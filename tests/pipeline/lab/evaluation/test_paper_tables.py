@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
 from pipeline.core.errors import SettingProblem
-from pipeline.lab.evaluation import held_out, time_error_sweep, touch_features
+from pipeline.lab.evaluation import held_out, touch_scoring
 from pipeline.lab.evaluation.held_out import (
     SENSORS,
     HeldOutOptions,
@@ -133,8 +132,7 @@ def test_a_row_for_each_baseline_and_method_and_physics_beats_the_baselines(
 
 def test_the_encoders_of_the_feature_distances_do_not_change():
     bubble, gel = (
-        touch_features.load_encoder_weights(load_sensor(name))
-        for name in ("soft_bubble", "gelslim")
+        touch_scoring.load_encoder_weights(load_sensor(name)) for name in ("soft_bubble", "gelslim")
     )
     assert (bubble.name, bubble.content_digest[:12]) == ("encoder_soft_bubble", "29fb460ca3ef"), (
         "distances of earlier reports are not comparable"
@@ -142,42 +140,6 @@ def test_the_encoders_of_the_feature_distances_do_not_change():
     assert (gel.name, gel.content_digest[:12]) == ("encoder_gelslim", "8b3593db1308"), (
         "distances of earlier reports are not comparable"
     )
-
-
-def test_guidance_is_swept_at_eight_steps_unless_the_steps_are_set(cache_folder, monkeypatch):
-    asked = []
-    monkeypatch.setattr(
-        time_error_sweep,
-        "evaluate_tables",
-        lambda one, *_: asked.append(one.settings) or sweep_of_nothing(),
-    )
-    time_error_sweep.sweep_parameters(
-        build_request(cache_folder, candidates=("t2d2",)), ("guidance",)
-    )
-    time_error_sweep.sweep_parameters(
-        build_request(cache_folder, candidates=("t2d2",), settings=("touch.steps=3",)),
-        ("guidance",),
-    )
-    steps = [dict(line.split("=") for line in settings).get("touch.steps") for settings in asked]
-    n = len(time_error_sweep.SWEEP_VALUES["guidance"])
-    assert steps == [None, *n * ["8"], *(1 + n) * ["3"]]
-
-
-def sweep_of_nothing():
-    return SimpleNamespace(rows=())
-
-
-def test_a_sweep_runs_only_methods_with_the_parameter_and_plots_each_direction(
-    cache_folder, few_objects, tmp_path
-):
-    points = time_error_sweep.sweep_parameters(
-        build_request(cache_folder, candidates=("mean", "physics")), ("steps",)
-    )
-    assert {(p.parameter, p.row.candidate) for p in points} == {("", "mean"), ("", "physics")}
-    (plot,) = time_error_sweep.draw_sweep_plots(points, tmp_path)
-    assert plot.name == "gelslim_to_soft_bubble.png"
-    with pytest.raises(SettingProblem, match="seed"):
-        time_error_sweep.sweep_parameters(build_request(cache_folder), ("seed",))
 
 
 def test_the_command_prints_both_tables_and_writes_every_metric(

@@ -16,9 +16,8 @@ from pipeline.core.errors import SettingProblem
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh, sample_surface
 from pipeline.lab.evaluation import paper_figures
-from pipeline.lab.evaluation.candidates import Candidate
+from pipeline.lab.evaluation.held_out import Candidate, find_trained_hold_out, select_recorded
 from pipeline.lab.evaluation.paper_tables import EvaluationRequest
-from pipeline.lab.evaluation.recorded_folders import find_trained_hold_out, select_recorded
 from pipeline.lab.evaluation.table_rows import build_rows
 from pipeline.lab.evaluation.touch_metrics import TouchMetrics, bootstrap_metrics, pool_metrics
 from pipeline.lab.evaluation.touch_scoring import PAPER_GRASP, GraspFinger, ScoredTouch

@@ -7,7 +7,7 @@ import pytest
 from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.values.frames import TactileFrame
 from pipeline.io import open_recording
-from pipeline.lab.tasks.in_hand import FINGERS, PlanarPose, press_between_fingers, project_to_plane
+from pipeline.lab.tasks.grasp import FINGERS, PlanarPose, press_between_fingers, project_to_plane
 from pipeline.lab.tasks.insertion import (
     FORCE_LIMIT_N,
     SHORT_MM,

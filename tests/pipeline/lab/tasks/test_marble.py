@@ -6,18 +6,23 @@ import pytest
 from pipeline.core.errors import SettingProblem
 from pipeline.io import open_recording
 from pipeline.lab.tasks import marble
-from pipeline.lab.tasks.cloning import ClonedPolicyTask
 from pipeline.lab.tasks.marble import (
     EXPERT,
     MAX_STEP_MM,
+    N_TICKS,
+    RADIUS_MM,
+    SOURCE,
+    START_MM,
+    TARGET,
+    ClonedPolicyTask,
+    draw_trial,
     is_held,
     limit_step,
+    make_ball,
     roll,
     run_trial,
     shrink_image,
 )
-from pipeline.lab.tasks.marble_trial import N_TICKS, SOURCE, START_MM, TARGET, draw_trial
-from pipeline.lab.tasks.rolling import RADIUS_MM, make_ball
 from pipeline.lab.tasks.rollout_file import write_rollout
 from pipeline.lab.tasks.runner import make_jobs, run_job, run_jobs
 from pipeline.lab.tasks.task import TrialPlan

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from pipeline.core.geometry import rigid
-from pipeline.lab.tasks.in_hand import PlanarPose
-from pipeline.lab.tasks.insertion import BEYOND_MM, STIFFNESS_N_MM, insert
-from pipeline.lab.tasks.peg import cut_peg
-from pipeline.lab.tasks.rolling import TICK_S, RollingBall
+from pipeline.lab.tasks.grasp import PlanarPose
+from pipeline.lab.tasks.insertion import BEYOND_MM, STIFFNESS_N_MM, cut_peg, insert
+from pipeline.lab.tasks.marble import TICK_S, RollingBall
 from pipeline.lab.tasks.scene import GRAVITY_MM_S2, Scene, write_pose
 from pipeline.physics.simulation.shapes.solids import make_chamfered_prism, transform_mesh
 

@@ -10,12 +10,18 @@ import pytest
 from pipeline.core.errors import FileProblem
 from pipeline.core.progress import Cancelled
 from pipeline.lab.tasks.insertion import make_tool
-from pipeline.lab.tasks.rerun import attribute_rollout, compare_rollouts, describe_error, run_again
-from pipeline.lab.tasks.rollout_bundle import copy_case, replay_rollout, write_rollout_bundle
+from pipeline.lab.tasks.rerun import (
+    attribute_rollout,
+    compare_rollouts,
+    copy_case,
+    describe_error,
+    replay_rollout,
+    run_again,
+    write_rollout_bundle,
+)
 from pipeline.lab.tasks.rollout_file import read_rollout
 from pipeline.lab.tasks.runner import make_jobs, run_job
-from pipeline.lab.tasks.scene_bodies import make_box
-from pipeline.lab.tasks.scene_view import build_scene, cut_dashes, find_edges
+from pipeline.lab.tasks.scene_view import build_scene, cut_dashes, find_edges, make_box
 from pipeline.lab.tasks.task import load_task
 from pipeline.lab.tasks.trial_rows import compute_error_deg, is_rollout_folder, list_trials
 

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from pipeline.lab.tasks.in_hand import PlanarPose
+from pipeline.lab.tasks.grasp import PlanarPose
 from pipeline.lab.tasks.stack import measure_off_mm, stack
 
 HELD = PlanarPose(x_mm=1.0, y_mm=-2.0, angle_rad=0.4)

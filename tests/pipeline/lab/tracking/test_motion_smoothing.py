@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.lab.tracking import track
-from pipeline.lab.tracking.track import smooth_coordinates
+from pipeline.lab.tracking import track_recording
+from pipeline.lab.tracking.track_recording import smooth_coordinates
 
 FRAMES = np.arange(40.0)
 
@@ -44,6 +44,6 @@ def test_frames_without_a_measurement_are_bridged():
 def test_velocities_stay_as_large_as_they_are(phi, s):
     """The variance of an Ornstein-Uhlenbeck process is the same in every frame."""
     state = (np.zeros(1), np.full(1, 2.0), np.zeros(1), np.zeros(1), np.full(1, s**2))
-    x, v, xx, xv, vv = track._predict(state, np.full(1, phi), np.full(1, s))
+    x, v, xx, xv, vv = track_recording._predict(state, np.full(1, phi), np.full(1, s))
     np.testing.assert_allclose([x[0], v[0], vv[0]], [2.0, 2.0 * phi, s**2])
     np.testing.assert_allclose([xx[0], xv[0]], [s**2, phi * s**2])

@@ -14,11 +14,12 @@ from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import load_mesh
 from pipeline.core.values.results import DepthErrorModel
 from pipeline.lab.tracking import patch_map, tracker
-from pipeline.lab.tracking import track as track_module
-from pipeline.lab.tracking.mean_surface import average_surfaces
-from pipeline.lab.tracking.membrane_surface import make_surface
-from pipeline.lab.tracking.surface_registration import register_surfaces
-from pipeline.lab.tracking.track import compute_error, make_record, track_frames
+from pipeline.lab.tracking import track_recording as track_module
+from pipeline.lab.tracking.surface_registration import (
+    average_surfaces,
+    make_surface,
+    register_surfaces,
+)
 from pipeline.lab.tracking.track_record import (
     format_patch,
     format_table,
@@ -26,6 +27,7 @@ from pipeline.lab.tracking.track_record import (
     read_record,
     write_record,
 )
+from pipeline.lab.tracking.track_recording import compute_error, make_record, track_frames
 from pipeline.lab.tracking.tracker import GIVE_UP_AFTER, KeyFrame, TrackedFrame, Tracker
 from tests.pipeline.lab.tracking.presses import press, untouched
 

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.lab.training import bubble_presses
+from pipeline.lab.training import bubble_depth
 from pipeline.lab.training.bubble_depth import BubbleDepthTask
 from pipeline.lab.training.recipe import load_recipe
 from pipeline.stages.depth.bubble_network_input import N_CHANNELS
@@ -18,13 +18,13 @@ def task(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def pressed(task):
-    return bubble_presses.simulate_bubble_press("unseen_tools", 7, 0, task.folder)
+    return bubble_depth.simulate_bubble_press("unseen_tools", 7, 0, task.folder)
 
 
 def test_an_example_is_the_same_whether_its_press_is_stored_or_not(task):
     fresh = replace(task, folder="").sample(np.random.default_rng([1, 2]))
     for _ in range(2):  # the first call stores the press, the second loads it
-        bubble_presses._presses.clear()
+        bubble_depth._presses.clear()
         again = task.sample(np.random.default_rng([1, 2]))
         assert all(np.array_equal(fresh[name], again[name]) for name in fresh)
     other = task.sample(np.random.default_rng([1, 3]))
@@ -36,8 +36,8 @@ def test_an_example_is_the_same_whether_its_press_is_stored_or_not(task):
 def test_a_truncated_file_is_simulated_again(task, pressed, tmp_path):
     file = next(tmp_path.parent.glob("*/bubble_unseen_tools_7_0.npz"))
     file.write_bytes(file.read_bytes()[:1000])
-    bubble_presses._presses.clear()
-    again = bubble_presses.simulate_bubble_press("unseen_tools", 7, 0, task.folder)
+    bubble_depth._presses.clear()
+    again = bubble_depth.simulate_bubble_press("unseen_tools", 7, 0, task.folder)
     assert np.array_equal(again.gap_mm, pressed.gap_mm)
     assert file.stat().st_size > 1000
 
@@ -53,7 +53,7 @@ def test_both_frames_have_noise_and_share_their_gaps(pressed):
     rng = np.random.default_rng(0)
     sensor = pressed.sensor
     for _ in range(8):
-        rest, now = bubble_presses.simulate_noisy_depth_pair(pressed, rng)
+        rest, now = bubble_depth.simulate_noisy_depth_pair(pressed, rng)
         off = (rest - now) - pressed.indentation_mm
         assert 0.01 < np.nanstd(rest - sensor.rest_depth_mm) < 2.0
         assert 0.01 < np.nanstd(off) < 3.0

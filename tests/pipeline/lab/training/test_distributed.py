@@ -15,7 +15,7 @@ import pytest
 import torch
 from torch import nn
 
-from pipeline.lab.training import state
+from pipeline.lab.training import run_folder as state
 from pipeline.lab.training.distributed import wrap_precision
 from pipeline.lab.training.loop import TrainingRun, train
 from pipeline.lab.training.recipe import load_recipe

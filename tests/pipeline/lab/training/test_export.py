@@ -7,9 +7,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from pipeline.lab.training.export import make_weights
 from pipeline.lab.training.recipe import load_recipe
-from pipeline.lab.training.state import TrainingState, serialise_recipe
+from pipeline.lab.training.run_folder import TrainingState, make_weights, serialise_recipe
 from pipeline.stages.networks.network_factory import build_network, export_weights
 from pipeline.stages.networks.weights_registry import TARGET_KIND
 

@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.values.frames import Grasp
-from pipeline.lab.training.hold_out import assign_roles, list_tool_splits
+from pipeline.lab.training.recorded_pairs import assign_roles, list_tool_splits
 
 TOOLS = [f"tool_{k:02}" for k in range(12)]
 GRASPS = [Grasp(tool=tool, number=k) for tool in TOOLS for k in range(10)]

@@ -9,9 +9,10 @@ import pytest
 import torch
 
 from pipeline.core.errors import SettingProblem
-from pipeline.lab.training.latent import LatentTask
-from pipeline.lab.training.loop import to_tensors
-from pipeline.lab.training.touch_pairs import simulate_touch_pair
+from pipeline.lab.training import simulated_touches, square_tasks
+from pipeline.lab.training.examples import to_tensors
+from pipeline.lab.training.simulated_touches import simulate_touch_pair
+from pipeline.lab.training.square_tasks import LatentTask
 from pipeline.physics.simulation.press import move_bubble_closer
 from pipeline.sensors.alignment import resolve_alignment
 from pipeline.sensors.spec import load_sensor
@@ -134,10 +135,8 @@ def test_a_network_of_another_condition_is_refused(folder):
 
 
 def test_a_touch_from_depth_needs_no_pair(folder, monkeypatch):
-    from pipeline.lab.training import condition_squares
-
     monkeypatch.setattr(
-        condition_squares,
+        square_tasks,
         "simulate_touch_pair",
         lambda *_, **__: pytest.fail("a pair was simulated"),
     )
@@ -169,10 +168,8 @@ def test_a_bubbles_surface_is_measured_from_the_gels_at_rest():
 
 
 def test_training_pairs_may_touch_the_bubble_alone(folder, monkeypatch):
-    from pipeline.lab.training import touch_pairs
-
-    monkeypatch.setattr(touch_pairs, "_ABOVE_SHARE", 1.0)
-    monkeypatch.setattr(touch_pairs, "_ABOVE_MM", (-0.2, -0.1))
+    monkeypatch.setattr(simulated_touches, "_ABOVE_SHARE", 1.0)
+    monkeypatch.setattr(simulated_touches, "_ABOVE_MM", (-0.2, -0.1))
     found = [simulate_touch_pair("training", 6, k, folder, bubble_alone=True) for k in range(3)]
     assert all(pair.bubble_contact.any() and not pair.gel_contact.any() for pair in found)
     assert all(simulate_touch_pair("training", 6, k, folder) is None for k in range(3))

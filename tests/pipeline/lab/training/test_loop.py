@@ -21,10 +21,11 @@ import pytest
 
 from pipeline.core.errors import FileProblem, NotConverged, SettingProblem
 from pipeline.core.progress import Cancelled
-from pipeline.lab.training import examples, loop, state
-from pipeline.lab.training.export import make_weights
+from pipeline.lab.training import examples, loop
+from pipeline.lab.training import run_folder as state
 from pipeline.lab.training.loop import TrainingRun, train
 from pipeline.lab.training.recipe import load_recipe, override_training
+from pipeline.lab.training.run_folder import make_weights
 from pipeline.stages.networks.weights import save_weights
 from tests.pipeline.lab.training import toy
 
@@ -268,7 +269,7 @@ def test_a_full_disk_is_a_warning_during_training(run, monkeypatch, caplog):
 
     monkeypatch.setattr(state, "save_state", full_at_first)
     monkeypatch.setattr(
-        loop.curves,
+        state,
         "draw_curves",
         lambda folder, now: (_ for _ in ()).throw(FileProblem("full", folder)),
     )

@@ -13,9 +13,9 @@ from pipeline.core.errors import SettingProblem
 from pipeline.core.values.frames import Truth
 from pipeline.io import open_recording
 from pipeline.io.hdf5_writer import RecordingWriter
-from pipeline.lab.evaluation.recorded_folders import select_recorded
+from pipeline.lab.evaluation.held_out import select_recorded
+from pipeline.lab.training.denoising import TouchToTouchTask, jitter_example
 from pipeline.lab.training.depth_anything import DepthAnythingTask
-from pipeline.lab.training.latent import LatentTask
 from pipeline.lab.training.loop import TrainingRun, train
 from pipeline.lab.training.recipe import (
     RECIPES_FOLDER,
@@ -31,9 +31,8 @@ from pipeline.lab.training.recorded_pairs import (
     open_pairs,
     use_pairs,
 )
+from pipeline.lab.training.square_tasks import LatentTask, VqVaeTask
 from pipeline.lab.training.touch_pose import TouchPoseTask
-from pipeline.lab.training.touch_to_touch import ConditionedTouch, TouchToTouchTask, jitter_touch
-from pipeline.lab.training.vqvae import VqVaeTask
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.networks.depth_anything import DepthAnything
 from pipeline.stages.networks.weights import Weights, save_weights
@@ -77,7 +76,7 @@ def test_both_fingers_of_a_grasp_have_one_role(data):
         LatentTask(side=64),
         LatentTask(target="gelslim", condition="reprojected"),
         VqVaeTask(reprojects_input=True),
-        VqVaeTask(direction="bubble_to_gel", mirror_share=0.5),
+        VqVaeTask(target="gelslim", augmentation_share=0.5),
     ],
     ids=lambda task: f"{type(task).__name__} to {task.pair_sensors[1]}",
 )
@@ -245,13 +244,21 @@ def test_condition_and_touch_of_a_pair_are_jittered_together():
     y, x = np.mgrid[:20, :28]
     touch = 6.0 * np.exp(-((x - 10) ** 2 + (y - 10) ** 2) / 20.0).astype(np.float32)
     condition = np.stack([touch / 6.0] * 12 + [np.ones_like(touch)]).astype(np.float32)
-    pair = ConditionedTouch(condition=condition, indentation_mm=touch, contact=touch > 2.0)
+    contact = np.stack([touch > 2.0, touch > 9.0]).astype(np.float32)
+    pair = {
+        "condition": condition,
+        "residual": np.stack([touch, contact[0]]),
+        "contact": contact,
+    }
     for seed in range(5):
-        other = jitter_touch(pair, np.random.default_rng(seed))
-        assert np.corrcoef(other.condition[0].ravel(), other.indentation_mm.ravel())[0, 1] > 0.999
-        assert not np.array_equal(other.indentation_mm, pair.indentation_mm)
-        assert np.array_equal(other.contact, other.contact & (other.indentation_mm > 1.0))
-        assert (other.condition[-1] == 1.0).all(), "the mask is brightened"
+        other = jitter_example(pair, np.random.default_rng(seed))
+        moved = other["residual"][0]
+        assert np.corrcoef(other["condition"][0].ravel(), moved.ravel())[0, 1] > 0.999
+        assert not np.array_equal(moved, touch)
+        assert np.array_equal(other["residual"][1], other["contact"][0])
+        assert moved[other["contact"][0] > 0].min() > 1.0
+        assert not other["contact"][1].any()
+        assert (other["condition"][-1] == 1.0).all(), "the mask is brightened"
 
 
 def test_what_holds_no_pairs_and_tasks_without_pairs_are_refused():

@@ -9,13 +9,13 @@ import pytest
 import torch
 
 from pipeline.core.errors import SettingProblem
-from pipeline.lab.training import recipe, touch_squares
-from pipeline.lab.training.loop import to_tensors
-from pipeline.lab.training.touch_squares import simulate_touch_squares
-from pipeline.lab.training.vqvae import VqVaeTask
-from pipeline.physics.simulation.shapes import list_labelled_shapes
+from pipeline.lab.training import recipe, simulated_touches
+from pipeline.lab.training.examples import to_tensors
+from pipeline.lab.training.simulated_touches import place_nominal_sensors, simulate_touch_pair
+from pipeline.lab.training.square_tasks import VqVaeTask
 from pipeline.sensors import alignment
 from pipeline.stages.networks.network_factory import build_network
+from pipeline.stages.networks.touch_formats import denormalise
 from pipeline.stages.touch.image_condition import reproject_square
 
 
@@ -24,55 +24,24 @@ def folder(tmp_path_factory):
     return str(tmp_path_factory.mktemp("pairs"))
 
 
-def test_a_stored_touch_equals_the_simulated_one(folder):
-    pressed = simulate_touch_squares("all_objects", 3, 0)
-    for _ in range(2):  # simulated and stored, then loaded
-        touch_squares._touches.clear()
-        touch = simulate_touch_squares("all_objects", 3, 0, folder)
-        assert all(
-            np.array_equal(getattr(touch, name), getattr(pressed, name))
-            for name in (
-                "gel_change",
-                "nominal_gel_change",
-                "bubble_imprint_mm",
-                "exact_imprint_mm",
-                "alignment_from_object",
-            )
-        )
-    assert pressed.object_name in list_labelled_shapes()
-    assert pressed.gel_change.shape == (3, 128, 128)
-    assert pressed.exact_imprint_mm.max() > 1.0
-
-
 @pytest.mark.parametrize("damaged", [b"", b"PK\x03\x04", bytes(100)])
 def test_a_damaged_file_is_simulated_again(folder, damaged):
-    first = simulate_touch_squares("all_objects", 3, 0, folder)
-    touch_squares._touches.clear()
-    (file,) = (p for p in Path(folder).iterdir() if p.name == "squares_all_objects_3_0.npz")
-    file.write_bytes(damaged)
-    assert np.array_equal(
-        simulate_touch_squares("all_objects", 3, 0, folder).gel_change, first.gel_change
-    )
+    first = simulate_touch_pair("all_objects", 3, 0, folder)
+    simulated_touches._pairs.clear()
+    (Path(folder) / "pair_all_objects_3_0.npz").write_bytes(damaged)
+    again = simulate_touch_pair("all_objects", 3, 0, folder)
+    assert np.array_equal(again.change_grey, first.change_grey)
+    assert first.bubble_mm.max() > 1.0
 
 
-def test_nominal_and_other_gel_show_the_same_touch(folder):
-    """Both images change at the same places, under other light and markers."""
-    touch = simulate_touch_squares("all_objects", 3, 0, folder)
-    a, b = (
-        np.abs(change).sum(0).ravel() for change in (touch.gel_change, touch.nominal_gel_change)
-    )
-    assert not np.array_equal(touch.gel_change, touch.nominal_gel_change)
-    assert np.corrcoef(a, b)[0, 1] > 0.6
-
-
-@pytest.mark.parametrize(("direction", "left"), [("gel_to_bubble", 0.7), ("bubble_to_gel", 0.96)])
-def test_a_vqvae_overfits_one_pair(direction, left, folder):
-    task = VqVaeTask(direction=direction, n_presses=1, folder=folder)
+@pytest.mark.parametrize(("target", "left"), [("soft_bubble", 0.7), ("gelslim", 0.96)])
+def test_a_vqvae_overfits_one_pair(target, left, folder):
+    task = VqVaeTask(target=target, n_presses=1, folder=folder)
     batch = to_tensors(
         {k: v[None] for k, v in task.sample(np.random.default_rng(0)).items()}, "cpu"
     )
     torch.manual_seed(0)
-    inputs, outputs = (3, 1) if direction == "gel_to_bubble" else (1, 3)
+    inputs, outputs = (3, 1) if target == "soft_bubble" else (1, 3)
     net = build_network(
         "vqvae", {"inputs": inputs, "outputs": outputs, "width": 12, "codes": 64}
     ).train()
@@ -86,49 +55,36 @@ def test_a_vqvae_overfits_one_pair(direction, left, folder):
         losses.append(float(parts["reconstruction"]))
     assert losses[-1] < left * losses[0]
     figures = task.evaluate(net.eval(), [{k: v[0].numpy() for k, v in batch.items()}])
-    unit = "mm" if direction == "gel_to_bubble" else "grey"
+    unit = "mm" if target == "soft_bubble" else "grey"
     assert set(figures) == {f"error, {unit}", f"error where touched, {unit}"}
 
 
-@pytest.mark.parametrize("direction", ["gel_to_bubble", "bubble_to_gel"])
-def test_reprojected_sources_equal_those_of_the_method(direction, folder):
+@pytest.mark.parametrize("target", ["soft_bubble", "gelslim"])
+def test_reprojected_sources_equal_those_of_the_method(target, folder):
     """Training and use share the squares; a network of the other kind is refused."""
-    task = VqVaeTask(direction=direction, n_presses=1, folder=folder, reprojects_input=True)
-    touch, (gel, bubble) = (
-        simulate_touch_squares("training", 1, 0, folder),
-        touch_squares.load_nominal_sensors(),
+    plain, drawn = (
+        VqVaeTask(
+            target=target,
+            n_presses=1,
+            folder=folder,
+            reprojects_input=reprojects,
+            augmentation_share=0.0,
+        )
+        for reprojects in (False, True)
     )
-    source, target = (gel, bubble) if direction == "gel_to_bubble" else (bubble, gel)
-    square = touch.gel_change if direction == "gel_to_bubble" else touch.bubble_imprint_mm
-    example = task.sample(np.random.default_rng(0))
-    assert np.array_equal(
-        example["source"],
-        reproject_square(square, source, target, alignment.resolve_alignment(source, target)),
-    )
-    batch = to_tensors({name: np.stack([array]) for name, array in example.items()}, "cpu")
+    square, example = (task.sample(np.random.default_rng(0))["source"] for task in (plain, drawn))
+    pair = simulate_touch_pair("training", 1, 0, folder, bubble_alone=True)
+    sensors = place_nominal_sensors(float(pair.deeper_mm[0]))
+    source, other = sensors if target == "soft_bubble" else sensors[::-1]
+    change = denormalise(square, source.kind)
+    expected = reproject_square(change, source, other, alignment.resolve_alignment(source, other))
+    assert np.allclose(example, expected, atol=1e-3)
+    batch = to_tensors({"source": example[None], "target": example[None]}, "cpu")
     net = build_network(
         "vqvae", {"inputs": len(square), "outputs": 4 - len(square), "width": 4, "codes": 8}
     )
     with pytest.raises(SettingProblem, match="reprojects_input"):
-        task.compute_loss(net, batch)
-
-
-def test_source_and_target_are_mirrored_together(folder):
-    plain = VqVaeTask(n_presses=1, folder=folder).sample(np.random.default_rng(0))
-    seen = set()
-    for seed in range(40):
-        made = VqVaeTask(n_presses=1, folder=folder, mirror_share=1.0).sample(
-            np.random.default_rng(seed)
-        )
-        flips = [
-            axes
-            for axes in ((), (-1,), (-2,), (-1, -2))
-            if np.array_equal(np.flip(plain["source"], axes), made["source"])
-        ]
-        assert len(flips) == 1
-        assert np.array_equal(np.flip(plain["target"], flips[0]), made["target"])
-        seen.add(flips[0])
-    assert len(seen) == 4
+        drawn.compute_loss(net, batch)
 
 
 @pytest.mark.parametrize(

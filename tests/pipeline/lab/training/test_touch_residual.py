@@ -8,11 +8,10 @@ import torch
 
 from pipeline.core.arrays import freeze
 from pipeline.core.geometry import rigid
-from pipeline.lab.training import denoising, target_touches, touch_pairs
+from pipeline.lab.training import denoising, simulated_touches
+from pipeline.lab.training.denoising import TouchResidualTask, TouchToTouchTask
 from pipeline.lab.training.recipe import list_shipped_recipes, load_recipe
-from pipeline.lab.training.target_touches import simulate_target_touch
-from pipeline.lab.training.touch_residual import TouchResidualTask
-from pipeline.lab.training.touch_to_touch import TouchToTouchTask
+from pipeline.lab.training.simulated_touches import simulate_target_touch
 from pipeline.physics.simulation import shapes
 from pipeline.stages.networks.network_factory import build_network
 from pipeline.stages.networks.touch_formats import BUBBLE, GEL
@@ -40,8 +39,7 @@ def test_recipes_of_touch_to_depth_to_touch_use_no_pairs(monkeypatch):
         pressed.append(sensor.name)
         raise StopIteration
 
-    monkeypatch.setattr(target_touches, "simulate_press", press)
-    monkeypatch.setattr(touch_pairs, "simulate_press", press)
+    monkeypatch.setattr(simulated_touches, "simulate_press", press)
     names = list_shipped_recipes("t2d2")
     assert len(names) >= 2
     for name in names:
@@ -59,7 +57,7 @@ def test_recipes_of_touch_to_depth_to_touch_use_no_pairs(monkeypatch):
 def test_a_stored_touch_equals_the_simulated_one(folder):
     first = simulate_target_touch("gelslim", "unseen_tools", 7, 1, folder)
     for again in range(2):
-        target_touches._samples.clear()
+        simulated_touches._touches.clear()
         found = simulate_target_touch("gelslim", "unseen_tools", 7, 1, folder if again else "")
         for name in (
             "observed_mm",
@@ -130,7 +128,7 @@ def test_a_network_learns_a_touch_and_its_metrics_start_at_the_baseline(task):
 def test_a_pair_gives_the_source_change_and_the_target_touch(folder):
     task = TouchToTouchTask(n_presses=2, folder=folder)
     example = task.make_validation_example("unseen_tools", 0)
-    pair = touch_pairs.simulate_touch_pair("unseen_tools", 7, 0, folder)
+    pair = simulated_touches.simulate_touch_pair("unseen_tools", 7, 0, folder)
     assert example["condition"].shape == (13, *pair.bubble_mm.shape)
     assert np.allclose(BUBBLE.residual_unit_mm * example["residual"][0], pair.bubble_mm, atol=1e-4)
     assert not example["contact"][1].any()
@@ -141,17 +139,17 @@ def test_a_mirrored_pair_is_that_of_the_mirrored_object(monkeypatch):
     """Nominal sensors, so that only the mirroring differs; along both axes at once."""
     over = np.diag([-1.0, -1.0, 1.0])
     monkeypatch.setattr(
-        touch_pairs.variation, "vary_sensor", lambda sensor, seed, strength=1.0: sensor
+        simulated_touches.variation, "vary_sensor", lambda sensor, seed, strength=1.0: sensor
     )
     mesh = shapes.make_shape("letters").mesh
     pose = rigid.translation(1.0, -2.0, -0.6)
-    monkeypatch.setattr(touch_pairs, "sample_object", lambda *_, **__: ("", mesh))
-    monkeypatch.setattr(touch_pairs.poses, "sample_press_pose", lambda *_, **__: pose)
-    pair = touch_pairs._simulate_pair("unseen_tools", np.random.default_rng(0), 0)
+    monkeypatch.setattr(simulated_touches, "sample_object", lambda *_, **__: ("", mesh))
+    monkeypatch.setattr(simulated_touches.poses, "sample_press_pose", lambda *_, **__: pose)
+    pair = simulated_touches._simulate_pair("unseen_tools", np.random.default_rng(0), 0)
     turned = replace(mesh, vertices_mm=freeze(rigid.apply(pose, mesh.vertices_mm) @ over))
-    monkeypatch.setattr(touch_pairs, "sample_object", lambda *_, **__: ("", turned))
-    monkeypatch.setattr(touch_pairs.poses, "sample_press_pose", lambda *_, **__: np.eye(4))
-    true = touch_pairs._simulate_pair("unseen_tools", np.random.default_rng(0), 0)
+    monkeypatch.setattr(simulated_touches, "sample_object", lambda *_, **__: ("", turned))
+    monkeypatch.setattr(simulated_touches.poses, "sample_press_pose", lambda *_, **__: np.eye(4))
+    true = simulated_touches._simulate_pair("unseen_tools", np.random.default_rng(0), 0)
 
     class Both:
         """A generator that asks for both mirrors."""
@@ -159,7 +157,7 @@ def test_a_mirrored_pair_is_that_of_the_mirrored_object(monkeypatch):
         def integers(self, high):
             return 3 if high == 4 else 0
 
-    found = touch_pairs.mirror_pair(pair, Both())
+    found = simulated_touches.mirror_pair(pair, Both())
     assert pair.gel_contact.any()
     assert np.abs(true.bubble_mm - pair.bubble_mm).max() > 1.0, (
         "the touch is symmetric: the test shows nothing"

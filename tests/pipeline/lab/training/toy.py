@@ -38,7 +38,7 @@ noise = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Discs:
+class Discs(task.Task):
     noise: float = setting(0.1, "Noise", low=0.0, high=1.0)
     bad_from: int = setting(-1, "Examples of NaN from this value on", low=-1, high=100)
 
