@@ -36,7 +36,7 @@ _WORKERS = 2
 _PARALLEL_PIXELS = 2**18
 _NEAR_MM = 0.25  # farther than lens and smoothing spread an edge
 _PRESSURE_MIN = np.float32(0.02)  # mm/mm: noise and an inexact light make as much
-MEDIAN_PRESSURE_SHARE = 0.32  # of the median pressure of a region above `_CORE_SHARE`
+_MEDIAN_SHARE = np.float32(0.32)  # of the median pressure of a region above `_CORE_SHARE`
 # of the region's peak
 _CORE_SHARE = np.float32(0.16)
 _PART_SHARE = np.float32(0.25)
@@ -91,7 +91,6 @@ def detect_contact(
     least_mm: float,
     pressure_share: float,
     smoothing_px: float,
-    median_pressure_share: float = MEDIAN_PRESSURE_SHARE,
 ) -> Mask:
     """Contact of a gel (rows, cols): indented by `least_mm` or more, with more pressure than a
     share of that nearby.
@@ -119,7 +118,6 @@ def detect_contact(
         held[here],
         pixel_mm,
         pressure_share,
-        np.float32(median_pressure_share),
     )
     touched[here] = _add_faces(indentation_mm[here], _select_seeded(pressed, sure), deep_here)
     return touched
@@ -140,7 +138,6 @@ def _compare_with_nearby(
     held: Mask,
     pixel_mm: float,
     pressure_share: float,
-    median_share: np.float32,
 ) -> tuple[Mask, Mask]:
     """The pixels (rows, cols) of `deep` with enough pressure, and those of them with a part of
     their region's peak.
@@ -167,7 +164,7 @@ def _compare_with_nearby(
         1.0,
     )
     share = pressure_share + np.maximum(_RIDGE_SHARE - pressure_share, 0.0) * ridge
-    limit = np.maximum(np.maximum(_PRESSURE_MIN, median_share * median), share * near)
+    limit = np.maximum(np.maximum(_PRESSURE_MIN, _MEDIAN_SHARE * median), share * near)
     enough = held & (own > limit)
     pressed = np.zeros_like(deep)
     sure = np.zeros_like(deep)

@@ -79,7 +79,6 @@ def detect_contact(
         least_mm=params.contact_limit * source.limits.contact_min_mm,
         pressure_share=params.pressure_share,
         smoothing_px=_CONTACT_BLUR_PX,
-        median_pressure_share=calibration.median_pressure_share or contact.MEDIAN_PRESSURE_SHARE,
     )
     pressed = contact.remove_specks(
         pressed & (window.changed | inside), max(4, round(_SPECK_MM2 / pixel_mm**2))
