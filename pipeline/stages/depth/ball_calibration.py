@@ -38,7 +38,7 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.photometric import DepthParams, estimate_gel_depth
 
 _MEASURED_MAX = 8  # presses that a calibration measures to be judged
-_SIGNIFICANCE = 2.0  # standard errors of the mean gain of a table
+_CHANCE = 0.05  # with which a table that gains nothing would be taken
 _COVERAGE_MIN = 0.5  # of the image
 
 
@@ -160,13 +160,13 @@ def has_coverage(coverage: Mask) -> bool:
 
 
 def is_significantly_better(held: Doubles, errors: Doubles) -> bool:
-    """Whether errors `held` (n,) are smaller than `errors`, press by press: by a mean gain of
-    several standard errors.
+    """Whether errors `held` (n,) are smaller than `errors`, press by press (Wilcoxon's signed
+    ranks, which four presses are too few for).
     """
+    from scipy.stats import wilcoxon
+
     gain = clip_sizes(errors) - clip_sizes(held)
-    if len(gain) < 2:
-        return False
-    return float(gain.mean()) * math.sqrt(len(gain)) > _SIGNIFICANCE * float(gain.std(ddof=1))
+    return bool(gain.any()) and float(wilcoxon(gain, alternative="greater").pvalue) < _CHANCE
 
 
 def add_depth_scale(

@@ -16,10 +16,9 @@ median, not of the region's peak: a cone's is infinite at its tip, and 0.16 of i
 quarter of the cone.
 
 The constants were chosen by presses of the training objects on simulated sensor instances and by
-flat faces, except the share of the median pressure and the rule for hanging gel: the pressure of
-balls on real gels extends beyond their contact, and these two end it near their visible rim in the
-recordings of `benchmarks/real_depth.py`. By simulated instances alone the first would be 0.24 or
-less and the second unnecessary.
+flat faces, except the share of the median pressure: the pressure of balls on real gels extends
+beyond their contact, and this ends it near their visible rim in the recordings of
+`benchmarks/real_depth.py`. By simulated instances alone it would be 0.24 or less.
 """
 
 import math
@@ -44,20 +43,12 @@ _PART_SHARE = np.float32(0.25)
 _RIDGE_START = 1.7
 _RIDGE_END = 3.5
 _RIDGE_SHARE = 0.6
-# gel within this distance (about its thickness) of a deeper point, and shallower than this share of
-# it, hangs there
-_HANGING_MM = 2.0
-_HANGING_SHARE = np.float32(0.25)
 _BOX_MARGIN_PX = 8  # beyond what is indented: no filter of the contact reaches farther
-_REACH_CELLS = 8
 _SHORT_SORT_MAX = 2**16  # regions up to which 16-bit labels sort faster
 # of the largest region: smaller ones are dust and scratches that the press has shifted
 _SPECK_SHARE = 0.05
 _FLAT_DEPTH_SHARE = 0.8  # of the depth of the nearest rim: a face that deep is in contact as well
 _PRESSURE_FREE_BLUR_PX = 1.0
-_CORNER_LENGTH = 3.0  # times `narrow_px`
-# untouched frames of real Minis and drift of a real GelSlim make corners up to 0.1 mm deep
-_CORNER_MM = 0.12
 # of the region's steep slopes: the gel falls away next to a contact, but not on a face
 _FLAT_SLOPE_SHARE = 0.3
 
@@ -97,8 +88,7 @@ def detect_contact(
 
     An image's blur spreads pressure no farther than its own width, so only the peak within that
     counts: a cone's rim is in contact whatever its tip does, and the pressure of a sharp edge does
-    not widen the contact. Shallow gel close to a deep point hangs free: a ball's contact on real
-    gels ends where it is about a third as deep. A part in which no pixel reaches `_PART_SHARE` of
+    not widen the contact. A part in which no pixel reaches `_PART_SHARE` of
     its region's peak pressure is left out.
     """
     deep = indentation_mm > least_mm
@@ -106,16 +96,12 @@ def detect_contact(
         return deep
     pressure = compute_relative_pressure(indentation_mm, smoothing_px) / np.float32(pixel_mm)
     pressure[~deep] = 0.0
-    held = indentation_mm >= _HANGING_SHARE * _compute_local_maximum(
-        indentation_mm, _HANGING_MM / pixel_mm
-    )
     touched = np.zeros_like(deep)
     here = _find_box(deep, _BOX_MARGIN_PX)
     deep_here = np.ascontiguousarray(deep[here])
     pressed, sure = _compare_with_nearby(
         pressure[here],
         deep_here,
-        held[here],
         pixel_mm,
         pressure_share,
     )
@@ -135,14 +121,11 @@ def _find_box(mask: Mask, margin: int) -> tuple[slice, slice]:
 def _compare_with_nearby(
     pressure: Floats,
     deep: Mask,
-    held: Mask,
     pixel_mm: float,
     pressure_share: float,
 ) -> tuple[Mask, Mask]:
     """The pixels (rows, cols) of `deep` with enough pressure, and those of them with a part of
     their region's peak.
-
-    `held`: what does not hang from a deeper point.
     """
     import cv2
 
@@ -152,11 +135,8 @@ def _compare_with_nearby(
     at = np.flatnonzero(deep)  # the rest is on these pixels alone, each array (n,)
     own, near = (np.asarray(a, np.float32).reshape(-1)[at] for a in (pressure, dilated))
     region = found.reshape(-1)[at]
-    held = held.reshape(-1)[at]
     peak = _find_peaks(own, region, n)[region]
-    core = held & (
-        own > np.maximum(np.maximum(_PRESSURE_MIN, pressure_share * near), _CORE_SHARE * peak)
-    )
+    core = own > np.maximum(np.maximum(_PRESSURE_MIN, pressure_share * near), _CORE_SHARE * peak)
     median = _compute_medians(own[core], region[core], n)[region]
     ridge = np.clip(
         (near / np.maximum(median, _PRESSURE_MIN) - _RIDGE_START) / (_RIDGE_END - _RIDGE_START),
@@ -165,7 +145,7 @@ def _compare_with_nearby(
     )
     share = pressure_share + np.maximum(_RIDGE_SHARE - pressure_share, 0.0) * ridge
     limit = np.maximum(np.maximum(_PRESSURE_MIN, _MEDIAN_SHARE * median), share * near)
-    enough = held & (own > limit)
+    enough = own > limit
     pressed = np.zeros_like(deep)
     sure = np.zeros_like(deep)
     pressed.reshape(-1)[at] = enough
@@ -189,28 +169,6 @@ def detect_membrane_contact(
     peak = np.maximum(_find_peaks(load[deep], regions[deep], n), np.float32(1e-9))
     mask = deep & (load > peak[regions] * np.float32(pressure_share))
     return fill_holes(np.asarray(mask, np.bool_))
-
-
-def _compute_local_maximum(indentation_mm: Floats, reach_px: float) -> Floats:
-    """The largest indentation (rows, cols) within `reach_px` in rows and columns, on cells of an
-    eighth of it.
-    """
-    import cv2
-
-    by = max(1, round(reach_px / _REACH_CELLS))
-    rows, cols = indentation_mm.shape
-    small = cv2.resize(
-        indentation_mm, (-(-cols // by), -(-rows // by)), interpolation=cv2.INTER_AREA
-    )
-    width = 2 * round(reach_px / by) + 1
-    return np.asarray(
-        cv2.resize(
-            cv2.dilate(small, np.ones((width, width), np.uint8)),
-            (cols, rows),
-            interpolation=cv2.INTER_LINEAR,
-        ),
-        np.float32,
-    )
 
 
 def _label_regions(mask: Mask, connectivity: int = 8) -> tuple[Indices, int]:
@@ -325,52 +283,6 @@ def remove_weak_specks(mask: Mask, pressure: Floats, min_pixels: float, peak_sha
     keep[regions[mask & (pressure >= peak_share * float(pressure.max()))]] = True
     keep[0] = False
     return keep[regions]
-
-
-def remove_border_artifacts(
-    mask: Mask,
-    indentation_mm: Floats,
-    rows: slice,
-    cols: slice,
-    shape: tuple[int, int],
-    narrow_px: float,
-) -> Mask:
-    """The mask without artifacts of the image border.
-
-    It is the part `rows`, `cols` of an image of `shape`.
-
-    Artifacts are small, shallow regions in a corner (the corners of a gel slide under load), and
-    strips along the border no wider than `narrow_px`, if there is a larger contact away from the
-    border: beyond the border nothing is known to be at rest, and illumination is least known there.
-    """
-    import cv2
-
-    borders = (rows.start == 0, rows.stop == shape[0], cols.start == 0, cols.stop == shape[1])
-    if not any(
-        at and end.any()
-        for at, end in zip(borders, (mask[0], mask[-1], mask[:, 0], mask[:, -1]), strict=True)
-    ):
-        return mask
-    n, found, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
-    regions = np.asarray(found, np.int32)
-    keep = np.ones(n, np.bool_)
-    keep[0] = False
-    left, top, wide, tall, area = (np.asarray(stats[:, k], np.int64) for k in range(5))
-    across = np.stack([top + rows.start == 0, top + tall + rows.start == shape[0]])
-    along = np.stack([left + cols.start == 0, left + wide + cols.start == shape[1]])
-    cut = np.asarray(across.any(axis=0) | along.any(axis=0), np.bool_)
-    largest = int(area[1:][~cut[1:]].max(initial=0))
-    for k in (int(k) for k in np.flatnonzero(cut & keep)):
-        at_corner = np.count_nonzero(across[:, k]) == np.count_nonzero(along[:, k]) == 1
-        narrow = min(
-            tall[k] if across[:, k].any() else wide[k], wide[k] if along[:, k].any() else tall[k]
-        )
-        at_corner &= bool(
-            max(wide[k], tall[k]) <= _CORNER_LENGTH * narrow_px or narrow <= narrow_px
-        )
-        shallow = at_corner and float(indentation_mm[np.equal(regions, k)].max()) <= _CORNER_MM
-        keep[k] = not shallow and (narrow > narrow_px or area[k] > largest)
-    return np.asarray(keep[regions], np.bool_)
 
 
 @memoise(8)  # a touch has a window of its own size
