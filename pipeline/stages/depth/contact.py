@@ -16,9 +16,10 @@ median, not of the region's peak: a cone's is infinite at its tip, and 0.16 of i
 quarter of the cone.
 
 The constants were chosen by presses of the training objects on simulated sensor instances and by
-flat faces, except the share of the median pressure: the pressure of balls on real gels extends
-beyond their contact, and this ends it near their visible rim in the recordings of
-`benchmarks/real_depth.py`. By simulated instances alone it would be 0.24 or less.
+flat faces, except the share of the median pressure and the rule for hanging gel: the pressure of
+balls on real gels extends beyond their contact, and these two end it near their visible rim in the
+recordings of `benchmarks/real_depth.py`. By simulated instances alone the first would be 0.24 or
+less and the second unnecessary.
 """
 
 import math
@@ -29,6 +30,7 @@ import numpy as np
 from pipeline.core.arrays import Floats, Indices, Mask, freeze, percentile
 from pipeline.core.memo import memoise
 from pipeline.physics.slopes import compute_slopes
+from pipeline.stages.depth.rest_level import downsample, upsample
 
 # threads, and the pixels above which they save time
 _WORKERS = 2
@@ -43,6 +45,11 @@ _PART_SHARE = np.float32(0.25)
 _RIDGE_START = 1.7
 _RIDGE_END = 3.5
 _RIDGE_SHARE = 0.6
+# gel within this distance (about its thickness) of a deeper point, and shallower than this share of
+# it, hangs there
+_HANGING_MM = 2.0
+_HANGING_SHARE = np.float32(0.25)
+_REACH_CELLS = 8  # that distance, on a coarser grid
 _BOX_MARGIN_PX = 8  # beyond what is indented: no filter of the contact reaches farther
 _SHORT_SORT_MAX = 2**16  # regions up to which 16-bit labels sort faster
 # of the largest region: smaller ones are dust and scratches that the press has shifted
@@ -88,14 +95,15 @@ def detect_contact(
 
     An image's blur spreads pressure no farther than its own width, so only the peak within that
     counts: a cone's rim is in contact whatever its tip does, and the pressure of a sharp edge does
-    not widen the contact. A part in which no pixel reaches `_PART_SHARE` of
+    not widen the contact. Shallow gel close to a deep point hangs free: a ball's contact on real
+    gels ends where it is about a third as deep. A part in which no pixel reaches `_PART_SHARE` of
     its region's peak pressure is left out.
     """
     deep = indentation_mm > least_mm
     if not deep.any():
         return deep
     pressure = compute_relative_pressure(indentation_mm, smoothing_px) / np.float32(pixel_mm)
-    pressure[~deep] = 0.0
+    pressure[~deep | _find_hanging(indentation_mm, pixel_mm)] = 0.0
     touched = np.zeros_like(deep)
     here = _find_box(deep, _BOX_MARGIN_PX)
     deep_here = np.ascontiguousarray(deep[here])
@@ -107,6 +115,16 @@ def detect_contact(
     )
     touched[here] = _add_faces(indentation_mm[here], _select_seeded(pressed, sure), deep_here)
     return touched
+
+
+def _find_hanging(indentation_mm: Floats, pixel_mm: float) -> Mask:
+    """The gel (rows, cols) that is far shallower than a point close by."""
+    import cv2
+
+    by = max(1, round(_HANGING_MM / pixel_mm / _REACH_CELLS))
+    around = np.ones((2 * _REACH_CELLS + 1, 2 * _REACH_CELLS + 1), np.uint8)
+    deepest = np.asarray(cv2.dilate(downsample(indentation_mm, by), around), np.float32)
+    return indentation_mm < _HANGING_SHARE * upsample(deepest, indentation_mm.shape)
 
 
 def _find_box(mask: Mask, margin: int) -> tuple[slice, slice]:

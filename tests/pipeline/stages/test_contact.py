@@ -95,6 +95,18 @@ def test_the_contact_of_what_mechanics_press_is_found_nearly_to_its_rim(height_m
     assert iou(detect_contact(surface, PIXEL_MM, **LIMITS), contact) > least
 
 
+def test_gel_that_a_deep_contact_hardly_pulls_along_is_not_touched():
+    _, _, r = (
+        np.broadcast_to(a, (120, 140))
+        for a in (0, 0, np.hypot(*np.mgrid[-60:60, -70:70]) * PIXEL_MM)
+    )
+    ball = np.maximum(0.9 - r * r / 4.0, 0.0)
+    skirt = np.where(r < 2.6, 0.15, 0.0)
+    found = detect_contact(np.maximum(ball, skirt).astype(np.float32), PIXEL_MM, **LIMITS)
+    assert found[r < 1.2].all()
+    assert not found[r > 2.0].any()
+
+
 def test_a_light_touch_beside_a_firm_one_has_a_peak_of_its_own():
     surface, _ = press_gel_height(lambda x, y, r: 0.5 - (x + 2.0) ** 2 - y * y)
     light, contact = press_gel_height(lambda x, y, r: 0.06 - (x - 2.0) ** 2 / 2.0 - y * y / 2.0)
