@@ -55,7 +55,7 @@ _SPHERE_PIXELS_MIN = 12  # pixels that a sphere is fitted to
 _COVERAGE_GRID = (12, 12)  # places down and across
 # half-widths of the image from a press: within this, light correlates by three quarters
 _NEAR_SHARE = 0.5
-_PRIOR_PRESSES = 4.0  # presses that the usual error counts as
+_PRIOR_PRESSES = 8.0  # presses that the usual error counts as
 _MEDIAN_MIN = 0.005  # smaller medians of a few errors are chance
 _STD_OVER_MEAN = 1.253  # standard deviation of normal errors over the mean of their sizes
 # of the sizes of normal errors; the mean of a few is more certain by a third

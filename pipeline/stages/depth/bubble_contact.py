@@ -93,11 +93,7 @@ def _detect_candidates(indentation: Floats, least_mm: float, pixel_mm: float) ->
         )
         for share in (_CANDIDATE_SHARE, _CERTAIN_SHARE)
     )
-    if not strong.any():
-        return strong
-    _, regions = cv2.connectedComponents(weak.astype(np.uint8), connectivity=8)
-    regions = np.asarray(regions, np.int32)
-    weak &= np.isin(regions, np.unique(regions[strong]))
+    weak = contact.select_seeded(weak, strong)
     return np.asarray(
         cv2.dilate(weak.astype(np.uint8), _make_disc(_CANDIDATE_MARGIN_MM / pixel_mm)), np.bool_
     )

@@ -113,7 +113,7 @@ def detect_contact(
         pixel_mm,
         pressure_share,
     )
-    touched[here] = _add_faces(indentation_mm[here], _select_seeded(pressed, sure), deep_here)
+    touched[here] = _add_faces(indentation_mm[here], select_seeded(pressed, sure), deep_here)
     return touched
 
 
@@ -215,7 +215,7 @@ def _compute_medians(values: Floats, region: Indices, n: int) -> Floats:
     return medians
 
 
-def _select_seeded(mask: Mask, seeds: Mask) -> Mask:
+def select_seeded(mask: Mask, seeds: Mask) -> Mask:
     """The connected parts of `mask` that contain a seed."""
     regions, n = _label_regions(mask)
     keep = np.zeros(n, np.bool_)
