@@ -32,8 +32,7 @@ from pipeline.physics.simulation import shapes
 from pipeline.physics.simulation.press import simulate_press
 from pipeline.physics.simulation.variation import vary_sensor
 from pipeline.sensors.spec import load_sensor
-from pipeline.stages.depth.contact_force import FORCE_MODELS
-from pipeline.stages.depth.gel_force import estimate_gel_force
+from pipeline.stages.depth.contact_force import FORCE_MODELS, estimate_gel_force
 
 # depths, place, mm
 _RANGES = {"gelslim": (0.2, 0.8, 2.5), "digit": (0.2, 0.8, 2.5), "soft_bubble": (-1.0, 8.0, 15.0)}

@@ -282,7 +282,6 @@ def calibrations(draw: Any) -> Calibration:
         reference_thumbnail=draw(optional(arrays(np.uint8, (2, 3, 3)))),
         coverage_map=draw(optional(arrays(np.bool_, (2, 3)))),
         depth_scale_map=draw(optional(arrays(np.float32, (2, 3), st.floats(0.125, 9.0, width=32)))),
-        median_pressure_share=draw(optional(st.floats(0.01, 1.0))),
     )
 
 

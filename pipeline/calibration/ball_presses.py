@@ -1,24 +1,34 @@
 """Presses of a ball: the slopes around one, the circle that fits measured slopes, and pixels with
 known slopes.
 
-The pixels are what calibration tables and the shading field are fitted to.
+The pixels are what the shading field is fitted to.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.calibration import slope_model
-from pipeline.calibration.contact_circles import Circle, compute_ring_profile
+from pipeline.calibration.contact_circles import Circle
 from pipeline.calibration.shading_field import SurfaceSamples, compute_shading_terms
 from pipeline.calibration.slope_model import SlopeModel, SlopeSamples
-from pipeline.core.arrays import Doubles, Floats
+from pipeline.core.arrays import Doubles, Floats, freeze
 
 TRUSTED_RADIUS_SHARE = 0.85  # of the contact's radius: inside it the rim's blur has no effect
 # radii over the contact radius at which the slope profile is tabulated
 RING_RADII = np.arange(0.0, 2.001, 0.05)
+_CONTACT_PIXELS = 1000  # of a press, that the field is fitted to
+_SLOPE_HUBER = 0.1  # mm/mm: larger residuals count less
+_STEP_MAX_PX = 3.0
+
+
+def _compute_hertz_share() -> Doubles:
+    """Slope of an elastic half-space under a ball, over the ball's, at `RING_RADII` (Hertz)."""
+    t = np.maximum(RING_RADII, 1.0)
+    return freeze(2.0 / np.pi * (np.arcsin(1.0 / t) - np.sqrt(t**2 - 1.0) / t**2))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,128 +47,67 @@ class BallSlopeProfile:
     """
 
     radius_px: float
-    # at `RING_RADII`; None = unknown outside the trusted contact
-    sphere_slope_share: Doubles | None
+    # at `RING_RADII`
+    sphere_slope_share: Doubles = field(default_factory=_compute_hertz_share)
 
-    def compute_slope(self, distance_px: Doubles, contact_px: float) -> Doubles:
-        """Slope toward the centre, mm/mm."""
-        r = np.minimum(distance_px, 0.95 * self.radius_px)
-        sphere = r / np.sqrt(self.radius_px**2 - r * r)
-        t = distance_px / contact_px
-        if self.sphere_slope_share is None:
-            return np.where(t < TRUSTED_RADIUS_SHARE, sphere, 0.0)
-        return sphere * np.where(
-            t < TRUSTED_RADIUS_SHARE,
-            1.0,
-            np.interp(t, RING_RADII, self.sphere_slope_share, right=0.0),
-        )
+    def compute_slopes(self, dx: Doubles, dy: Doubles, contact_px: float) -> Doubles:
+        """Slopes (2, ...), mm/mm, at offsets from the centre in px."""
+        distance = np.maximum(np.hypot(dx, dy), 1e-6)
+        share = np.interp(distance / contact_px, RING_RADII, self.sphere_slope_share, right=0.0)
+        share = np.where(distance < TRUSTED_RADIUS_SHARE * contact_px, 1.0, share)
+        r = np.minimum(distance, 0.95 * self.radius_px)
+        fall = share * r / np.sqrt(self.radius_px**2 - r * r) / distance
+        return np.stack([-dx * fall, -dy * fall])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Neighbourhood:
     """Slopes by a calibration table around one press."""
 
-    x: Doubles  # (1, cols) of the image
-    y: Doubles  # (rows, 1)
-    gx: Floats  # (rows, cols)
-    gy: Floats
+    x: Doubles  # (rows, cols) of the image
+    y: Doubles
+    slopes: Floats  # (2, rows, cols)
 
-
-def _evaluate_around(model: SlopeModel, press: BallPress) -> _Neighbourhood:
-    c = press.circle
-    rows, cols = press.change.shape[:2]
-    reach = RING_RADII[-1] * c.radius_px + 4.0
-    r0, r1 = (min(max(0, round(c.y_px + d * reach)), rows) for d in (-1, 1))
-    c0, c1 = (min(max(0, round(c.x_px + d * reach)), cols) for d in (-1, 1))
-    u, v = slope_model.compute_positions((rows, cols))
-    part = np.ascontiguousarray(press.change[r0:r1, c0:c1])
-    gx, gy = slope_model.evaluate(
-        model, part, u[c0:c1], v[r0:r1], np.ones(part.shape[:2], np.bool_)
-    )
-    return _Neighbourhood(
-        x=np.arange(c0, c1, dtype=np.float64)[None, :],
-        y=np.arange(r0, r1, dtype=np.float64)[:, None],
-        gx=gx,
-        gy=gy,
-    )
-
-
-def _compute_radial_slopes(around: _Neighbourhood, circle: Circle) -> tuple[Floats, Doubles]:
-    """(slope toward the centre, distance from it) of every pixel around a press."""
-    dx = around.x - circle.x_px
-    dy = around.y - circle.y_px
-    distance = np.maximum(np.hypot(dx, dy), 1e-6)
-    return (-(around.gx * dx + around.gy * dy) / distance).astype(np.float32), distance
+    @classmethod
+    def evaluate(cls, model: SlopeModel, press: BallPress) -> _Neighbourhood:
+        c = press.circle
+        rows, cols = press.change.shape[:2]
+        reach = RING_RADII[-1] * c.radius_px + 4.0
+        r0, r1 = (min(max(0, round(c.y_px + d * reach)), rows) for d in (-1, 1))
+        c0, c1 = (min(max(0, round(c.x_px + d * reach)), cols) for d in (-1, 1))
+        u, v = slope_model.compute_positions((rows, cols))
+        part = np.ascontiguousarray(press.change[r0:r1, c0:c1])
+        every = np.ones(part.shape[:2], np.bool_)
+        y, x = np.mgrid[r0:r1, c0:c1].astype(np.float64)
+        slopes = slope_model.evaluate(model, part, u[c0:c1], v[r0:r1], every)
+        return cls(x=x, y=y, slopes=np.stack(slopes))
 
 
 def refine_circle(model: SlopeModel, press: BallPress, ball: BallSlopeProfile) -> Circle:
-    """The contact circle that fits the slopes of a calibration table."""
-    c = press.circle
-    around = _evaluate_around(model, press)
-    x = around.x
-    y = around.y
-    gx = around.gx
-    gy = around.gy
-    if ball.sphere_slope_share is not None:
-        return _fit_circle(around, c, ball)
-    inside = np.hypot(x - c.x_px, y - c.y_px) < TRUSTED_RADIUS_SHARE * c.radius_px
-    if inside.sum() < 12:
-        return c
-    along = ball.radius_px / np.sqrt(1.0 + gx * gx + gy * gy)
-    moved = replace(
-        c,
-        x_px=float(np.median((x + along * gx)[inside])),
-        y_px=float(np.median((y + along * gy)[inside])),
-    )
-    radial, _ = _compute_radial_slopes(around, moved)
-    local = replace(moved, x_px=moved.x_px - float(x[0, 0]), y_px=moved.y_px - float(y[0, 0]))
-    radii, profile = compute_ring_profile(radial, local, 1.7 * c.radius_px)
-    far = radii >= max(4.0, 0.4 * c.radius_px)
-    if not far.any():
-        return moved
-    return replace(
-        moved, radius_px=min(float(radii[far][int(np.argmax(profile[far]))]), 0.95 * ball.radius_px)
-    )
-
-
-def _fit_circle(around: _Neighbourhood, circle: Circle, ball: BallSlopeProfile) -> Circle:
-    """The circle whose ball fits the slopes: two robust Gauss-Newton steps over centre and
-    radius.
+    """The circle whose ball fits the slopes of a calibration table: two robust Gauss-Newton steps
+    over centre and radius.
     """
-    c = circle
+    around = _Neighbourhood.evaluate(model, press)
+
+    def compute_slopes(p: Doubles) -> Doubles:
+        return ball.compute_slopes(around.x - p[0], around.y - p[1], p[2]).ravel()
+
+    first = press.circle.radius_px
+    place = np.array([press.circle.x_px, press.circle.y_px, first])
     for _ in range(2):
-        now = _compute_ball_slopes(around, c, ball)
-        columns = [
-            (_compute_ball_slopes(around, replace(c, x_px=c.x_px + 1.0), ball) - now).ravel(),
-            (_compute_ball_slopes(around, replace(c, y_px=c.y_px + 1.0), ball) - now).ravel(),
-            (
-                _compute_ball_slopes(around, replace(c, radius_px=c.radius_px + 1.0), ball) - now
-            ).ravel(),
-        ]
-        off = (np.stack([around.gx, around.gy]) - now).ravel()
-        near = np.hypot(around.x - c.x_px, around.y - c.y_px) < RING_RADII[-1] * c.radius_px
-        weight = np.tile(near.ravel(), 2) * np.minimum(1.0, 0.1 / np.maximum(np.abs(off), 1e-6))
-        jacobian = np.stack(columns, axis=1)
+        now = compute_slopes(place)
+        jacobian = np.stack([compute_slopes(place + one) - now for one in np.eye(3)], axis=1)
+        off = around.slopes.ravel() - now
+        near = np.hypot(around.x - place[0], around.y - place[1]) < RING_RADII[-1] * place[2]
+        weight = np.tile(near.ravel(), 2) * np.minimum(
+            1.0, _SLOPE_HUBER / np.maximum(np.abs(off), 1e-6)
+        )
         normal = jacobian.T @ (jacobian * weight[:, None])
-        step = np.linalg.solve(
-            normal + 1e-6 * np.trace(normal) * np.eye(3) + 1e-12 * np.eye(3),
-            jacobian.T @ (weight * off),
-        )
-        step = np.clip(step, -3.0, 3.0)
-        radius = min(
-            max(c.radius_px + float(step[2]), 0.6 * circle.radius_px, 3.0), 0.95 * ball.radius_px
-        )
-        c = Circle(x_px=c.x_px + float(step[0]), y_px=c.y_px + float(step[1]), radius_px=radius)
-    return c
-
-
-def _compute_ball_slopes(around: _Neighbourhood, circle: Circle, ball: BallSlopeProfile) -> Doubles:
-    """Slopes (2, rows, cols) of the ball."""
-    dx = around.x - circle.x_px
-    dy = around.y - circle.y_px
-    r = np.maximum(np.hypot(dx, dy), 1e-6)
-    fall = ball.compute_slope(r, circle.radius_px) / r
-    return np.stack([-dx * fall, -dy * fall])
+        normal += (1e-6 * np.trace(normal) + 1e-12) * np.eye(3)
+        step = np.linalg.solve(normal, jacobian.T @ (weight * off))
+        place = place + np.clip(step, -_STEP_MAX_PX, _STEP_MAX_PX)
+        place[2] = min(max(place[2], 0.6 * first, 3.0), 0.95 * ball.radius_px)
+    return Circle(x_px=float(place[0]), y_px=float(place[1]), radius_px=float(place[2]))
 
 
 def estimate_common_profile(
@@ -169,7 +118,11 @@ def estimate_common_profile(
     """
     shares: list[Doubles] = []
     for press in presses:
-        radial, distance = _compute_radial_slopes(_evaluate_around(model, press), press.circle)
+        around = _Neighbourhood.evaluate(model, press)
+        dx = around.x - press.circle.x_px
+        dy = around.y - press.circle.y_px
+        distance = np.maximum(np.hypot(dx, dy), 1e-6)
+        radial = -(around.slopes[0] * dx + around.slopes[1] * dy) / distance
         r = np.minimum(distance, 0.95 * ball_px)
         share = radial * np.sqrt(ball_px**2 - r * r) / r
         ring = np.rint(distance / press.circle.radius_px / RING_RADII[1]).astype(np.intp)
@@ -188,15 +141,6 @@ def estimate_common_profile(
     return BallSlopeProfile(radius_px=ball_px, sphere_slope_share=np.clip(common, 0.0, 1.0))
 
 
-_RING_WEIGHT = 0.3  # of a pixel outside the trusted contact: its slope comes from the other presses
-# per press
-_CONTACT_PIXELS = 1000
-_RIM_PIXELS = 600
-_UNTOUCHED_PIXELS = 400
-_FULL_PRESSES_MAX = 16  # with more presses, each gives fewer pixels
-_UNTOUCHED_RADII = 2.5  # contact radii from the centre
-
-
 def sample_surface(
     press: BallPress, ball: BallSlopeProfile, pixel_mm: float, rng: np.random.Generator
 ) -> SurfaceSamples:
@@ -205,82 +149,35 @@ def sample_surface(
     At the contact's edge, radius a, the indentation of an elastic body is a^2 / 2R (Hertz), in the
     centre twice that.
     """
-    where = _find_zones(press)[0]
-    where = rng.choice(where, min(_CONTACT_PIXELS, len(where)), replace=False)
-    samples, distance_px = _sample(press, ball, where)
+    samples, distance_px = _sample(press, ball, rng)
     deep_px = (press.circle.radius_px**2 - 0.5 * distance_px**2) / ball.radius_px
     parts = compute_shading_terms(samples.slopes.astype(np.float64), deep_px * pixel_mm)
     return SurfaceSamples(u=samples.u, v=samples.v, shading_terms=parts, change=samples.change)
 
 
-def sample_contact(press: BallPress, ball: BallSlopeProfile) -> SlopeSamples:
-    """All pixels of the trusted contact."""
-    return _sample(press, ball, _find_zones(press)[0])[0]
-
-
-def gather_contact_slopes(press: BallPress, gx: Floats, gy: Floats) -> Floats:
-    """Slopes (n, 2) of two images (rows, cols) at the pixels of `sample_contact`."""
-    where = _find_zones(press)[0]
-    return np.stack([gx.ravel()[where], gy.ravel()[where]], axis=1)
-
-
-def sample_presses(
-    presses: Sequence[BallPress], ball: BallSlopeProfile, rng: np.random.Generator
-) -> tuple[SlopeSamples, Floats]:
-    """Pixels of the contacts, of their rims where the profile is known, and untouched ones, with
-    weights (n,).
-    """
-    parts: list[SlopeSamples] = []
-    weights: list[Floats] = []
-    share = min(1.0, _FULL_PRESSES_MAX / len(presses))
-    sizes = [round(share * n) for n in (_CONTACT_PIXELS, _RIM_PIXELS, _UNTOUCHED_PIXELS)]
-    for press in presses:
-        zones = [
-            rng.choice(z, min(n, len(z)), replace=False)
-            for z, n in zip(_find_zones(press), sizes, strict=True)
-        ]
-        parts.append(_sample(press, ball, np.concatenate(zones))[0])
-        weights.append(
-            np.repeat((1.0, _RING_WEIGHT, 1.0), [len(z) for z in zones]).astype(np.float32)
-        )
-    return concatenate_samples(parts), np.concatenate(weights)
-
-
-def concatenate_samples(parts: Sequence[SlopeSamples]) -> SlopeSamples:
-    """The samples of all parts as one."""
-    return SlopeSamples(
-        change=np.concatenate([s.change for s in parts]),
-        u=np.concatenate([s.u for s in parts]),
-        v=np.concatenate([s.v for s in parts]),
-        slopes=np.concatenate([s.slopes for s in parts]),
-    )
-
-
-def _find_zones(press: BallPress) -> tuple[NDArray[np.intp], ...]:
-    """Flat indices of the trusted contact's pixels, of the rim's, and of untouched ones."""
-    rows, cols = press.change.shape[:2]
-    c = press.circle
-    distance = (
-        np.hypot((np.arange(cols) - c.x_px)[None, :], (np.arange(rows) - c.y_px)[:, None])
-        / c.radius_px
-    )
-    rim = (distance >= TRUSTED_RADIUS_SHARE) & (distance < RING_RADII[-1])
-    return tuple(
-        np.flatnonzero(m)
-        for m in (distance < TRUSTED_RADIUS_SHARE, rim, distance > _UNTOUCHED_RADII)
-    )
+def sample_contact(
+    press: BallPress, ball: BallSlopeProfile, rng: np.random.Generator | None = None
+) -> SlopeSamples:
+    """Pixels of the trusted contact: some at random, without `rng` all."""
+    return _sample(press, ball, rng)[0]
 
 
 def _sample(
-    press: BallPress, ball: BallSlopeProfile, where: NDArray[np.intp]
+    press: BallPress, ball: BallSlopeProfile, rng: np.random.Generator | None
 ) -> tuple[SlopeSamples, Doubles]:
-    """Pixels (flat indices) with the ball's slopes, and their distance from its centre in px."""
-    rows, cols = press.change.shape[:2]
-    row, col = np.divmod(where, cols)
-    dx = col - press.circle.x_px
-    dy = row - press.circle.y_px
-    r = np.maximum(np.hypot(dx, dy), 1e-6)
-    fall = ball.compute_slope(r, press.circle.radius_px) / r
-    u, v = slope_model.compute_positions((rows, cols))
-    slopes = np.stack([-dx * fall, -dy * fall], axis=1).astype(np.float32)
-    return SlopeSamples(change=press.change[row, col], u=u[col], v=v[row], slopes=slopes), r
+    """Pixels with the ball's slopes, and their distance from its centre in px."""
+    shape = press.change.shape[:2]
+    c = press.circle
+    y_px, x_px = np.mgrid[: shape[0], : shape[1]]
+    inside = np.hypot(x_px - c.x_px, y_px - c.y_px) < TRUSTED_RADIUS_SHARE * c.radius_px
+    row, col = np.nonzero(inside)
+    if rng is not None:
+        some = rng.choice(len(row), min(_CONTACT_PIXELS, len(row)), replace=False)
+        row = row[some]
+        col = col[some]
+    dx = np.asarray(col - c.x_px, np.float64)
+    dy = np.asarray(row - c.y_px, np.float64)
+    u, v = slope_model.compute_positions(shape)
+    slopes = ball.compute_slopes(dx, dy, c.radius_px).T.astype(np.float32)
+    samples = SlopeSamples(change=press.change[row, col], u=u[col], v=v[row], slopes=slopes)
+    return samples, np.hypot(dx, dy)

@@ -35,7 +35,6 @@ _TABLE = frozenset(("coefficients", "slope_max"))
 _FORCE = "force_scale"
 _Side = Annotated[int, Meta(ge=1, le=100_000)]
 _Positive = Annotated[float, Meta(gt=0.0, le=1e12)]
-_Share = Annotated[float, Meta(gt=0.0, le=1.0)]
 
 
 class _Content(msgspec.Struct, kw_only=True, frozen=True):
@@ -60,7 +59,6 @@ class _Content(msgspec.Struct, kw_only=True, frozen=True):
     reference_thumbnail: Any
     coverage_map: Any
     depth_scale_map: Any
-    median_pressure_share: Annotated[tuple[_Share, ...], Meta(max_length=1)]
 
 
 def is_calibration_file(path: Path) -> bool:
@@ -95,7 +93,6 @@ def save(calibration: Calibration, path: Path | str) -> Path:
     path = path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
     model = calibration.model
     error = calibration.expected_error
-    share = calibration.median_pressure_share
     maps: dict[str, Any] = {
         name: np.zeros((0,) * n_axes, kind)
         if getattr(calibration, name) is None
@@ -121,7 +118,6 @@ def save(calibration: Calibration, path: Path | str) -> Path:
             diameter_ratio=[]
             if calibration.diameter_ratio is None
             else [calibration.diameter_ratio],
-            median_pressure_share=[] if share is None else [share],
             **maps,
         )
     return path
@@ -191,7 +187,6 @@ def _decode(content: _Content) -> Calibration:
         else None,
         diameter_ratio=next(iter(content.diameter_ratio), None),
         **{name: _decode_image(getattr(content, name), name) for name in _MAPS},
-        median_pressure_share=next(iter(content.median_pressure_share), None),
     )
 
 

@@ -89,10 +89,6 @@ class Calibration:
     depth_scale_map: Floats | None = None
     # on any coarse grid: parts of the image that the presses cover; None = all
     coverage_map: Mask | None = None
-    median_pressure_share: float | None = (
-        # of the median pressure, at which contacts end on this gel (`contact`); None = default
-        None
-    )
 
     @property
     def is_built_in(self) -> bool:

@@ -123,17 +123,17 @@ def inpaint(change: Floats, hidden: Mask, sigma_px: float) -> Floats:
     """
     import cv2
 
-    from pipeline.calibration.marker_kernels import fill_by_means
-
     seen = (~hidden).astype(np.float32)
     shown = np.asarray(cv2.multiply(change, cv2.merge([seen] * change.shape[2])), np.float32)
     out = shown.copy()
     left = np.array(hidden)
     for reach in (sigma_px, 3 * sigma_px, 9 * sigma_px):
-        if not fill_by_means(
-            out, _blur(shown, reach), _blur(seen, reach), np.float32(_VISIBLE_SHARE_MIN), left
-        ):
+        if not left.any():
             break
+        weight = _blur(seen, reach)
+        ready = left & (weight > _VISIBLE_SHARE_MIN)
+        out[ready] = _blur(shown, reach)[ready] / weight[ready][:, None]
+        left &= ~ready
     return out
 
 

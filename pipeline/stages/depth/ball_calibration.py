@@ -1,44 +1,45 @@
-"""Calibration from presses of a ball, on the depth stage without calibration.
+"""Calibration from presses of a ball: the description's table, its depth scaled, or a table of the
+presses, whichever measures balls best.
 
-The uncalibrated stage knows more than the built-in table (it estimates the illumination), so its
-slopes of every press are what a calibration table has to beat; its depth of the presses as well, as
-slopes alone do not show wrong contacts. Where it does not, as with few presses, the presses scale
-the depth of the uncalibrated stage by places (`fit_depth_scale`). Table and scale are compared, and
-kept, by the depth that the stage then measures.
+The depth stage without calibration knows more than the built-in table (it estimates the
+illumination), so its diameters of the presses are what the other two have to beat: a table
+significantly, press by press, on presses that it was not fitted to. Both are judged by the
+diameters that the stage then measures, since slopes alone do not show wrong contacts; stated is the
+larger of that error and the one of held-out presses.
 """
 
-import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.calibration.balls import calibrate_balls
+from pipeline.calibration.balls import (
+    PressSet,
+    clip_sizes,
+    compute_coverage_map,
+    cross_validate,
+    find_presses,
+    fit_table,
+    list_fits,
+    summarise_errors,
+)
 from pipeline.calibration.calibration_table import (
-    BallFit,
     Calibration,
     ExpectedError,
     make_built_in,
+    make_thumbnail,
 )
 from pipeline.calibration.contact_circles import find_largest_part, fit_sphere
-from pipeline.calibration.corrections import summarise_errors
-from pipeline.core.arrays import Doubles, Floats, Image, freeze
+from pipeline.core.arrays import Doubles, Floats, Image, Mask, freeze
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame
-from pipeline.core.values.results import DepthMap
-from pipeline.physics.optics import compute_slopes
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth.illumination.light import Illumination
-from pipeline.stages.depth.photometric import DepthParams, estimate_depth, estimate_gel_depth
+from pipeline.stages.depth.photometric import DepthParams, estimate_gel_depth
 
-_PRESSES_MAX = 8  # used to fit the contact limit, and to measure a table
-_SHARES = (0.45, 0.6, 0.75)
-_WIDTH_RATIO_MAX = (
-    # of contact width to circle: balls on simulated gels 0.96, on a real Mini 1.03, on a GelSlim 3
-    # 1.16
-    1.08
-)
+_MEASURED_MAX = 8  # presses that a calibration measures to be judged
+_CHANCE = 0.05  # with which a table that gains nothing would be taken
+_COVERAGE_MIN = 0.5  # of the image
 
 
 def calibrate_sensor(
@@ -51,178 +52,150 @@ def calibrate_sensor(
     progress: Progress = SILENT,
     seed: int = 0,
 ) -> Calibration:
-    """The calibration of `calibrate_balls`.
+    """The calibration of `sensor` from images (rows, cols, 3) of presses of one ball.
 
-    Depth by the description, scaled, where its table is not better.
+    `pixel_mm` None: the sensor's. Raises ShapeError for images of another size, CalibrationError if
+    no image shows a ball or its size is impossible.
     """
     plain = make_built_in(sensor)
-    if pixel_mm is not None:
-        plain = replace(plain, pixel_mm=pixel_mm)
-
-    @functools.cache
-    def read(index: int) -> tuple[DepthMap, Illumination | None]:
-        frame = TactileFrame(
-            sensor=sensor.name, image=images[index], reference=reference, index=index
-        )
-        return estimate_gel_depth(frame, sensor, plain, DepthParams())
-
-    def read_slopes(index: int) -> tuple[Floats, Floats]:
-        return compute_slopes(read(index)[0].indentation_mm, plain.pixel_mm)
-
-    found = calibrate_balls(
+    plain = plain if pixel_mm is None else replace(plain, pixel_mm=pixel_mm)
+    known = find_presses(
         images,
         reference,
         sensor,
         diameter_mm,
-        pixel_mm=pixel_mm,
+        pixel_mm=plain.pixel_mm,
         progress=progress,
         seed=seed,
-        read_slopes=read_slopes,
-    )
-    diameters_mm = np.array(
-        [_measure_diameter(*read(fit.index), found.pixel_mm) for fit in found.presses]
-    )
-    found = add_diameter_ratio(found, diameters_mm[:, 0] / diameter_mm)
-    ratio, by_place = diameters_mm.T / diameter_mm
-    by_description = found if found.uses_built_in else keep_description(found, plain, ratio)
-    scaled = add_depth_scale(by_description, ratio, by_place)
-    if scaled is not by_description:
-        error = measure_table_error(scaled, images, reference, sensor, diameter_mm)
-        unscaled = np.nan_to_num(
-            [ratio[fit.index] - 1.0 for fit in _select_presses(found)], nan=1.0
-        )
-        if error.diameter_share < summarise_errors(unscaled).diameter_share:
-            predicted = scaled.expected_error
-            is_known = predicted is not None and predicted.diameter_share > error.diameter_share
-            by_description = scaled if is_known else replace(scaled, expected_error=error)
-    if found.uses_built_in:
-        return by_description
-    by_table = fit_contact_limit(found, images, reference, sensor)
-    error = measure_table_error(by_table, images, reference, sensor, diameter_mm)
-    other = by_description.expected_error
-    return (
-        by_table if other is None or error.diameter_share < other.diameter_share else by_description
     )
 
-
-def keep_description(found: Calibration, plain: Calibration, ratio: Doubles) -> Calibration:
-    """The calibration with the description's table, by ratios (n,) of measured to true diameter
-    with that.
-    """
-    used = ratio[[fit.used for fit in found.presses]]
-    return replace(
-        found,
-        model=plain.model,
-        uses_built_in=True,
-        coverage_map=None,
-        expected_error=summarise_errors(np.nan_to_num(used - 1.0, nan=1.0)),
-        origin=f"the built-in table: {len(used)} presses are measured no better with a table of "
-        "their own",
-    )
-
-
-def measure_table_error(
-    table: Calibration,
-    images: Sequence[Image],
-    reference: Image,
-    sensor: SensorSpec,
-    diameter_mm: float,
-) -> ExpectedError:
-    """Errors of the diameters of presses that a calibration, by a table or a scale, was fitted
-    to.
-    """
-    errors: list[float] = []
-    for fit in _select_presses(table):
+    def measure(index: int, calibration: Calibration) -> tuple[float, bool]:
+        """Diameter over the true one of a press, NaN = no ball, and whether its light errs by
+        places.
+        """
         frame = TactileFrame(
-            sensor=sensor.name, image=images[fit.index], reference=reference, index=fit.index
+            sensor=sensor.name, image=images[index], reference=reference, index=index
         )
-        depth = estimate_depth(frame, sensor, table, DepthParams())
-        diameter, _ = fit_sphere(
-            depth.indentation_mm, find_largest_part(depth.contact), table.pixel_mm
+        depth, light = estimate_gel_depth(frame, sensor, calibration, DepthParams())
+        contact = find_largest_part(depth.contact)
+        found_mm, _ = fit_sphere(depth.indentation_mm, contact, calibration.pixel_mm)
+        return found_mm / diameter_mm, light is not None and light.is_bound_to_place
+
+    progress.step(0.6, "measuring the presses without calibration")
+    measured = [measure(press.index, plain) for press in known.presses]
+    ratio = np.array([found for found, _ in measured])
+    by_place = np.array([found if at_place else math.nan for found, at_place in measured])
+    sized = ratio[np.isfinite(ratio)]
+    why = (
+        "did not improve it significantly"
+        if has_coverage(compute_coverage_map(known))
+        else "cover too little of the image; press in more places"
+    )
+    without = replace(
+        plain,
+        uses_built_in=True,
+        diameter_ratio=float(np.median(sized)) if sized.size else None,
+        reference_thumbnail=make_thumbnail(reference),
+        expected_error=summarise_errors(ratio - 1.0),
+        origin=f"the built-in table: presses {why}",
+        presses=list_fits(len(images), known, plain.model),
+    )
+    held = cross_validate(
+        known, lambda share: progress.step(0.7 + 0.2 * share, "validating on held-out presses")
+    )
+    scaled = add_depth_scale(without, known, ratio, by_place)
+    table = replace_table(without, known, ratio - 1.0, held)
+    best = without
+    for found in filter(None, (scaled, table)):
+        own = known.presses[:: max(1, len(ratio) // _MEASURED_MAX)]
+        errors = np.array([measure(press.index, found)[0] for press in own]) - 1.0
+        seen = summarise_errors(errors)
+        if _get_share(seen) < _get_share(best.expected_error):
+            stated = max(found.expected_error, seen, key=_get_share)
+            best = replace(found, expected_error=stated)
+    progress.step(1.0, "calibration is ready")
+    residuals = [fit.residual for fit in best.presses if fit.used]
+    given = f"{len(ratio)} of {len(images)} presses of a ball of {diameter_mm:g} mm"
+    return replace(
+        best,
+        residual=float(np.sqrt(np.mean(np.square(residuals)))),
+        origin=f"{best.origin} ({given})",
+    )
+
+
+def replace_table(
+    without: Calibration, known: PressSet, errors: Doubles, held: Doubles
+) -> Calibration | None:
+    """The calibration with a table of the presses.
+
+    None where they cover too little, or where its errors when held out are not significantly
+    smaller than those without calibration, both (n,) and relative.
+    """
+    coverage = compute_coverage_map(known)
+    if not has_coverage(coverage) or not is_significantly_better(held, errors):
+        return None
+    model = fit_table(known)
+    where = (
+        ""
+        if coverage.all()
+        else (
+            f" in {coverage.mean():.0%} of the image; elsewhere no calibration is used, so press "
+            "there too"
         )
-        errors.append(diameter / diameter_mm - 1.0)
-    return summarise_errors(np.nan_to_num(errors, nan=1.0))
+    )
+    return replace(
+        without,
+        model=model,
+        uses_built_in=False,
+        coverage_map=None if coverage.all() else coverage,
+        presses=list_fits(len(without.presses), known, model),
+        expected_error=summarise_errors(held),
+        origin=f"the built-in table, corrected by presses{where}",
+    )
 
 
-def _select_presses(found: Calibration) -> list[BallFit]:
-    """Some of the presses that a calibration uses."""
-    fits = [fit for fit in found.presses if fit.used]
-    return fits[:: max(1, len(fits) // _PRESSES_MAX)]
+def has_coverage(coverage: Mask) -> bool:
+    """Whether presses cover enough of the image; elsewhere a table's error is unknown."""
+    return bool(coverage.mean() >= _COVERAGE_MIN)
 
 
-def _measure_diameter(
-    depth: DepthMap, light: Illumination | None, pixel_mm: float
-) -> tuple[float, float]:
-    """Diameter in mm of a press, and again if its light errs by places, as a depth scale assumes.
-
-    NaN = not known.
+def is_significantly_better(held: Doubles, errors: Doubles) -> bool:
+    """Whether errors `held` (n,) are smaller than `errors`, press by press (Wilcoxon's signed
+    ranks, which four presses are too few for).
     """
-    diameter_mm, _ = fit_sphere(depth.indentation_mm, find_largest_part(depth.contact), pixel_mm)
-    return diameter_mm, diameter_mm if light is not None and light.is_bound_to_place else math.nan
+    from scipy.stats import wilcoxon
+
+    gain = clip_sizes(errors) - clip_sizes(held)
+    return bool(gain.any()) and float(wilcoxon(gain, alternative="greater").pvalue) < _CHANCE
 
 
-def add_diameter_ratio(found: Calibration, ratio: Doubles) -> Calibration:
-    """The calibration with the median of ratios (n,) of measured to true diameter, of which some
-    may be NaN.
-    """
-    known = ratio[[fit.used for fit in found.presses]]
-    known = known[np.isfinite(known)]
-    return replace(found, diameter_ratio=float(np.median(known)) if known.size else None)
-
-
-def add_depth_scale(found: Calibration, ratio: Doubles, by_place: Doubles) -> Calibration:
+def add_depth_scale(
+    without: Calibration, known: PressSet, ratio: Doubles, by_place: Doubles
+) -> Calibration | None:
     """The calibration with a depth scale, from ratios (n,) of measured to true diameter.
 
-    NaN = no ball detected.
-
-    `by_place`: the same where the light errs by places, else NaN. Only such touches are scaled:
-    nothing changes where most presses are none.
+    NaN = no ball detected. `by_place`: the same where the light errs by places, else NaN. Only such
+    touches are scaled: None where most presses are none.
     """
-    used = [fit.used for fit in found.presses]
-    if 2 * np.count_nonzero(np.isfinite(by_place[used])) <= sum(used):
-        return found
-    x, y = (
-        np.array([getattr(fit, name) for fit in found.presses])[used] for name in ("x_px", "y_px")
-    )
-    scale = fit_depth_scale(x, y, by_place[used], (found.rows, found.cols))
+    bound = np.isfinite(by_place)
+    if 2 * np.count_nonzero(bound) <= len(ratio):
+        return None
+    x, y = (np.array([getattr(p.circle, n) for p in known.presses]) for n in ("x_px", "y_px"))
+    scale = fit_depth_scale(x, y, by_place, known.shape)
     if scale is None:
-        return found
-    others = ratio[used][~np.isfinite(by_place[used])] - 1.0  # are not scaled
+        return None
+    errors = np.concatenate([scale.errors, ratio[~bound] - 1.0])  # the others are not scaled
     return replace(
-        found,
+        without,
         depth_scale_map=scale.factors,
-        expected_error=summarise_errors(
-            np.concatenate([scale.errors, np.nan_to_num(others, nan=1.0)])
-        ),
-        origin=f"the built-in table, depth scaled by {len(scale.errors)} presses of a ball",
+        expected_error=summarise_errors(errors),
+        origin="the built-in table, depth scaled by presses",
     )
 
 
-def fit_contact_limit(
-    found: Calibration, images: Sequence[Image], reference: Image, sensor: SensorSpec
-) -> Calibration:
-    """The calibration with the share of the median pressure at which contacts end on this gel.
-
-    A skin or coating that bridges the gel next to a ball looks like pressure there: where contacts
-    of the presses are wider than their circles, the smallest share that prevents it is taken.
-    """
-    fits = _select_presses(found)
-
-    def measure_width_ratio(look_up: Calibration) -> float:
-        widths: list[float] = []
-        for fit in fits:
-            frame = TactileFrame(
-                sensor=sensor.name, image=images[fit.index], reference=reference, index=fit.index
-            )
-            area = np.count_nonzero(estimate_depth(frame, sensor, look_up, DepthParams()).contact)
-            widths.append(math.sqrt(area / math.pi) / fit.radius_px)
-        return float(np.median(widths))
-
-    for share in (None, *_SHARES):
-        look_up = replace(found, median_pressure_share=share)
-        if measure_width_ratio(look_up) <= (_WIDTH_RATIO_MAX if share is None else 1.0):
-            return look_up
-    return replace(found, median_pressure_share=_SHARES[-1])
+def _get_share(error: ExpectedError | None) -> float:
+    assert error is not None
+    return error.diameter_share
 
 
 # Standard deviations of the logarithm, and a correlation length in half-widths of the image: best

@@ -22,13 +22,8 @@ _CANDIDATE_SHARE = 0.15  # of the peak: leaves out 2 % of a contact at most
 _SPECK_MM2 = 20.0  # of a smoothed region: noise alone makes smaller ones
 _CANDIDATE_MARGIN_MM = 1.6
 _WORKING_PIXELS_MAX = 25_000  # more would only resolve noise
-_OUTLIER_FACTOR = 4.0  # times the noise of single pixels
-_OUTLIER_MIN_MM = 0.5
 _USUAL_CURVATURE_PER_MM = 0.027  # of soft_bubble.toml
-_BLUR_MM = 0.28
 _LOAD_MIN = 1.0  # times the inner pressure: a flat face carries 1, an edge 10 and more
-_GAP_MM = 1.2
-_ISLAND_MM2 = 2.0
 
 
 def estimate_indentation(
@@ -98,11 +93,7 @@ def _detect_candidates(indentation: Floats, least_mm: float, pixel_mm: float) ->
         )
         for share in (_CANDIDATE_SHARE, _CERTAIN_SHARE)
     )
-    if not strong.any():
-        return strong
-    _, regions = cv2.connectedComponents(weak.astype(np.uint8), connectivity=8)
-    regions = np.asarray(regions, np.int32)
-    weak &= np.isin(regions, np.unique(regions[strong]))
+    weak = contact.select_seeded(weak, strong)
     return np.asarray(
         cv2.dilate(weak.astype(np.uint8), _make_disc(_CANDIDATE_MARGIN_MM / pixel_mm)), np.bool_
     )
@@ -121,28 +112,15 @@ def _solve_load(
     factor = math.ceil(math.sqrt(rows * cols / _WORKING_PIXELS_MAX))
     work_mm = source.pixel_mm * factor
     solution = membrane_load.estimate_load(
-        *_downsample(moved, _reject_outliers(moved, seen), candidates, smooth, factor),
+        *_downsample(moved, seen, candidates, smooth, factor),
         pixel_mm=work_mm,
         curvature_per_mm=_compute_curvature_per_mm(source),
         noise_factor=noise_factor,
     )
-    touched = _threshold_load(solution.load, work_mm)
+    touched = (solution.load > _LOAD_MIN).astype(np.float32)
     return _upsample(solution.displacement_mm, (rows, cols), cubic=True), _upsample(
-        touched.astype(np.float32), (rows, cols)
+        touched, (rows, cols)
     ) > 0.5
-
-
-def _reject_outliers(moved: Floats, seen: Mask) -> Mask:
-    """The measured pixels without outliers: flying pixels and false matches."""
-    import cv2
-
-    deviation = np.abs(moved - np.asarray(cv2.medianBlur(moved, _MEDIAN_PX), np.float32))
-    noise = (
-        1.4826 * float(np.median(deviation[::3, ::3][seen[::3, ::3]]))
-        if seen[::3, ::3].any()
-        else 0.0
-    )
-    return seen & (deviation <= max(_OUTLIER_FACTOR * noise, _OUTLIER_MIN_MM))
 
 
 def _compute_curvature_per_mm(source: SensorSpec) -> float:
@@ -153,19 +131,6 @@ def _compute_curvature_per_mm(source: SensorSpec) -> float:
     if shape is None or shape.height_mm <= 0:
         return _USUAL_CURVATURE_PER_MM
     return 2.0 * shape.height_mm * (shape.half_width_mm**-2 + shape.half_height_mm**-2)
-
-
-def _threshold_load(load: Floats, pixel_mm: float) -> Mask:
-    """Where the load exceeds its limit; gaps from noise are closed, specks dropped."""
-    import cv2
-
-    pressed = np.asarray(cv2.GaussianBlur(load, (0, 0), max(_BLUR_MM / pixel_mm, 0.5))) > _LOAD_MIN
-    closed = cv2.morphologyEx(
-        pressed.astype(np.uint8), cv2.MORPH_CLOSE, _make_disc(_GAP_MM / pixel_mm)
-    )
-    return contact.remove_specks(
-        np.asarray(closed, np.bool_), max(4, round(_ISLAND_MM2 / pixel_mm**2))
-    )
 
 
 def _make_disc(radius_px: float) -> NDArray[np.uint8]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.core.arrays import Floats, Mask, freeze
 from pipeline.core.errors import AT_BORDER, StageWarning
+from pipeline.core.graph import Skipped
 from pipeline.core.progress import Progress
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthErrorModel, DepthMap, make_depth_map
@@ -17,7 +18,7 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import bubble_contact
 from pipeline.stages.depth.bubble_network_input import estimate_rest_surface
 from pipeline.stages.depth.depth_params import DepthParams
-from pipeline.stages.depth.frame_checks import see_by_frame
+from pipeline.stages.depth.frame_checks import make_untouched_depth
 
 _BLOCK_PX = 8
 _MEASURED_SHARE_MIN = 0.5  # share of measured pixels below which a frame is not called untouched
@@ -32,12 +33,14 @@ _BULGE_SHARE = 0.5
 _BLOCK_QUANTILE = 0.99  # quantile of the blocks that stands for the largest: a few are outliers
 
 
-def describe_if_no_contact(
-    frame: TactileFrame, _source: SensorSpec, _calibration: object, limit_mm: float
-) -> tuple[str, ...] | None:
-    """The notes of a frame without contact; None where there may be contact."""
+def skip_without_contact(
+    frame: TactileFrame, source: SensorSpec, params: DepthParams
+) -> DepthMap | None:
+    """The exact depth of a checked frame without contact; None where there may be contact."""
     change_mm = compute_largest_change(frame.image, cast("Floats", frame.reference))
-    return ("nothing touches the sensor",) if change_mm < limit_mm else None
+    if change_mm >= source.limits.no_contact_change / params.sensitivity:
+        return None
+    return make_untouched_depth(frame, source, ("nothing touches the sensor",))
 
 
 def compute_largest_change(image: NDArray[Any], reference: NDArray[Any]) -> float:
@@ -71,12 +74,13 @@ def estimate_bubble_frame(
     _calibration: Calibration | None,
     params: DepthParams,
     _progress: Progress,
-) -> DepthMap:
-    """Depth of a frame that has been checked, by parameters of the stage, with its error."""
+) -> DepthMap | Skipped[DepthMap]:
+    """Depth of a checked frame by parameters of the stage, with its error."""
+    still = skip_without_contact(frame, source, params)
+    if still is not None:
+        return Skipped(output=still, reason=still.notes[0])
     least_mm = params.contact_limit * source.limits.contact_min_mm
-    found = estimate_depth(
-        frame, see_by_frame(source, frame), smoothing_px=params.smoothing_px, least_mm=least_mm
-    )
+    found = estimate_depth(frame, source, smoothing_px=params.smoothing_px, least_mm=least_mm)
     return replace(found, error=make_bubble_error(source))
 
 

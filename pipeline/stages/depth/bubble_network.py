@@ -20,7 +20,7 @@ from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthMap, make_pixel_index
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import contact, photometric
+from pipeline.stages.depth import bubble_depth, contact
 from pipeline.stages.depth.bubble_depth import compute_displacement, make_bubble_error
 from pipeline.stages.depth.bubble_network_input import (
     WORKING_PIXEL_MM,
@@ -28,6 +28,7 @@ from pipeline.stages.depth.bubble_network_input import (
     make_network_input,
 )
 from pipeline.stages.depth.bubble_network_output import BubblePrediction, decode_prediction
+from pipeline.stages.depth.depth_params import DepthParams
 from pipeline.stages.depth.frame_checks import check_frame, see_by_frame
 from pipeline.stages.networks import weights_registry
 from pipeline.stages.networks.weights import NoWeights, Weights
@@ -45,7 +46,7 @@ _TASK = "bubble_depth"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NetworkParams(photometric.DepthParams):
+class NetworkParams(DepthParams):
     """Parameters of the depth of a bubble, and the contact threshold of the network."""
 
     smoothing_px: float = setting(
@@ -81,12 +82,16 @@ def select_weights(
 def skip_without_contact(
     frame: TactileFrame,
     source: SensorSpec,
-    calibration: Calibration | None,
+    _calibration: Calibration | None,
     _weights: Weights | NoWeights,
     params: NetworkParams,
 ) -> DepthMap | None:
-    """The exact depth of a frame without contact; None where something may touch."""
-    return photometric.skip_without_contact(frame, source, calibration, params)
+    """The exact depth of a frame without contact; None where something may touch.
+
+    Raises ShapeError for an invalid frame.
+    """
+    check_frame(frame, source)
+    return bubble_depth.skip_without_contact(frame, see_by_frame(source, frame), params)
 
 
 def estimate_frame(
@@ -97,11 +102,7 @@ def estimate_frame(
     params: NetworkParams,
     _progress: Progress = SILENT,
 ) -> DepthMap:
-    """The depth of a frame with the physical estimate's error in contact.
-
-    Raises ShapeError for an invalid frame.
-    """
-    check_frame(frame, source)
+    """The depth of a checked frame with the physical estimate's error in contact."""
     seen_by = see_by_frame(source, frame)
     least_mm = params.contact_limit * source.limits.contact_min_mm
     depth = estimate_depth(frame, seen_by, network, certainty=params.certainty, least_mm=least_mm)

@@ -30,13 +30,14 @@ import numpy as np
 from pipeline.core.arrays import Floats, Indices, Mask, freeze, percentile
 from pipeline.core.memo import memoise
 from pipeline.physics.optics import compute_slopes
+from pipeline.stages.depth.rest_level import downsample, upsample
 
 # threads, and the pixels above which they save time
 _WORKERS = 2
 _PARALLEL_PIXELS = 2**18
 _NEAR_MM = 0.25  # farther than lens and smoothing spread an edge
 _PRESSURE_MIN = np.float32(0.02)  # mm/mm: noise and an inexact light make as much
-MEDIAN_PRESSURE_SHARE = 0.32  # of the median pressure of a region above `_CORE_SHARE`
+_MEDIAN_SHARE = np.float32(0.32)  # of the median pressure of a region above `_CORE_SHARE`
 # of the region's peak
 _CORE_SHARE = np.float32(0.16)
 _PART_SHARE = np.float32(0.25)
@@ -48,16 +49,13 @@ _RIDGE_SHARE = 0.6
 # it, hangs there
 _HANGING_MM = 2.0
 _HANGING_SHARE = np.float32(0.25)
+_REACH_CELLS = 8  # that distance, on a coarser grid
 _BOX_MARGIN_PX = 8  # beyond what is indented: no filter of the contact reaches farther
-_REACH_CELLS = 8
 _SHORT_SORT_MAX = 2**16  # regions up to which 16-bit labels sort faster
 # of the largest region: smaller ones are dust and scratches that the press has shifted
 _SPECK_SHARE = 0.05
 _FLAT_DEPTH_SHARE = 0.8  # of the depth of the nearest rim: a face that deep is in contact as well
 _PRESSURE_FREE_BLUR_PX = 1.0
-_CORNER_LENGTH = 3.0  # times `narrow_px`
-# untouched frames of real Minis and drift of a real GelSlim make corners up to 0.1 mm deep
-_CORNER_MM = 0.12
 # of the region's steep slopes: the gel falls away next to a contact, but not on a face
 _FLAT_SLOPE_SHARE = 0.3
 
@@ -91,7 +89,6 @@ def detect_contact(
     least_mm: float,
     pressure_share: float,
     smoothing_px: float,
-    median_pressure_share: float = MEDIAN_PRESSURE_SHARE,
 ) -> Mask:
     """Contact of a gel (rows, cols): indented by `least_mm` or more, with more pressure than a
     share of that nearby.
@@ -106,23 +103,28 @@ def detect_contact(
     if not deep.any():
         return deep
     pressure = compute_relative_pressure(indentation_mm, smoothing_px) / np.float32(pixel_mm)
-    pressure[~deep] = 0.0
-    held = indentation_mm >= _HANGING_SHARE * _compute_local_maximum(
-        indentation_mm, _HANGING_MM / pixel_mm
-    )
+    pressure[~deep | _find_hanging(indentation_mm, pixel_mm)] = 0.0
     touched = np.zeros_like(deep)
     here = _find_box(deep, _BOX_MARGIN_PX)
     deep_here = np.ascontiguousarray(deep[here])
     pressed, sure = _compare_with_nearby(
         pressure[here],
         deep_here,
-        held[here],
         pixel_mm,
         pressure_share,
-        np.float32(median_pressure_share),
     )
-    touched[here] = _add_faces(indentation_mm[here], _select_seeded(pressed, sure), deep_here)
+    touched[here] = _add_faces(indentation_mm[here], select_seeded(pressed, sure), deep_here)
     return touched
+
+
+def _find_hanging(indentation_mm: Floats, pixel_mm: float) -> Mask:
+    """The gel (rows, cols) that is far shallower than a point close by."""
+    import cv2
+
+    by = max(1, round(_HANGING_MM / pixel_mm / _REACH_CELLS))
+    around = np.ones((2 * _REACH_CELLS + 1, 2 * _REACH_CELLS + 1), np.uint8)
+    deepest = np.asarray(cv2.dilate(downsample(indentation_mm, by), around), np.float32)
+    return indentation_mm < _HANGING_SHARE * upsample(deepest, indentation_mm.shape)
 
 
 def _find_box(mask: Mask, margin: int) -> tuple[slice, slice]:
@@ -137,15 +139,11 @@ def _find_box(mask: Mask, margin: int) -> tuple[slice, slice]:
 def _compare_with_nearby(
     pressure: Floats,
     deep: Mask,
-    held: Mask,
     pixel_mm: float,
     pressure_share: float,
-    median_share: np.float32,
 ) -> tuple[Mask, Mask]:
     """The pixels (rows, cols) of `deep` with enough pressure, and those of them with a part of
     their region's peak.
-
-    `held`: what does not hang from a deeper point.
     """
     import cv2
 
@@ -155,11 +153,8 @@ def _compare_with_nearby(
     at = np.flatnonzero(deep)  # the rest is on these pixels alone, each array (n,)
     own, near = (np.asarray(a, np.float32).reshape(-1)[at] for a in (pressure, dilated))
     region = found.reshape(-1)[at]
-    held = held.reshape(-1)[at]
     peak = _find_peaks(own, region, n)[region]
-    core = held & (
-        own > np.maximum(np.maximum(_PRESSURE_MIN, pressure_share * near), _CORE_SHARE * peak)
-    )
+    core = own > np.maximum(np.maximum(_PRESSURE_MIN, pressure_share * near), _CORE_SHARE * peak)
     median = _compute_medians(own[core], region[core], n)[region]
     ridge = np.clip(
         (near / np.maximum(median, _PRESSURE_MIN) - _RIDGE_START) / (_RIDGE_END - _RIDGE_START),
@@ -167,8 +162,8 @@ def _compare_with_nearby(
         1.0,
     )
     share = pressure_share + np.maximum(_RIDGE_SHARE - pressure_share, 0.0) * ridge
-    limit = np.maximum(np.maximum(_PRESSURE_MIN, median_share * median), share * near)
-    enough = held & (own > limit)
+    limit = np.maximum(np.maximum(_PRESSURE_MIN, _MEDIAN_SHARE * median), share * near)
+    enough = own > limit
     pressed = np.zeros_like(deep)
     sure = np.zeros_like(deep)
     pressed.reshape(-1)[at] = enough
@@ -192,28 +187,6 @@ def detect_membrane_contact(
     peak = np.maximum(_find_peaks(load[deep], regions[deep], n), np.float32(1e-9))
     mask = deep & (load > peak[regions] * np.float32(pressure_share))
     return fill_holes(np.asarray(mask, np.bool_))
-
-
-def _compute_local_maximum(indentation_mm: Floats, reach_px: float) -> Floats:
-    """The largest indentation (rows, cols) within `reach_px` in rows and columns, on cells of an
-    eighth of it.
-    """
-    import cv2
-
-    by = max(1, round(reach_px / _REACH_CELLS))
-    rows, cols = indentation_mm.shape
-    small = cv2.resize(
-        indentation_mm, (-(-cols // by), -(-rows // by)), interpolation=cv2.INTER_AREA
-    )
-    width = 2 * round(reach_px / by) + 1
-    return np.asarray(
-        cv2.resize(
-            cv2.dilate(small, np.ones((width, width), np.uint8)),
-            (cols, rows),
-            interpolation=cv2.INTER_LINEAR,
-        ),
-        np.float32,
-    )
 
 
 def _label_regions(mask: Mask, connectivity: int = 8) -> tuple[Indices, int]:
@@ -242,7 +215,7 @@ def _compute_medians(values: Floats, region: Indices, n: int) -> Floats:
     return medians
 
 
-def _select_seeded(mask: Mask, seeds: Mask) -> Mask:
+def select_seeded(mask: Mask, seeds: Mask) -> Mask:
     """The connected parts of `mask` that contain a seed."""
     regions, n = _label_regions(mask)
     keep = np.zeros(n, np.bool_)
@@ -328,52 +301,6 @@ def remove_weak_specks(mask: Mask, pressure: Floats, min_pixels: float, peak_sha
     keep[regions[mask & (pressure >= peak_share * float(pressure.max()))]] = True
     keep[0] = False
     return keep[regions]
-
-
-def remove_border_artifacts(
-    mask: Mask,
-    indentation_mm: Floats,
-    rows: slice,
-    cols: slice,
-    shape: tuple[int, int],
-    narrow_px: float,
-) -> Mask:
-    """The mask without artifacts of the image border.
-
-    It is the part `rows`, `cols` of an image of `shape`.
-
-    Artifacts are small, shallow regions in a corner (the corners of a gel slide under load), and
-    strips along the border no wider than `narrow_px`, if there is a larger contact away from the
-    border: beyond the border nothing is known to be at rest, and illumination is least known there.
-    """
-    import cv2
-
-    borders = (rows.start == 0, rows.stop == shape[0], cols.start == 0, cols.stop == shape[1])
-    if not any(
-        at and end.any()
-        for at, end in zip(borders, (mask[0], mask[-1], mask[:, 0], mask[:, -1]), strict=True)
-    ):
-        return mask
-    n, found, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
-    regions = np.asarray(found, np.int32)
-    keep = np.ones(n, np.bool_)
-    keep[0] = False
-    left, top, wide, tall, area = (np.asarray(stats[:, k], np.int64) for k in range(5))
-    across = np.stack([top + rows.start == 0, top + tall + rows.start == shape[0]])
-    along = np.stack([left + cols.start == 0, left + wide + cols.start == shape[1]])
-    cut = np.asarray(across.any(axis=0) | along.any(axis=0), np.bool_)
-    largest = int(area[1:][~cut[1:]].max(initial=0))
-    for k in (int(k) for k in np.flatnonzero(cut & keep)):
-        at_corner = np.count_nonzero(across[:, k]) == np.count_nonzero(along[:, k]) == 1
-        narrow = min(
-            tall[k] if across[:, k].any() else wide[k], wide[k] if along[:, k].any() else tall[k]
-        )
-        at_corner &= bool(
-            max(wide[k], tall[k]) <= _CORNER_LENGTH * narrow_px or narrow <= narrow_px
-        )
-        shallow = at_corner and float(indentation_mm[np.equal(regions, k)].max()) <= _CORNER_MM
-        keep[k] = not shallow and (narrow > narrow_px or area[k] > largest)
-    return np.asarray(keep[regions], np.bool_)
 
 
 @memoise(8)  # a touch has a window of its own size

@@ -1,6 +1,5 @@
 """Depth by Depth Anything V2, the paper's depth network, with weights that the user gives."""
 
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -26,12 +25,10 @@ from pipeline.stages.networks.weights import NoWeights, Weights
 OutputKind = Literal["as trained", "metric", "distance", "relative"]
 # largest distance in the tests of MMintLab/depth_anything_v2; it trained up to 200, too
 _USUAL_DISTANCE_MM = 120.0
-_MARGIN_PATCHES = 2  # patches around the contact's bounding box
 _NOT_SHIPPED = NoWeights(
     why="no weights of Depth Anything V2 are shipped; give yours as --weights FILE, such as "
     "depth_anything_v2_vits.pth"
 )
-PatchWindow = tuple[int, int, int, int]  # top, left, rows, cols, in patches
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,13 +66,6 @@ class DepthAnythingParams:
         source="Yang et al. 2024, both heads; relative depth up to scale and shift: Ranftl et al. "
         "2022",
     )
-    crop_to_contact: bool = setting(
-        False,
-        "Crop to contact",
-        help="faster by the share of patches left out; approximate, since every patch attends to "
-        "all others",
-        source="our choice; attention over patches: Dosovitskiy et al. 2021",
-    )
 
 
 def select_weights(
@@ -110,14 +100,12 @@ def estimate_depth(
         prepare_image(frame.image, frame.reference, network.image_content, frame.grasp_range),
         params.shorter_side_px or network.side,
     )
-    shape = (image.shape[0] // PATCH_PX, image.shape[1] // PATCH_PX)
     rest = physical.depth_mm + physical.indentation_mm
-    window = (
-        _compute_patch_window(physical.contact, shape) if params.crop_to_contact else (0, 0, *shape)
-    )
     kind = str(network.answer) if params.output_kind == "as trained" else params.output_kind
-    output, contact_mask = _run_network(network, image, window, physical.contact.shape, kind)
-    notes = [_describe_window(window, shape)]
+    output, contact_mask = _run_network(network, image, physical.contact.shape, kind)
+    rows, cols = image.shape[:2]
+    patches = rows * cols // PATCH_PX**2
+    notes = [f"Depth Anything V2 saw {rows}x{cols} pixels, {patches} patches"]
     if kind == "metric":
         indentation = (
             params.largest_mm or network.largest_mm or source.limits.indentation_max_mm
@@ -137,14 +125,10 @@ def estimate_depth(
         indentation = _convert_distance(distance_mm, rest, source.limits.indentation_max_mm, notes)
     else:
         indentation = _fit_to_physical(output, physical.indentation_mm, notes)
-    inside = _mask_window(window, shape, physical.contact.shape)
-    indentation = np.where(inside, indentation, 0.0).astype(np.float32)
+    indentation = indentation.astype(np.float32)
     least = source.limits.contact_min_mm
-    contact = (
-        (indentation > least if contact_mask is None else contact_mask)
-        & inside
-        & np.isfinite(physical.depth_mm)
-    )
+    contact = indentation > least if contact_mask is None else contact_mask
+    contact &= np.isfinite(physical.depth_mm)
     if contact_mask is None:
         notes.append(
             f"these weights predict no contact: it is where the indentation exceeds {least:g} mm"
@@ -160,59 +144,24 @@ def estimate_depth(
 
 
 def _run_network(
-    network: Any, image: Floats, window: PatchWindow, shape: tuple[int, ...], kind: str
+    network: Any, image: Floats, shape: tuple[int, ...], kind: str
 ) -> tuple[Floats, Mask | None]:
-    """The network's depth and contact on the frame's pixels; meaningless outside the window."""
+    """The network's depth and contact on the frame's pixels."""
     import torch
 
-    top, left, rows, cols = window
-    part = image[
-        top * PATCH_PX : (top + rows) * PATCH_PX, left * PATCH_PX : (left + cols) * PATCH_PX
-    ]
-    whole = (top, left, image.shape[0] // PATCH_PX, image.shape[1] // PATCH_PX)
     with reproducible_inference():
-        shown = torch.from_numpy(np.ascontiguousarray(part.transpose(2, 0, 1)))[None]
-        output, contact = network(shown, whole, kind)
+        shown = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))[None]
+        output, contact = network(shown, None, kind)
 
     def resample_to_frame(field: Any) -> Floats:
-        filled = torch.zeros((1, 1, *image.shape[:2]))
-        area = (
-            slice(top * PATCH_PX, (top + rows) * PATCH_PX),
-            slice(left * PATCH_PX, (left + cols) * PATCH_PX),
-        )
-        filled[0, 0, area[0], area[1]] = field[0]
         # As published, corners are aligned.
-        return torch.nn.functional.interpolate(filled, shape, mode="bilinear", align_corners=True)[
-            0, 0
-        ].numpy()
+        return torch.nn.functional.interpolate(
+            field[:, None], shape, mode="bilinear", align_corners=True
+        )[0, 0].numpy()
 
     return resample_to_frame(output), None if contact is None else resample_to_frame(
         torch.sigmoid(contact)
     ) > 0.5
-
-
-def _compute_patch_window(contact: Mask, shape: tuple[int, int]) -> PatchWindow:
-    """The patches of the contact with a margin; all of them where there is none."""
-    rows, cols = np.nonzero(contact)
-    if not rows.size:
-        return (0, 0, *shape)
-    ends: list[tuple[int, int]] = []
-    for places, n_px, n in ((rows, contact.shape[0], shape[0]), (cols, contact.shape[1], shape[1])):
-        first, last = (int(place) * n / n_px for place in (places.min(), places.max() + 1))
-        ends.append(
-            (max(0, math.floor(first) - _MARGIN_PATCHES), min(n, math.ceil(last) + _MARGIN_PATCHES))
-        )
-    (top, bottom), (left, right) = ends
-    return top, left, bottom - top, right - left
-
-
-def _mask_window(window: PatchWindow, shape: tuple[int, int], size: tuple[int, ...]) -> Mask:
-    """Pixels (rows, cols) of the frame inside the window."""
-    top, left, rows, cols = window
-    row, col = (np.arange(n_px) * n // n_px for n_px, n in zip(size, shape, strict=True))
-    return ((row >= top) & (row < top + rows))[:, None] & ((col >= left) & (col < left + cols))[
-        None, :
-    ]
 
 
 def _fit_to_physical(output: Floats, physical_mm: Floats, notes: list[str]) -> Floats:
@@ -258,14 +207,3 @@ def _convert_distance(
         )
         notes.append(StageWarning(text))
     return np.where(is_touched | np.isnan(indentation), indentation, 0.0).astype(np.float32)
-
-
-def _describe_window(window: PatchWindow, shape: tuple[int, int]) -> str:
-    rows, cols = (n * PATCH_PX for n in shape)
-    text = f"Depth Anything V2 saw {rows}x{cols} pixels, {window[2] * window[3]} patches"
-    if window[2:] != shape:
-        text += (
-            f" of {shape[0] * shape[1]}: cropped to the contact, an approximation of the "
-            "whole image"
-        )
-    return text

@@ -16,6 +16,10 @@ _STEP_PX = 7  # extent of a smoothed step, to both sides
 # of a region's own depth: simulated second touches of 0.05 mm and more have 0.64 to 1.1
 _PROMINENCE = 0.5
 _RING_MM = (0.25, 0.8)  # inner and outer distance of the ring that a region is compared with
+_FLANKS_MM = 0.8  # around a region: the flanks of a dent lie partly outside its contact
+# Of the change: balls have at most 0.6 in one direction, other objects 0.83, spots of light from
+# 0.94 on, over the touches of `benchmarks/real_depth.py`, `real_things.py` and `drift.py`.
+_ONE_DIRECTION = 0.85
 _BORDER_SHARE = 0.4  # of the deepest region: corners next to a real GelSlim's presses reach 0.36
 
 
@@ -25,13 +29,16 @@ def remove_false_contacts(
     pixel_mm: float,
     border: Mask | None = None,
     changed: Mask | None = None,
+    change_grey: Floats | None = None,
 ) -> Mask:
     """The contact `touched` (rows, cols) without false regions; the deepest region stays.
 
     A true region has flanks: some of it is steep, and not where the `changed` part of the image
     ends, since a surface raised by drift ends there in a step. It stands out from its surroundings.
     At the image `border`, beyond which nothing holds the surface, it has a good part of the deepest
-    region's depth: light is least known in the corners.
+    region's depth: light is least known in the corners. And its flanks face opposite LEDs, so that
+    each colour of the image's `change_grey` (rows, cols, 3) rises on one and falls on the other; a
+    spot of light changes all of it in one direction.
     """
     import cv2
 
@@ -56,7 +63,10 @@ def remove_false_contacts(
         keep[cut[depths[cut - 1] < _BORDER_SHARE * float(depths.max())]] = False
     keep[0] = keep[deepest] = False
     for k in np.flatnonzero(keep):
-        keep[k] = _stands_out(np.equal(regions, k), touched, surface_mm, pixel_mm)
+        region = np.equal(regions, k)
+        keep[k] = _stands_out(region, touched, surface_mm, pixel_mm) and not (
+            change_grey is not None and _has_one_direction(change_grey, region, pixel_mm)
+        )
     keep[deepest] = True
     return np.asarray(keep[regions], np.bool_)
 
@@ -88,6 +98,12 @@ def _stands_out(region: Mask, touched: Mask, surface_mm: Floats, pixel_mm: float
         return True
     depth_mm = median(surface_mm, region)
     return bool(depth_mm - median(surface_mm[here], ring) > _PROMINENCE * depth_mm)
+
+
+def _has_one_direction(change_grey: Floats, region: Mask, pixel_mm: float) -> bool:
+    """Whether the colours of a region and its surroundings all rise or all fall."""
+    seen = change_grey[_dilate(region, max(1, round(_FLANKS_MM / pixel_mm)))]
+    return bool(np.abs(seen.sum(axis=0)).sum() > _ONE_DIRECTION * np.abs(seen).sum())
 
 
 def _dilate(mask: Mask, by_px: int) -> Mask:

@@ -5,17 +5,12 @@ calibration table are those of a surface, d(gx)/dy = d(gy)/dx; in a mirrored ima
 reversed, and half of what a dent shows belongs to no surface.
 """
 
-from dataclasses import replace
-
-import numpy as np
-
-from pipeline.calibration.calibration_table import Calibration
-from pipeline.core.arrays import Image
+from pipeline.core.arrays import Floats, Image
 from pipeline.physics.optics import compute_slopes
-from pipeline.physics.reference_colours import MirrorDirection, compare_colours, mirror_image
+from pipeline.physics.reference_colours import MirrorDirection, compare_colours
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.gel.slopes import ChangedImage
-from pipeline.stages.depth.illumination.light import ImagePatch, look_up_slopes
+from pipeline.stages.depth.illumination.light import look_up_slopes
 from pipeline.stages.depth.poisson import SideBoundaries, integrate_slopes
 
 _LESS_RESIDUAL = 0.8  # mirrored / plain: identifies 9 of 10 balls on a real Mini
@@ -33,38 +28,17 @@ def describe_mirroring(reference: Image, source: SensorSpec, changed: ChangedIma
 
 
 def looks_mirrored(changed: ChangedImage, direction: MirrorDirection) -> bool:
-    """Whether a touch's slopes are closer to those of a surface when the images are mirrored."""
+    """Whether a touch's slopes are closer to those of a surface with one of the two reversed."""
     _, cells = changed.patches
-    change, reference, where, unmarked = (
-        mirror_image(a, direction)
-        for a in (cells.change, cells.reference, cells.changed, cells.unmarked_share)
-    )
-    rows, cols = changed.image.shape[:2]
-    x_px = cells.x_px
-    y_px = cells.y_px
-    if direction == "left to right":
-        x_px = np.ascontiguousarray(cols - 1 - x_px[::-1])
-    else:
-        y_px = np.ascontiguousarray(rows - 1 - y_px[::-1])
-    mirrored = replace(
-        cells,
-        change=change,
-        reference=reference,
-        changed=where,
-        unmarked_share=unmarked,
-        x_px=x_px,
-        y_px=y_px,
-    )
-    shares = [_compute_curl_share(patch, changed.calibration) for patch in (mirrored, cells)]
+    gx, gy = look_up_slopes(cells, changed.calibration)
+    mirrored = (-gx, gy) if direction == "left to right" else (gx, -gy)
+    shares = [_compute_curl_share(*g, cells.pixel_mm) for g in (mirrored, (gx, gy))]
     return shares[0] < _LESS_RESIDUAL * shares[1]
 
 
-def _compute_curl_share(cells: ImagePatch, calibration: Calibration) -> float:
+def _compute_curl_share(gx: Floats, gy: Floats, pixel_mm: float) -> float:
     """The share of the squared slopes that belongs to no surface."""
-    gx, gy = look_up_slopes(cells, calibration)
-    surface_mm = integrate_slopes(
-        gx, gy, cells.pixel_mm, SideBoundaries("free", "free", "free", "free")
-    )
-    slopes = compute_slopes(surface_mm, cells.pixel_mm)
+    ends = SideBoundaries("free", "free", "free", "free")
+    slopes = compute_slopes(integrate_slopes(gx, gy, pixel_mm, ends), pixel_mm)
     residual = sum(float(((a - b) ** 2).sum()) for a, b in zip((gx, gy), slopes, strict=True))
     return residual / max(float((gx**2 + gy**2).sum()), 1e-9)

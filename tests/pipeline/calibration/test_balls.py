@@ -1,13 +1,16 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import optimize
 
 from pipeline.calibration import calibration_table as calibration
-from pipeline.calibration.balls import calibrate_balls
+from pipeline.calibration.balls import find_presses, fit_table, list_fits
 from pipeline.calibration.contact_circles import detect_contact_circle
 from pipeline.core.errors import CalibrationError, ShapeError
+from pipeline.core.progress import SILENT
 from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import optics
 from pipeline.sensors.spec import load_sensor
@@ -31,6 +34,21 @@ def hertz(shape, pixel_mm, x_px, y_px, diameter_mm, depth_mm):
     return np.where(r < a, depth_mm - r * r / (2 * radius), outside).astype(np.float32)
 
 
+def calibrate_by_table(pictures, still, source, diameter_mm, *, pixel_mm=None, seed=0):
+    """The table of presses, whether or not the description measures as well."""
+    pixel_mm = pixel_mm or source.pixel_mm
+    known = find_presses(
+        pictures, still, source, diameter_mm, pixel_mm=pixel_mm, progress=SILENT, seed=seed
+    )
+    model = fit_table(known)
+    return replace(
+        calibration.make_built_in(source),
+        pixel_mm=pixel_mm,
+        model=model,
+        presses=list_fits(len(pictures), known, model),
+    )
+
+
 @pytest.fixture(scope="module")
 def presses():
     source = load_sensor("gelsight_mini")
@@ -48,7 +66,7 @@ def presses():
 @pytest.fixture(scope="module")
 def look_up(presses):
     source, _, pictures = presses
-    return calibrate_balls(pictures, optics.render_reference(source), source, DIAMETER_MM)
+    return calibrate_by_table(pictures, optics.render_reference(source), source, DIAMETER_MM)
 
 
 def sphere_diameter(indentation_mm, contact, pixel_mm):
@@ -101,7 +119,7 @@ def test_the_same_presses_and_seed_give_the_same_bytes(presses):
     source, _, pictures = presses
     still = optics.render_reference(source)
     first, second = (
-        calibrate_balls(pictures[:3], still, source, DIAMETER_MM, seed=5) for _ in range(2)
+        calibrate_by_table(pictures[:3], still, source, DIAMETER_MM, seed=5) for _ in range(2)
     )
     assert first.model.coefficients.tobytes() == second.model.coefficients.tobytes()
 
@@ -109,7 +127,7 @@ def test_the_same_presses_and_seed_give_the_same_bytes(presses):
 def test_a_picture_without_a_ball_is_left_out_and_reported(presses):
     source, _, pictures = presses
     still = optics.render_reference(source)
-    found = calibrate_balls([pictures[0], still, pictures[1]], still, source, DIAMETER_MM)
+    found = calibrate_by_table([pictures[0], still, pictures[1]], still, source, DIAMETER_MM)
     assert [p.used for p in found.presses] == [True, False, True]
 
 
@@ -117,25 +135,25 @@ def test_nothing_but_untouched_pictures_is_refused(presses):
     source = presses[0]
     still = optics.render_reference(source)
     with pytest.raises(CalibrationError, match="no ball found"):
-        calibrate_balls([still], still, source, DIAMETER_MM)
+        calibrate_by_table([still], still, source, DIAMETER_MM)
 
 
 def test_no_images_are_refused(presses):
     with pytest.raises(CalibrationError, match="no images"):
-        calibrate_balls([], optics.render_reference(presses[0]), presses[0], DIAMETER_MM)
+        calibrate_by_table([], optics.render_reference(presses[0]), presses[0], DIAMETER_MM)
 
 
 @pytest.mark.parametrize("diameter_mm", [0.0, -1.0, float("nan")])
 def test_an_impossible_diameter_is_refused(presses, diameter_mm):
     source, _, pictures = presses
     with pytest.raises(CalibrationError, match="cannot be seen"):
-        calibrate_balls(pictures, optics.render_reference(source), source, diameter_mm)
+        calibrate_by_table(pictures, optics.render_reference(source), source, diameter_mm)
 
 
 def test_pictures_of_another_size_are_refused(presses):
     source = presses[0]
     with pytest.raises(ShapeError, match="press 0"):
-        calibrate_balls(
+        calibrate_by_table(
             [np.zeros((10, 10, 3), np.uint8)], optics.render_reference(source), source, DIAMETER_MM
         )
 
@@ -154,7 +172,7 @@ def test_real_presses_of_a_small_ball_measure_a_larger_one(real_data):
     source = load_sensor("gelsight_mini")
     still = read("background.png")
     small = [read(f"ball_6.310mm_{i}.png") for i in range(0, 44, 3)]
-    found = calibrate_balls(small, still, source, 6.31, pixel_mm=0.0634)
+    found = calibrate_by_table(small, still, source, 6.31, pixel_mm=0.0634)
     fits = []
     for i in range(0, 23, 3):
         frame = TactileFrame(

@@ -217,7 +217,6 @@ def test_the_optional_fields_are_loaded_unchanged(mini, tmp_path):
         reference_thumbnail=still,
         coverage_map=covered,
         depth_scale_map=covered + np.float32(0.5),
-        median_pressure_share=0.6,
     )
     calibration_file.save(known, tmp_path / "look_up.npz")
     back = calibration_file.load(tmp_path / "look_up.npz")
@@ -226,7 +225,6 @@ def test_the_optional_fields_are_loaded_unchanged(mini, tmp_path):
     assert np.array_equal(back.reference_thumbnail, still)
     assert np.array_equal(back.coverage_map, covered)
     assert np.array_equal(back.depth_scale_map, covered + np.float32(0.5))
-    assert back.median_pressure_share == 0.6
 
 
 @pytest.mark.parametrize(
@@ -253,7 +251,6 @@ def test_an_invalid_thumbnail_is_refused(mini, tmp_path):
     [
         ("coverage_map", np.zeros(4, np.bool_)),
         ("depth_scale_map", np.zeros((2, 2), np.float32)),
-        ("median_pressure_share", [7.0]),
     ],
 )
 def test_invalid_optional_fields_are_refused(mini, tmp_path, field, value):

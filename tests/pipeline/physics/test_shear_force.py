@@ -14,7 +14,7 @@ from pipeline.physics.shear_force import MarkerMotion, estimate_shear_force
 from pipeline.physics.simulation import shapes
 from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors.spec import load_sensor
-from pipeline.stages.depth.gel_force import estimate_gel_force
+from pipeline.stages.depth.contact_force import estimate_gel_force
 
 GELSLIM = load_sensor("gelslim")
 

@@ -16,6 +16,7 @@ from pipeline.core import entry_points
 from pipeline.core.arrays import freeze
 from pipeline.core.errors import CalibrationError, SettingProblem, ShapeError
 from pipeline.core.geometry import membrane
+from pipeline.core.graph import Skipped
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthMap, make_pixel_index
 from pipeline.io.hdf5_writer import RecordingWriter
@@ -26,7 +27,7 @@ from pipeline.sensors.kinds import GEL, GelSensor, SensorKind, register_kind
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.stages.depth import frame_checks, photometric
 from pipeline.stages.depth.contact_force import FORCE_MODELS
-from pipeline.stages.depth.gel.rest import DEPTH_ESTIMATORS, NO_CONTACT_CHECKS
+from pipeline.stages.depth.gel.rest import DEPTH_ESTIMATORS
 from pipeline.stages.depth.photometric import DepthParams
 from pipeline.stages.networks import weights_registry
 from pipeline.stages.networks.weights import NoWeights
@@ -77,16 +78,11 @@ def render_image(_sensor, indentation_mm, _depth_mm, _seed, _shear_mm):
     return indentation_mm
 
 
-def describe_if_no_contact(frame, _sensor, _calibration, limit):
-    return (
-        ("no taxel is pressed",)
-        if float(np.abs(frame.image - frame.reference).max()) < limit
-        else None
-    )
-
-
 def estimate_depth(frame, sensor, _calibration, params, _progress):
     pressed = sensor.sensor_kind.compute_change(frame.image, frame.reference)
+    if float(np.abs(pressed).max()) < sensor.limits.no_contact_change / params.sensitivity:
+        still = frame_checks.make_untouched_depth(frame, sensor, ("no taxel is pressed",))
+        return Skipped(output=still, reason=still.notes[0])
     return DepthMap(
         indentation_mm=freeze(pressed),
         depth_mm=freeze((sensor.rest_depth_mm - pressed).astype(np.float32)),
@@ -107,7 +103,6 @@ TAXELS = TaxelArray(
     drift_change=None,
 )
 IMAGE_RENDERERS.add(TaxelArray, render_image)
-NO_CONTACT_CHECKS.add(TaxelArray, describe_if_no_contact)
 DEPTH_ESTIMATORS.add(TaxelArray, estimate_depth)
 
 

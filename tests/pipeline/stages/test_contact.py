@@ -18,7 +18,6 @@ from pipeline.stages.depth.contact import (
     detect_membrane_contact,
     fill_holes,
     fill_small_holes,
-    remove_border_artifacts,
     remove_weak_specks,
 )
 from pipeline.stages.metrics.stage_metrics import iou
@@ -36,49 +35,6 @@ def press_gel_height(height_mm):
     y, x = (np.mgrid[:120, :140] - np.array([59.5, 69.5])[:, None, None]) * PIXEL_MM
     pressed = gel.press_gel(PAD, PIXEL_MM, height_mm(x, y, np.hypot(x, y)))
     return pressed.indentation_mm, pressed.contact
-
-
-@pytest.mark.parametrize(
-    ("rows", "cols", "depth_mm", "kept"),
-    [
-        (slice(0, 9), slice(0, 12), 0.08, False),  # a corner of the gel that slid
-        (slice(0, 9), slice(0, 12), 0.30, True),  # too deep for that
-        (slice(0, 9), slice(0, 60), 0.08, True),  # longer than any corner
-        (slice(0, 5), slice(0, 60), 0.08, False),  # a sliver of one
-        (slice(0, 9), slice(20, 40), 0.08, True),  # at one side
-        (slice(0, 60), slice(0, 12), 0.08, True),  # a face along three sides
-        (slice(20, 30), slice(20, 30), 0.08, True),
-    ],
-)
-def test_shallow_regions_in_a_corner_are_left_out(rows, cols, depth_mm, kept):
-    mask = np.zeros(SHAPE, np.bool_)
-    surface = np.zeros(SHAPE, np.float32)
-    mask[rows, cols] = True
-    surface[rows, cols] = depth_mm
-    found = remove_border_artifacts(mask, surface, slice(0, 60), slice(0, 80), SHAPE, 6.0)
-    assert np.array_equal(found, mask if kept else np.zeros_like(mask))
-
-
-def test_the_end_of_the_part_that_is_worked_on_is_no_side_of_the_picture():
-    mask = np.ones((10, 10), np.bool_)
-    surface = np.full((10, 10), 0.05, np.float32)
-    assert remove_border_artifacts(mask, surface, slice(5, 15), slice(5, 15), SHAPE, 6.0).all()
-    assert not remove_border_artifacts(mask, surface, slice(0, 10), slice(0, 10), SHAPE, 6.0).any()
-
-
-@pytest.mark.parametrize(("wide", "kept"), [(5, False), (9, True)])
-def test_a_strip_along_the_border_beside_a_larger_contact_is_left_out(wide, kept):
-    mask = np.zeros(SHAPE, np.bool_)
-    mask[25:45, 25:45] = True
-    whole = mask.copy()
-    whole[10:40, :wide] = True
-    surface = whole.astype(np.float32)
-    found = remove_border_artifacts(whole, surface, slice(0, 60), slice(0, 80), SHAPE, 6.0)
-    assert np.array_equal(found, whole if kept else mask)
-    alone = whole & ~mask
-    assert np.array_equal(
-        remove_border_artifacts(alone, surface, slice(0, 60), slice(0, 80), SHAPE, 6.0), alone
-    )
 
 
 def test_specks_that_hardly_press_are_left_out_beside_what_does():

@@ -78,10 +78,9 @@ def test_a_metric_output_becomes_an_indentation_on_the_frames_pixels(opened, fra
     )
     assert found.contact.all()
     rows, cols = frame.image.shape[:2]
-    shape, whole, sense = network.shown[0]
+    shape, _, sense = network.shown[0]
     assert min(shape[2:]) == 56
     assert shape[2] / shape[3] == pytest.approx(rows / cols, rel=0.13)
-    assert whole == (0, 0, shape[2] // 14, shape[3] // 14)
     assert sense == "metric"
     assert asked(opened, frame, network, largest_mm=3.0).indentation_mm.max() == pytest.approx(1.5)
     asked(opened, frame, network, shorter_side_px=84)
@@ -119,19 +118,6 @@ def test_a_relative_output_is_fitted_to_the_physical_estimate(opened, frame, phy
     assert turned.shown[0][2] == "relative"
     assert not against.indentation_mm.any()
     assert any("decreases" in note for note in against.notes)
-
-
-def test_a_crop_runs_the_patches_around_the_contact_only(opened, frame, physical):
-    network = KnownAnswer(half, contact=half)
-    found = asked(opened, frame, network, crop_to_contact=True, shorter_side_px=168)
-    shape, (top, left, rows, cols), _ = network.shown[0]
-    assert shape[2] * shape[3] < 14 * 14 * rows * cols
-    inside = found.indentation_mm > 0
-    assert inside[physical.contact].all()
-    assert not inside.all()
-    assert np.array_equal(found.contact, inside)
-    assert "cropped to the contact" in found.notes[0]
-    assert (top, left) != (0, 0)
 
 
 def test_an_untouched_frame_is_skipped(opened, frame):

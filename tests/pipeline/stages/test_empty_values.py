@@ -23,6 +23,7 @@ from pipeline.lab.tracking import patch_map, surface_registration, track_recordi
 from pipeline.lab.tracking.tracker import Tracker
 from pipeline.stages.cloud import back_projection
 from pipeline.stages.depth import bubble_depth, contact_force
+from pipeline.stages.depth.depth_params import DepthParams
 from pipeline.stages.pose import signed_distances
 from pipeline.stages.pose.registration import scene
 from pipeline.stages.target_depth import surface_projection
@@ -124,7 +125,7 @@ def bubble(kind: str, place: Any) -> Any:
     frame = make_frame("soft_bubble", kind, place)
     sensor = small("soft_bubble")
     bubble_depth.compute_largest_change(frame.image, frame.reference)
-    bubble_depth.describe_if_no_contact(frame, sensor, None, 0.5)
+    bubble_depth.skip_without_contact(frame, sensor, DepthParams())
     return bubble_depth.estimate_depth(frame, sensor, smoothing_px=1.0, least_mm=0.3)
 
 

@@ -78,3 +78,20 @@ def test_a_region_at_the_border_has_a_good_part_of_the_deepest_depth(centre, sha
     assert remaining[60, centre] == remains
     # only the border tells
     assert false_contacts.remove_false_contacts(touched, surface, 0.05)[60, centre]
+
+
+@pytest.mark.parametrize("colours", ["of a dent", "of a spot of light"])
+def test_a_region_whose_colours_all_rise_is_light(colours):
+    y, x = np.mgrid[:120, :200].astype(np.float32)
+    balls = [
+        np.maximum(d - ((x - c) ** 2 + (y - 60) ** 2) / 1000, 0) for d, c in ((0.6, 140), (0.4, 50))
+    ]
+    surface = (balls[0] + balls[1]).astype(np.float32)
+    change = np.repeat(np.gradient(surface, axis=1)[..., None], 3, axis=2)
+    if colours == "of a spot of light":
+        change[:, :95] = surface[:, :95, None]
+    remaining = false_contacts.remove_false_contacts(
+        surface > 0, surface, 0.05, change_grey=change.astype(np.float32)
+    )
+    assert remaining[60, 140]
+    assert remaining[60, 50] == (colours == "of a dent")

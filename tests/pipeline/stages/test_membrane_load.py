@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.stages.depth.membrane_load import estimate_load, estimate_noise_mm2
+from pipeline.stages.depth.membrane_load import estimate_load
 
 PIXEL_MM = 0.4
 CURVATURE_PER_MM = 0.027
@@ -117,24 +117,3 @@ def test_twice_the_assumed_curvature_is_half_the_load():
         for k in (1.0, 2.0)
     )
     assert b == pytest.approx(a / 2, rel=0.1)
-
-
-@pytest.mark.parametrize("grain_px", [0.0, 1.0])
-def test_noise_is_measured_at_the_scale_of_a_millimetre(grain_px):
-    import cv2
-
-    image = np.random.default_rng(1).normal(0, NOISE_MM, (160, 200)).astype(np.float32)
-    if grain_px:
-        # takes the fine noise away, not that of a mean over blocks
-        image = cv2.GaussianBlur(image, (0, 0), grain_px)
-    hill = 5e-4 * np.add.outer(np.arange(160.0) ** 2, np.arange(200.0) ** 2)
-    found = estimate_noise_mm2(
-        (image + hill).astype(np.float32), np.ones(image.shape, np.bool_), PIXEL_MM
-    )
-    # from some 700 blocks, the blur leaking out of them
-    assert found == pytest.approx(NOISE_MM * PIXEL_MM, rel=0.3)
-
-
-def test_too_small_an_image_is_taken_to_be_as_noisy_as_usual():
-    nothing = np.zeros((20, 20), np.float32)
-    assert estimate_noise_mm2(nothing, np.ones((20, 20), np.bool_), PIXEL_MM) == pytest.approx(0.45)

@@ -12,7 +12,7 @@ from pipeline.core.progress import Progress
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthMap
 from pipeline.sensors.spec import Gel, SensorSpec
-from pipeline.stages.depth import contact, false_contacts, light_changes, mirror_check, rest_level
+from pipeline.stages.depth import contact, false_contacts, mirror_check, rest_level
 from pipeline.stages.depth.change_detection import ImageWindow
 from pipeline.stages.depth.gel.change import FrameChange
 from pipeline.stages.depth.gel.rest import RestState
@@ -36,7 +36,6 @@ _GRAIN_SHARE = 0.5  # of the peak: a speck with this much pressure is no noise
 _SPECK_MM2 = 0.15  # smaller contacts are camera noise
 # gaps that a rough ball or a book leaves between its threads (`benchmarks/real_things.py`)
 _HOLE_MM2 = 0.5
-_BORDER_GEL = 0.5  # gel thicknesses, within which the gel beyond the border affects what is visible
 _WEAK_SHADING = StageWarning(
     "the LEDs hardly shade slopes where the sensor is touched: sizes and depths may be wrong by "
     "half; calibrate"
@@ -79,19 +78,20 @@ def detect_contact(
         least_mm=params.contact_limit * source.limits.contact_min_mm,
         pressure_share=params.pressure_share,
         smoothing_px=_CONTACT_BLUR_PX,
-        median_pressure_share=calibration.median_pressure_share or contact.MEDIAN_PRESSURE_SHARE,
     )
     pressed = contact.remove_specks(
         pressed & (window.changed | inside), max(4, round(_SPECK_MM2 / pixel_mm**2))
     )
-    pressed = light_changes.remove_light_changes(pressed, z, changed, used)
     border = np.pad(np.zeros((shape[0] - 2, shape[1] - 2), np.bool_), 1, constant_values=True)[here]
-    pressed = false_contacts.remove_false_contacts(pressed, z, pixel_mm, border, window.changed)
+    patch, _ = changed.patches
+    change_grey = patch.change * patch.unmarked_share
+    pressed = false_contacts.remove_false_contacts(
+        pressed, z, pixel_mm, border, window.changed, change_grey
+    )
     pressed = contact.fill_small_holes(pressed, round(_HOLE_MM2 / pixel_mm**2))
-    narrow_px = _BORDER_GEL * (0.0 if source.gel is None else source.gel.thickness_mm) / pixel_mm
     touched = np.zeros(shape, np.bool_)
     indentation = np.zeros(shape, np.float32)
-    touched[here] = contact.remove_border_artifacts(pressed, z, *here, shape, narrow_px)
+    touched[here] = pressed
     distance = (
         None if source.gel is None else _compute_distance(touched[here], pixel_mm, source.gel)
     )

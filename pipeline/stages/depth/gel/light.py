@@ -70,15 +70,8 @@ def estimate_light(
 
 
 def describe_as_built_in(rest: RestState) -> Calibration:
-    """The table of the sensor's description, with the calibration's pixel width and contact
-    limit.
-    """
-    known = rest.calibration
-    return replace(
-        make_built_in(rest.source),
-        pixel_mm=known.pixel_mm,
-        median_pressure_share=known.median_pressure_share,
-    )
+    """The table of the sensor's description, with the calibration's pixel width."""
+    return replace(make_built_in(rest.source), pixel_mm=rest.calibration.pixel_mm)
 
 
 def _describe_illumination(illumination: Illumination, n_context_frames: int) -> list[str]:

@@ -17,23 +17,16 @@ from pipeline.sensors.kinds import BubbleSensor, KindTable
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import bubble_depth, instance_check
 from pipeline.stages.depth.depth_params import DepthParams
-from pipeline.stages.depth.frame_checks import check_frame, make_untouched_depth, see_by_frame
+from pipeline.stages.depth.frame_checks import check_frame, see_by_frame
 from pipeline.stages.depth.gel import coarse_light
 
-# Of kinds that measure depth themselves; any other is a gel.
+# Of kinds that measure depth themselves; any other is a gel. Skipped where nothing touches.
 EstimateDepth = Callable[
-    [TactileFrame, SensorSpec, Calibration | None, DepthParams, Progress], DepthMap
+    [TactileFrame, SensorSpec, Calibration | None, DepthParams, Progress],
+    DepthMap | Skipped[DepthMap],
 ]
 DEPTH_ESTIMATORS: KindTable[EstimateDepth] = KindTable(
     {BubbleSensor: bubble_depth.estimate_bubble_frame}
-)
-# (frame, sensor, calibration, limit in grey levels or mm) -> notes without contact; None = there
-# may be contact
-CheckContact = Callable[
-    [TactileFrame, SensorSpec, Calibration | None, float], tuple[str, ...] | None
-]
-NO_CONTACT_CHECKS: KindTable[CheckContact] = KindTable(
-    {BubbleSensor: bubble_depth.describe_if_no_contact}
 )
 
 
@@ -74,16 +67,11 @@ def describe_rest(
     """
     progress.step(0.0, "comparing with the reference image")
     check_frame(frame, source)
-    kind = source.sensor_kind
     seen_by = see_by_frame(source, frame)
-    estimate = DEPTH_ESTIMATORS.get(kind)
-    check = NO_CONTACT_CHECKS.get(kind)
+    estimate = DEPTH_ESTIMATORS.get(source.sensor_kind)
     if estimate is not None:
-        limit = source.limits.no_contact_change / params.sensitivity
-        notes = None if check is None else check(frame, seen_by, calibration, limit)
-        if notes is not None:
-            return Skipped(output=make_untouched_depth(frame, seen_by, notes), reason=notes[0])
-        return EarlyAnswer(output=estimate(frame, source, calibration, params, progress))
+        found = estimate(frame, seen_by, calibration, params, progress)
+        return found if isinstance(found, Skipped) else EarlyAnswer(output=found)
     image = cast("Image", frame.image)
     reference = cast("Image", frame.reference)
     table = calibration if calibration is not None else make_built_in(seen_by)
