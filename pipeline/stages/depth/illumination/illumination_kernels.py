@@ -141,6 +141,52 @@ def render_field_light(gx, gy, surface_mm, field, change, rate_x, rate_y):
                 rate_y[r, c, k] = along * sy - a[1] * slant
 
 
+@kernel(fastmath=FAST)
+def sum_field_products(u, v, gx, gy, surface_mm, change, seen, line, sums):
+    """Add up the products of a shading field's normal equations; return (squared change, cells).
+
+    For every power of v and of u: the products of two of the four shading terms, and of each colour
+    with them, in `sums` (powers, powers, 4 + 3, 4), zeros before. u (cols,), v (rows,): positions;
+    gx, gy, surface_mm, seen (rows, cols); change (rows, cols, 3); line (powers, 4 + 3, 4): scratch.
+    """
+    rows, cols = gx.shape
+    n = sums.shape[0]
+    energy = 0.0
+    count = 0
+    left = np.empty(7)
+    both = np.empty(28)
+    flat = line.reshape(n, 28)
+    for r in range(rows):
+        flat[:] = 0.0
+        for c in range(cols):
+            if not seen[r, c]:
+                continue
+            count += 1
+            sx = float(gx[r, c])
+            sy = float(gy[r, c])
+            slant = 1.0 / math.sqrt(1.0 + sx * sx + sy * sy)
+            left[0] = -sx * slant
+            left[1] = -sy * slant
+            left[2] = slant - 1.0
+            left[3] = surface_mm[r, c]
+            for k in range(3):
+                left[4 + k] = change[r, c, k]
+                energy += left[4 + k] * left[4 + k]
+            for a in range(7):
+                for b in range(4):
+                    both[4 * a + b] = left[a] * left[b]
+            power = 1.0
+            for i in range(n):
+                for k in range(28):
+                    flat[i, k] += power * both[k]
+                power *= u[c]
+        power = 1.0
+        for j in range(n):
+            sums[j] += power * line
+            power *= v[r]
+    return energy, count
+
+
 @inline_kernel()
 def _accumulate(sums, confidence, jx, jy, rendered, change, reference, huber):
     """Add one colour to the normal equations (xx, xy, yy, to x, to y) and to the misfit.
