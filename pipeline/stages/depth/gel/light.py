@@ -59,7 +59,9 @@ def estimate_light(
     model = choose_for_recording(frame.context_frames, reference, rest, progress)
     if model is None or not model.is_complete:
         touch = make_touch(make_changed_image(image, rest, change, rest.calibration), progress)
-        model = selection.choose_illumination([touch]) if model is None else selection.fit_touch(touch)
+        model = (
+            selection.choose_illumination([touch]) if model is None else selection.fit_touch(touch)
+        )
     if model.is_fitted_leds:
         n = len(frame.context_frames)
         to = f"{n} touches of the recording" if model.from_context else "this touch"
@@ -102,11 +104,7 @@ def choose_for_recording(
         found = [touch for touch in touches if touch is not None]
         if len(found) < _MIN_CONTEXT_TOUCHES:
             return selection.DESCRIBED
-        light = selection.choose_illumination(found)
-        # Cast shadows differ from press to press by more than one choice allows: simulated
-        # recordings of a DIGIT, .8 mm deep, err by 52 um in place of 47.
-        holds = light.model in {"leds", "field"} or not selection.casts_shadows(source)
-        return replace(light, from_context=True) if holds else selection.DESCRIBED
+        return selection.choose_for_recording(found) or selection.DESCRIBED
 
     chosen = _recordings.get_or_make(
         made_of, lambda: disk_store.load_or_make(Illumination, made_of, _CODE, choose, "led_fits")

@@ -142,10 +142,10 @@ def expand_field(coefficients: Doubles, u: Floats, v: Floats) -> Floats:
     """The field (rows, cols, 3, N_SHADING_TERMS) at the columns `u` and rows `v`."""
     table = coefficients.reshape(3, N_POSITION_TERMS, N_SHADING_TERMS)
     n = POSITION_DEGREE + 1
-    grid = np.zeros((n, n, 3, N_SHADING_TERMS))
+    grid = np.zeros((n, n, 3, N_SHADING_TERMS), np.float32)
     of_u, of_v = _list_powers()
     grid[of_v, of_u] = table.transpose(1, 0, 2)
-    along_u, along_v = (np.vander(w.astype(np.float64), n, increasing=True) for w in (u, v))
+    along_u, along_v = (np.vander(w, n, increasing=True) for w in (u, v))
     # (rows, powers of u, colours x terms)
     rows = np.tensordot(along_v, grid, 1).reshape(len(v), n, -1)
     return np.asarray(along_u @ rows, np.float32).reshape(len(v), len(u), 3, N_SHADING_TERMS)
@@ -171,7 +171,8 @@ def _compute_posterior(prior: ShadingFieldPrior, dent: DentSamples) -> tuple[flo
 
     n = 2 * POSITION_DEGREE + 1
     sums = np.zeros((n, n, N_SHADING_TERMS + 3, N_SHADING_TERMS))
-    energy, count = sum_field_products(*dent, np.empty(sums.shape[1:]), sums)
+    line = np.empty((7 + 28, len(dent.u)), np.float32)
+    energy, count = sum_field_products(*dent, line, sums)
     weight = CONSTANTS.field_independent_pixels / max(count, 1) / CONSTANTS.field_noise**2
     along_u, along_v = _list_powers()
     block = N_POSITION_TERMS * N_SHADING_TERMS
@@ -180,7 +181,9 @@ def _compute_posterior(prior: ShadingFieldPrior, dent: DentSamples) -> tuple[flo
     seen = sums[along_v, along_u, N_SHADING_TERMS:]  # (positions, 3, shading)
     pull = prior.precision @ prior.mean
     right = pull + weight * seen.transpose(1, 0, 2).ravel()
-    precision = prior.precision + weight * np.kron(np.eye(3), normal)
+    precision = prior.precision.copy()
+    colour = np.arange(3)
+    precision.reshape(3, block, 3, block)[colour, :, colour] += weight * normal
     coefficients = np.asarray(np.linalg.solve(precision, right), np.float64)
     log_root = np.log(np.diag(np.linalg.cholesky(precision)))
     unlikeliness = float(prior.mean @ pull) + weight * energy

@@ -147,43 +147,43 @@ def sum_field_products(u, v, gx, gy, surface_mm, change, seen, line, sums):
 
     For every power of v and of u: the products of two of the four shading terms, and of each colour
     with them, in `sums` (powers, powers, 4 + 3, 4), zeros before. u (cols,), v (rows,): positions;
-    gx, gy, surface_mm, seen (rows, cols); change (rows, cols, 3); line (powers, 4 + 3, 4): scratch.
+    gx, gy, surface_mm, seen (rows, cols); change (rows, cols, 3); line (4 + 3 + 28, cols): scratch.
     """
     rows, cols = gx.shape
     n = sums.shape[0]
+    one = np.float32(1.0)
     energy = 0.0
     count = 0
-    left = np.empty(7)
-    both = np.empty(28)
-    flat = line.reshape(n, 28)
     for r in range(rows):
-        flat[:] = 0.0
-        for c in range(cols):
-            if not seen[r, c]:
-                continue
-            count += 1
-            sx = float(gx[r, c])
-            sy = float(gy[r, c])
-            slant = 1.0 / math.sqrt(1.0 + sx * sx + sy * sy)
-            left[0] = -sx * slant
-            left[1] = -sy * slant
-            left[2] = slant - 1.0
-            left[3] = surface_mm[r, c]
-            for k in range(3):
-                left[4 + k] = change[r, c, k]
-                energy += left[4 + k] * left[4 + k]
-            for a in range(7):
-                for b in range(4):
-                    both[4 * a + b] = left[a] * left[b]
-            power = 1.0
-            for i in range(n):
-                for k in range(28):
-                    flat[i, k] += power * both[k]
-                power *= u[c]
-        power = 1.0
-        for j in range(n):
-            sums[j] += power * line
-            power *= v[r]
+        for i in range(cols):
+            c = np.uint64(i)
+            here = one if seen[r, c] else np.float32(0.0)
+            sx = gx[r, c]
+            sy = gy[r, c]
+            slant = one / np.sqrt(one + sx * sx + sy * sy)
+            line[0, c] = -sx * slant * here
+            line[1, c] = -sy * slant * here
+            line[2, c] = (slant - one) * here
+            line[3, c] = surface_mm[r, c] * here
+            line[4, c] = change[r, c, 0] * here
+            line[5, c] = change[r, c, 1] * here
+            line[6, c] = change[r, c, 2] * here
+            energy += line[4, c] ** 2 + line[5, c] ** 2 + line[6, c] ** 2
+            count += seen[r, c]
+        for a in range(7):
+            for b in range(4):
+                product = line[7 + 4 * a + b]
+                for i in range(cols):
+                    product[i] = line[a, i] * line[b, i]
+                for k in range(n):
+                    total = np.float32(0.0)
+                    for i in range(cols):
+                        total += product[i]
+                        product[i] *= u[i]
+                    power = 1.0
+                    for j in range(n - k):
+                        sums[j, k, a, b] += power * total
+                        power *= v[r]
     return energy, count
 
 
