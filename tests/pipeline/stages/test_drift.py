@@ -169,7 +169,8 @@ def test_the_prior_pulls_the_whole_shift_to_none_and_not_its_last_step():
     flat = np.full((12, 3), 90.0, np.float32)
     place = drift._make_positions(3, 4)
     still = drift._Blocks(mean=flat, by_x=np.zeros_like(flat), by_y=np.zeros_like(flat))
-    solution, _ = drift._solve(flat, still, place, np.array([1.5, -0.5]), 1.0)
+    shift, weight = np.array([1.5, -0.5]), np.ones(12, np.float32)
+    solution, *_ = drift._solve(flat, still, place, shift, weight, [1.0])
     np.testing.assert_allclose(solution[12:], [-1.5, 0.5], atol=1e-9)
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from pipeline.calibration import near_led_prior, shading_field, slope_model
-from pipeline.calibration.shading_field import SurfaceSamples
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.illumination import field_light
+from pipeline.stages.depth.illumination.field_light import DentSamples
 
 SHAPE = (240, 320)
 PIXEL_MM = 0.0634
@@ -24,23 +24,24 @@ def draw_field(seed):
 
 
 def render_samples(coefficients, depth, seed=0):
-    """Colours of a dent, at pixels of a dent `depth` times as deep."""
+    """Colours of a dent, at cells of a dent `depth` times as deep."""
     rng = np.random.default_rng(seed)
-    u, v = rng.uniform(-0.2, 0.2, (2, 400))
-    angle = rng.uniform(0, 2 * np.pi, 400)
-    steep = 0.4 * np.sqrt(rng.random(400))
-    slopes = np.stack([steep * np.cos(angle), steep * np.sin(angle)], axis=1)
-    deep = rng.uniform(0.1, 0.5, 400)
-    at = shading_field.compute_position_terms(u, v)
-    terms = shading_field.compute_shading_terms(slopes, deep)
-    q = shading_field.predict_colours(coefficients, at, terms)
-    terms = shading_field.compute_shading_terms(depth * slopes, depth * deep)
-    return SurfaceSamples(
-        u=u.astype(np.float32),
-        v=v.astype(np.float32),
-        shading_terms=terms,
-        change=q.astype(np.float32),
-    )
+    u, v = rng.uniform(-0.2, 0.2, (2, 20)).astype(np.float32)
+    angle = rng.uniform(0, 2 * np.pi, (20, 20))
+    steep = 0.4 * np.sqrt(rng.random((20, 20)))
+    dent = [steep * np.cos(angle), steep * np.sin(angle), rng.uniform(0.1, 0.5, (20, 20))]
+    at, terms = describe_cells(u, v, *dent)
+    q = shading_field.predict_colours(coefficients, at, terms).reshape(20, 20, 3)
+    scaled = ((depth * a).astype(np.float32) for a in dent)
+    return DentSamples(u, v, *scaled, q.astype(np.float32), np.ones((20, 20), np.bool_))
+
+
+def describe_cells(u, v, gx, gy, indentation_mm):
+    """Position terms and shading terms of all cells of a grid."""
+    across, down = np.meshgrid(u, v)
+    slopes = np.stack([gx.ravel(), gy.ravel()], axis=1).astype(np.float64)
+    terms = shading_field.compute_shading_terms(slopes, indentation_mm.ravel())
+    return shading_field.compute_position_terms(across.ravel(), down.ravel()), terms
 
 
 @pytest.fixture(scope="module")
@@ -61,9 +62,8 @@ def test_a_wrong_depth_comes_nearer_to_the_true_one(prior, depth):
         factor, coefficients = estimate_from(prior, field, depth)
         assert abs(np.log(depth * factor)) < abs(np.log(depth)) - 0.1
         dent = render_samples(field, depth * factor)
-        at = shading_field.compute_position_terms(dent.u, dent.v)
-        rendered = shading_field.predict_colours(coefficients, at, dent.shading_terms)
-        assert np.sqrt(np.mean((rendered - dent.change) ** 2)) < 0.02
+        rendered = shading_field.predict_colours(coefficients, *describe_cells(*dent[:5]))
+        assert np.sqrt(np.mean((rendered - dent.change.reshape(-1, 3)) ** 2)) < 0.02
 
 
 def test_the_depth_moves_with_the_colours_without_a_jump(prior):

@@ -17,6 +17,7 @@ coarse light's errors make plausible (`stiffness`), so that it does not take the
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, cast
 
@@ -68,12 +69,16 @@ class ChangeSettings:
     # Nats by which drift is likelier beside a dent: drifted references up to 5, the largest balls
     # 25 to 50.
     unlikely_drift: float = 12.0
-    # A wide, smooth dent: share of the view above half its depth, and its steepest slope times the
-    # radius of that part over the depth. A paraboloid has 1.4; balls of 30 to 120 mm up to 1.9,
-    # faces and tools of every gel 2.0 to 7.4.
-    smooth_share: float = 0.15
+    # A smooth dent, which the linear light of the blocks measures as well as anything: its radius
+    # at half its depth in distances of knots (soft balls of .13 mm from 2.3), its steepest slope, and
+    # that times the radius over the depth. A paraboloid has 1.4; balls of 30 to 120 mm up to 1.9,
+    # faces and tools of every gel 2.0 to 7.4. Small balls are steeper than .3 mm/mm.
+    smooth_knots: float = 2.0
+    smooth_slope: float = 0.25  # mm/mm
     smooth_steepness: float = 1.95
-    smooth_residual: float = 0.15  # share of the squared change that is left: soft balls up to .1
+    smooth_residual: float = (
+        0.095  # share of the squared change left: tools from .1, soft balls .09
+    )
     # Beside a smooth dent, drift as costly as this is nearly none. It is held back where the
     # residual grows by less than the first factor, not at all from the second: most without drift
     # grow by up to 1.4, with drift by 1.3 to 60.
@@ -201,9 +206,12 @@ def observe_change(image: Image, reference: Image, rest: RestState) -> FrameChan
     exposed = drift.remove_exposure(image, drift.estimate_exposure(image, reference))
     printed = rest.source.markers
     markers = None if printed is None else freeze(detect_markers(exposed, printed, rest.pixel_mm))
-    press = explain_change(exposed, reference, rest.source, rest.light, rest.pixel_mm, markers)
-    dent_grey = press.dent_grey if press.is_smooth else None
-    still = drift.estimate_rest_image(image, reference, dent_grey)
+    still = drift.estimate_rest_image(image, reference)
+    press = explain_change(
+        exposed, reference, rest.source, rest.light, rest.pixel_mm, markers, still
+    )
+    if press.is_smooth:
+        still = drift.estimate_rest_image(image, reference, press.dent_grey)
     return FrameChange(press=press, rest=still, markers=markers)
 
 
@@ -232,21 +240,36 @@ def explain_change(
     light: Floats,
     pixel_mm: float,
     markers: Mask | None = None,
+    still: drift.RestImage | None = None,
 ) -> Change:
     """Whether the change between two images (rows, cols, 3) is a press, in this coarse light (rows,
     cols, 3, 2).
 
     `markers` (rows, cols), what printed markers hide of the first, is computed where it is None.
+    `still`: the second as most of the first shows it.
     """
     model = make_model(reference, source, light, pixel_mm)
     change = coarse_light.compute_block_change(
         image, reference, source.markers, pixel_mm, markers
     ).ravel()
-    return compare_explanations(change, model)
+
+    def compare_with_rest() -> Floats:
+        if still is None or still.drift is None:
+            return change
+        return coarse_light.compute_block_change(
+            image, still.image_8bit, source.markers, pixel_mm, markers
+        ).ravel()
+
+    return compare_explanations(change, model, compare_with_rest)
 
 
-def compare_explanations(change: Floats, model: ChangeModel) -> Change:
-    """The explanation of a change (n,) of the blocks in grey levels."""
+def compare_explanations(
+    change: Floats, model: ChangeModel, compare_with_rest: Callable[[], Floats] | None = None
+) -> Change:
+    """The explanation of a change (n,) of the blocks in grey levels.
+
+    `compare_with_rest` returns it without the drift that most of the image shows.
+    """
     prior = model.drift
     pull = prior.columns.T @ change
     energy = float(change @ change)
@@ -273,9 +296,11 @@ def compare_explanations(change: Floats, model: ChangeModel) -> Change:
         verdict = "uncertain"
     if verdict != "press":
         return replace(alone, verdict=verdict, dent_evidence=evidence)
-    is_smooth = _is_smooth(fit, model)
+    is_smooth = _is_smooth(fit, model.basis)
     if is_smooth:
-        fit = _hold_drift(fit, _fit_dent(change, pull, model, CHANGE.still_stiffness))
+        left = change if compare_with_rest is None else compare_with_rest()
+        held = _fit_dent(left, prior.columns.T @ left, model, CHANGE.still_stiffness)
+        fit = _hold_drift(fit, held)
     return Change(
         verdict=verdict,
         dent_evidence=evidence,
@@ -306,15 +331,19 @@ def _fit_dent(change: Floats, pull: Floats, model: ChangeModel, stiffness: float
     return _DentFit(pressures, drift, float(left @ left) / n, float(residual @ residual) / n)
 
 
-def _is_smooth(fit: _DentFit, model: ChangeModel) -> bool:
-    dent_mm = model.basis.heights @ fit.pressures
-    slopes = model.basis.slopes @ fit.pressures
+def _is_smooth(fit: _DentFit, basis: DentBasis) -> bool:
+    dent_mm = basis.heights @ fit.pressures
+    slopes = basis.slopes @ fit.pressures
     deepest_mm = float(dent_mm.max())
-    share = float((dent_mm > 0.5 * deepest_mm).mean())
-    radius_mm = math.sqrt(share * dent_mm.size / math.pi) * model.basis.block_mm
-    steepness = float(np.hypot(slopes[..., 0], slopes[..., 1]).max()) * radius_mm / deepest_mm
-    is_wide = share > CHANGE.smooth_share and steepness < CHANGE.smooth_steepness
-    return is_wide and fit.residual < CHANGE.smooth_residual * fit.mean_square
+    cells = np.count_nonzero(dent_mm > 0.5 * deepest_mm)
+    radius_mm = math.sqrt(cells / math.pi) * basis.block_mm
+    slope = float(np.hypot(slopes[..., 0], slopes[..., 1]).max())
+    return (
+        radius_mm > CHANGE.smooth_knots * basis.knot_mm
+        and slope < CHANGE.smooth_slope
+        and slope * radius_mm < CHANGE.smooth_steepness * deepest_mm
+        and fit.residual < CHANGE.smooth_residual * fit.mean_square
+    )
 
 
 def _hold_drift(fit: _DentFit, still: _DentFit) -> _DentFit:

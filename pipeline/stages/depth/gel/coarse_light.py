@@ -83,6 +83,7 @@ class DentBasis:
     slopes: Floats  # (rows, cols, 2, m) mm/mm, right and down
     heights: Floats  # (rows, cols, m) mm
     block_mm: float  # width of a block
+    knot_mm: float  # between two knots
     loads: Floats  # (rows, cols, m) pressure over that in a blob's middle
 
 
@@ -195,6 +196,7 @@ def _make_dent_basis(camera: Camera, gel: Gel, pixel_mm: float) -> DentBasis:
         slopes=freeze(np.stack([outward * dx, outward * dy], 2).astype(np.float32)),
         heights=freeze(np.interp(away, radius_mm, height, right=0.0).astype(np.float32)),
         block_mm=block_mm,
+        knot_mm=knot_mm,
         loads=freeze(np.exp(-0.5 * (away / (COARSE.blob_share * knot_mm)) ** 2).astype(np.float32)),
     )
 

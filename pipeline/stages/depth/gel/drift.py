@@ -259,8 +259,12 @@ def fit_drift(
     place = _make_positions(*now.shape[:2])
     shift = np.zeros(2)
     solution = np.zeros(14)
+    weight = np.ones(len(place), np.float32)
+    scales = [*DRIFT.scales_grey, agrees, agrees]
     for _ in range(DRIFT.iterations):
-        solution, left = _solve(now.reshape(-1, 3), still, place, shift, agrees)
+        fit = _solve(now.reshape(-1, 3), still, place, shift, weight, scales)
+        solution, left, weight = fit
+        scales = [agrees]
         residual = left.reshape(now.shape)
         shift = shift + solution[12:]
         if (
@@ -441,14 +445,14 @@ def _make_positions(rows: int, cols: int) -> Floats:
 
 
 def _solve(
-    now: Floats, still: _Blocks, place: Floats, shift: Doubles, agrees: float
-) -> tuple[Doubles, Doubles]:
+    now: Floats, still: _Blocks, place: Floats, shift: Doubles, weight: Floats, scales: list[float]
+) -> tuple[Doubles, Floats, Floats]:
     """(gain - 1, offset, ramp of each colour, then a further shift: (14,).
 
-    What is left of each block (n, 3)).
+    What is left of each block (n, 3); the weights (n,) by that). One fit for each of the scales.
     """
-    target = (now - still.mean).astype(np.float64)  # (n, 3)
-    ones = np.ones(len(now))
+    target = (now - still.mean).T  # (3, n)
+    ones = np.ones(len(now), np.float32)
     columns = np.stack(
         [
             np.stack([still.mean[:, c], ones, *place.T, -still.by_x[:, c], -still.by_y[:, c]])
@@ -456,30 +460,23 @@ def _solve(
         ]
     )
     numbers = [np.r_[4 * c : 4 * c + 4, 12, 13] for c in range(3)]  # unknowns of each colour
-    own_prior = (
-        np.array([DRIFT.prior_std[0], DRIFT.prior_std[1], DRIFT.prior_std[2], DRIFT.prior_std[2]])
-        / DRIFT.block_noise_grey
-    )
-    prior = (
-        np.concatenate(
-            [np.tile(own_prior, 3), np.full(2, DRIFT.prior_std[3] / DRIFT.block_noise_grey)]
-        )
-        ** -2.0
-    )
-    weight = ones
+    gain, offset, ramp, moved = DRIFT.prior_std
+    stds = np.array([*(gain, offset, ramp, ramp) * 3, moved, moved])
+    prior = (DRIFT.block_noise_grey / stds) ** 2
     solution: Doubles = np.zeros(14)
-    left = target.T
-    for scale in (*DRIFT.scales_grey, agrees, agrees):
+    left = target
+    for scale in scales:
         normal = np.diag(prior)
         right = np.zeros(14)
         right[12:] = -prior[12:] * shift
         weighted = columns * weight
         blocks = weighted @ columns.swapaxes(1, 2)
-        to = weighted @ target.T[:, :, None]
+        to = weighted @ target[:, :, None]
         for c, where in enumerate(numbers):
             normal[np.ix_(where, where)] += blocks[c]
             right[where] += to[c, :, 0]
         solution = np.asarray(np.linalg.solve(normal, right), np.float64)
-        left = target.T - (solution[numbers][:, None] @ columns)[:, 0]
-        weight = 1.0 / (1.0 + (np.abs(left).max(axis=0) / scale) ** 2) ** 2
-    return solution, left.T
+        fitted = solution[numbers].astype(np.float32)
+        left = target - (fitted[:, None] @ columns)[:, 0]
+        weight = 1.0 / (1.0 + (np.abs(left).max(axis=0) * np.float32(1.0 / scale)) ** 2) ** 2
+    return solution, left.T, weight

@@ -48,42 +48,30 @@ def estimate_light(
     """
     progress.step(0.0, "estimating the light")
     image = cast("Image", frame.image)
-    calibration = rest.calibration
-    changed = make_changed_image(image, rest, change, calibration)
-    window = changed.window
     notes = tuple[str, ...]()
-    if not calibration.covers(window.changed, (window.rows.start, window.cols.start)):
-        calibration = describe_as_built_in(rest)
-        notes = (_NOT_COVERED,)
-        changed = replace(changed, calibration=calibration)
-        rest = replace(rest, calibration=calibration)
     if not rest.uses_illumination:
-        return FrameLight(illumination=None, calibration=calibration, notes=notes)
+        window = make_changed_image(image, rest, change, rest.calibration).window
+        if rest.calibration.covers(window.changed, (window.rows.start, window.cols.start)):
+            return FrameLight(illumination=None, calibration=rest.calibration)
+        rest = replace(rest, calibration=describe_as_built_in(rest))
+        notes = (_NOT_COVERED,)
     reference = cast("Image", frame.reference)
     model = choose_for_recording(frame.context_frames, reference, rest, progress)
-    if model is None:
-        model = selection.choose_illumination([make_touch(changed, progress)])
-    elif not model.is_complete:
-        model = selection.fit_touch(make_touch(changed, progress))
-    notes = (*notes, *_describe_illumination(model, len(frame.context_frames)))
-    return FrameLight(illumination=model, calibration=calibration, notes=notes)
+    if model is None or not model.is_complete:
+        touch = make_touch(make_changed_image(image, rest, change, rest.calibration), progress)
+        model = (
+            selection.choose_illumination([touch]) if model is None else selection.fit_touch(touch)
+        )
+    if model.is_fitted_leds:
+        n = len(frame.context_frames)
+        to = f"{n} touches of the recording" if model.from_context else "this touch"
+        notes = (*notes, f"measured with this sensor's LEDs, fitted to {to}")
+    return FrameLight(illumination=model, calibration=rest.calibration, notes=notes)
 
 
 def describe_as_built_in(rest: RestState) -> Calibration:
     """The table of the sensor's description, with the calibration's pixel width."""
     return replace(make_built_in(rest.source), pixel_mm=rest.calibration.pixel_mm)
-
-
-def _describe_illumination(illumination: Illumination, n_context_frames: int) -> list[str]:
-    """Notes on fitted LEDs."""
-    if illumination.is_fitted_leds:
-        to = (
-            f"{n_context_frames} touches of the recording"
-            if illumination.from_context
-            else "this touch"
-        )
-        return [f"measured with this sensor's LEDs, fitted to {to}"]
-    return []
 
 
 def choose_for_recording(
@@ -109,11 +97,7 @@ def choose_for_recording(
         found = [touch for touch in touches if touch is not None]
         if len(found) < _MIN_CONTEXT_TOUCHES:
             return selection.DESCRIBED
-        light = selection.choose_illumination(found)
-        # Cast shadows differ from press to press by more than one choice allows: simulated
-        # recordings of a DIGIT, .8 mm deep, err by 52 um in place of 47.
-        holds = light.model == "leds" or not selection.casts_shadows(source)
-        return replace(light, from_context=True) if holds else selection.DESCRIBED
+        return selection.choose_for_recording(found) or selection.DESCRIBED
 
     chosen = _recordings.get_or_make(
         made_of, lambda: disk_store.load_or_make(Illumination, made_of, _CODE, choose, "led_fits")

@@ -72,11 +72,11 @@ def _integrate(
     integrate = changed.make_integrator(cells, progress)
     guess = integrate(slopes.gx, slopes.gy)
     surface = selection.correct_surface(guess, cells, changed.source, illumination, integrate)
-    if cells is patch:
-        return surface
     surface = upsample_surface(surface, cells.downsampling, changed.window.changed.shape)
+    if not illumination.is_trusted:
+        return surface
     integrate = changed.make_integrator(patch, progress, 0.6)
-    return selection.add_detail(surface, patch, changed.source, illumination, integrate)
+    return selection.add_walls(surface, patch, changed.source, illumination, integrate)
 
 
 def _flatten_far(

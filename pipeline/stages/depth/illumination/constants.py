@@ -22,7 +22,7 @@ class IlluminationConstants:
     # the same as a share of the largest indentation, where that is less
     settled_share: float = 0.02
     cg_steps: int = 6  # conjugate-gradient steps of an iteration; 12 come no nearer
-    fine_cg_steps: int = 4  # the same at full resolution, where only detail is missing
+    fine_cg_steps: int = 2  # the same at full resolution, where only walls are raised
     grid_cells: int = 160  # along the longer side of the refinement grid (chosen)
     # larger residuals are dust, reflections, or another sensor instance (chosen)
     huber_grey: float = 20.0

@@ -22,19 +22,19 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import near_led_prior, shading_field, slope_model
+from pipeline.calibration import near_led_prior, slope_model
 from pipeline.calibration.shading_field import (
     N_POSITION_TERMS,
     N_SHADING_TERMS,
     POSITION_DEGREE,
     ShadingFieldPrior,
-    SurfaceSamples,
 )
-from pipeline.core.arrays import Doubles, Floats
+from pipeline.core.arrays import Doubles, Floats, Mask
 from pipeline.physics import optics
 from pipeline.physics.optics import compute_slopes
 from pipeline.sensors.spec import SensorSpec
@@ -88,8 +88,8 @@ def fit_field(
     described light does.
     """
     q = patch.change * slope_model.compute_gain(patch.reference)
-    where = np.flatnonzero(patch.changed & (np.abs(q).max(axis=2) > CONSTANTS.min_relative_change))
-    if len(where) < CONSTANTS.min_field_samples:
+    seen = patch.changed & (np.abs(q).max(axis=2) > CONSTANTS.min_relative_change)
+    if np.count_nonzero(seen) < CONSTANTS.min_field_samples:
         return None
     prior = near_led_prior.compute_prior(source, source.pixel_mm, source.camera.shape)
     light = make_field_light(prior.mean, patch, source)
@@ -97,7 +97,7 @@ def fit_field(
     surface_mm, misfit = refine_surface(surface_mm, patch, light, integrate, iterations)
     coefficients = prior.mean
     for _ in range(CONSTANTS.field_iterations):
-        touch = functools.partial(_sample_surface, surface_mm, light, q, where)
+        touch = functools.partial(_sample_surface, surface_mm, light, q, seen)
         factor, coefficients = estimate_likeliest_depth(prior, touch)
         light = make_field_light(coefficients, patch, source)
         surface_mm, misfit = refine_surface(
@@ -108,103 +108,92 @@ def fit_field(
     return coefficients, misfit
 
 
+class DentSamples(NamedTuple):
+    """A dent of known shape and its colours, on a grid."""
+
+    u: Floats  # (cols,) positions, as `slope_model.compute_positions` has them
+    v: Floats  # (rows,)
+    gx: Floats  # (rows, cols) mm/mm
+    gy: Floats
+    indentation_mm: Floats
+    change: Floats  # (rows, cols, 3) q
+    seen: Mask  # (rows, cols) the cells that count
+
+
 def estimate_likeliest_depth(
-    prior: ShadingFieldPrior, sample: Callable[[float], SurfaceSamples]
+    prior: ShadingFieldPrior, sample: Callable[[float], DentSamples]
 ) -> tuple[float, Doubles]:
     """The factor of a surface's depth under which its colours are likeliest, and the field's
     coefficients (m,) there.
 
-    `sample` returns the same pixels and colours with the depth times a factor.
+    `sample` returns the same cells and colours with the depth times a factor.
     """
     logs = np.log(CONSTANTS.field_depth_factors)
-    surfaces = [sample(factor) for factor in CONSTANTS.field_depth_factors]
-    places = _compute_places(surfaces[0].u, surfaces[0].v)
-    unlikeliness = [_compute_posterior(prior, surface, places)[0] for surface in surfaces]
+    unlikeliness = [
+        _compute_posterior(prior, sample(factor))[0] for factor in CONSTANTS.field_depth_factors
+    ]
     bend, slope, _ = np.polyfit(logs, unlikeliness, 2)
     at = -0.5 * slope / bend if bend > 0.0 else logs[int(np.argmin(unlikeliness))]
     factor = math.exp(min(max(float(at), float(logs[0])), float(logs[-1])))
-    return factor, _compute_posterior(prior, sample(factor), places)[1]
+    return factor, _compute_posterior(prior, sample(factor))[1]
 
 
 def expand_field(coefficients: Doubles, u: Floats, v: Floats) -> Floats:
     """The field (rows, cols, 3, N_SHADING_TERMS) at the columns `u` and rows `v`."""
     table = coefficients.reshape(3, N_POSITION_TERMS, N_SHADING_TERMS)
     n = POSITION_DEGREE + 1
-    grid = np.zeros((n, n, 3, N_SHADING_TERMS))
-    for k, (i, j) in enumerate(_list_powers(POSITION_DEGREE)):
-        grid[j, i] = table[:, k]
-    along_u, along_v = (np.vander(w.astype(np.float64), n, increasing=True) for w in (u, v))
+    grid = np.zeros((n, n, 3, N_SHADING_TERMS), np.float32)
+    of_u, of_v = _list_powers()
+    grid[of_v, of_u] = table.transpose(1, 0, 2)
+    along_u, along_v = (np.vander(w, n, increasing=True) for w in (u, v))
     # (rows, powers of u, colours x terms)
     rows = np.tensordot(along_v, grid, 1).reshape(len(v), n, -1)
     return np.asarray(along_u @ rows, np.float32).reshape(len(v), len(u), 3, N_SHADING_TERMS)
 
 
-def _list_powers(degree: int) -> list[tuple[int, int]]:
-    """Powers of u and v of the monomials up to a degree, in the order of
+@functools.cache
+def _list_powers() -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Powers of u and of v (N_POSITION_TERMS,) of the position terms, in the order of
     `shading_field.compute_position_terms`.
     """
-    return [(i, j) for j in range(degree + 1) for i in range(degree + 1 - j)]
+    n = POSITION_DEGREE + 1
+    powers = np.array([(i, j) for j in range(n) for i in range(n - j)], np.intp)
+    return powers[:, 0], powers[:, 1]
 
 
-def _compute_places(u: Floats, v: Floats) -> Doubles:
-    """Monomials of positions (n,), up to those of products of two position terms: (m, n)."""
-    degree = 2 * POSITION_DEGREE
-    of_u, of_v = (
-        np.ascontiguousarray(np.vander(w.astype(np.float64), degree + 1, increasing=True).T)
-        for w in (u, v)
-    )
-    return np.stack([of_u[i] * of_v[j] for i, j in _list_powers(degree)])
-
-
-@functools.cache
-def _index_products() -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows in `_compute_places` of all position terms (m,) and of all products of two (m, m)."""
-    number = {powers: k for k, powers in enumerate(_list_powers(2 * POSITION_DEGREE))}
-    powers = _list_powers(POSITION_DEGREE)
-    pairs = [[number[a + c, b + d] for c, d in powers] for a, b in powers]
-    return np.array([number[p] for p in powers]), np.array(pairs)
-
-
-def _compute_posterior(
-    prior: ShadingFieldPrior, surface: SurfaceSamples, places: Doubles
-) -> tuple[float, Doubles]:
+def _compute_posterior(prior: ShadingFieldPrior, dent: DentSamples) -> tuple[float, Doubles]:
     """(-2 ln p of the colours up to a constant, posterior mean of the coefficients).
 
-    The normal equations are sums over pixels of products of two position terms and two shading
-    terms: products of positions are monomials again, the same for every depth.
+    The normal equations are sums over cells of products of two position terms and two shading
+    terms: products of positions are monomials again.
     """
-    weight = CONSTANTS.field_independent_pixels / max(len(surface.u), 1) / CONSTANTS.field_noise**2
-    single, pairs = _index_products()
+    from pipeline.stages.depth.illumination.illumination_kernels import sum_field_products
+
+    n = 2 * POSITION_DEGREE + 1
+    sums = np.zeros((n, n, N_SHADING_TERMS + 3, N_SHADING_TERMS))
+    line = np.empty((7 + 28, len(dent.u)), np.float32)
+    energy, count = sum_field_products(*dent, line, sums)
+    weight = CONSTANTS.field_independent_pixels / max(count, 1) / CONSTANTS.field_noise**2
+    along_u, along_v = _list_powers()
     block = N_POSITION_TERMS * N_SHADING_TERMS
-    terms = np.ascontiguousarray(surface.shading_terms.T)
-    change = surface.change.T.astype(np.float64)
-    first, second = np.triu_indices(N_SHADING_TERMS)
-    products = np.concatenate(
-        [terms[first] * terms[second], (terms[:, None] * change).reshape(-1, len(surface.u))]
-    )
-    sums = places @ products.T
-    both = np.zeros((N_SHADING_TERMS, N_SHADING_TERMS), np.intp)
-    both[first, second] = both[second, first] = np.arange(len(first))
-    normal = sums[:, both][pairs].transpose(0, 2, 1, 3).reshape(block, block)
-    seen = sums[single, len(first) :].reshape(block, 3)
+    pairs = sums[along_v + along_v[:, None], along_u + along_u[:, None], :N_SHADING_TERMS]
+    normal = pairs.transpose(0, 2, 1, 3).reshape(block, block)
+    seen = sums[along_v, along_u, N_SHADING_TERMS:]  # (positions, 3, shading)
     pull = prior.precision @ prior.mean
-    unlikeliness = float(prior.mean @ pull) + weight * float((change**2).sum())
+    right = pull + weight * seen.transpose(1, 0, 2).ravel()
     precision = prior.precision.copy()
-    for k in range(3):
-        colour = slice(k * block, (k + 1) * block)
-        precision[colour, colour] += weight * normal
-    right = pull + weight * seen.T.ravel()
+    colour = np.arange(3)
+    precision.reshape(3, block, 3, block)[colour, :, colour] += weight * normal
     coefficients = np.asarray(np.linalg.solve(precision, right), np.float64)
     log_root = np.log(np.diag(np.linalg.cholesky(precision)))
+    unlikeliness = float(prior.mean @ pull) + weight * energy
     return unlikeliness - float(right @ coefficients) + 2.0 * float(log_root.sum()), coefficients
 
 
 def _sample_surface(
-    surface_mm: Floats, light: FieldLight, q: Floats, where: NDArray[np.intp], factor: float
-) -> SurfaceSamples:
-    """The pixels `where` of a surface whose depth is scaled by a factor, blurred as the recorded
-    change is.
-    """
+    surface_mm: Floats, light: FieldLight, q: Floats, seen: Mask, factor: float
+) -> DentSamples:
+    """A surface whose depth is scaled by a factor, blurred as the recorded change is."""
     import cv2
 
     patch = light.patch
@@ -216,12 +205,7 @@ def _sample_surface(
         np.float32,
     )
     u, v = _compute_positions(patch, light.source)
-    row, col = np.divmod(where, z.shape[1])
-    slopes = np.stack([g.ravel()[where] for g in compute_slopes(z, patch.pixel_mm)], axis=1).astype(
-        np.float64
-    )
-    terms = shading_field.compute_shading_terms(slopes, z.ravel()[where].astype(np.float64))
-    return SurfaceSamples(u=u[col], v=v[row], shading_terms=terms, change=q.reshape(-1, 3)[where])
+    return DentSamples(u, v, *compute_slopes(z, patch.pixel_mm), z, q, seen)
 
 
 def _compute_positions(patch: ImagePatch, source: SensorSpec) -> tuple[Floats, Floats]:

@@ -141,6 +141,52 @@ def render_field_light(gx, gy, surface_mm, field, change, rate_x, rate_y):
                 rate_y[r, c, k] = along * sy - a[1] * slant
 
 
+@kernel(fastmath=FAST)
+def sum_field_products(u, v, gx, gy, surface_mm, change, seen, line, sums):
+    """Add up the products of a shading field's normal equations; return (squared change, cells).
+
+    For every power of v and of u: the products of two of the four shading terms, and of each colour
+    with them, in `sums` (powers, powers, 4 + 3, 4), zeros before. u (cols,), v (rows,): positions;
+    gx, gy, surface_mm, seen (rows, cols); change (rows, cols, 3); line (4 + 3 + 28, cols): scratch.
+    """
+    rows, cols = gx.shape
+    n = sums.shape[0]
+    one = np.float32(1.0)
+    energy = 0.0
+    count = 0
+    for r in range(rows):
+        for i in range(cols):
+            c = np.uint64(i)
+            here = one if seen[r, c] else np.float32(0.0)
+            sx = gx[r, c]
+            sy = gy[r, c]
+            slant = one / np.sqrt(one + sx * sx + sy * sy)
+            line[0, c] = -sx * slant * here
+            line[1, c] = -sy * slant * here
+            line[2, c] = (slant - one) * here
+            line[3, c] = surface_mm[r, c] * here
+            line[4, c] = change[r, c, 0] * here
+            line[5, c] = change[r, c, 1] * here
+            line[6, c] = change[r, c, 2] * here
+            energy += line[4, c] ** 2 + line[5, c] ** 2 + line[6, c] ** 2
+            count += seen[r, c]
+        for a in range(7):
+            for b in range(4):
+                product = line[7 + 4 * a + b]
+                for i in range(cols):
+                    product[i] = line[a, i] * line[b, i]
+                for k in range(n):
+                    total = np.float32(0.0)
+                    for i in range(cols):
+                        total += product[i]
+                        product[i] *= u[i]
+                    power = 1.0
+                    for j in range(n - k):
+                        sums[j, k, a, b] += power * total
+                        power *= v[r]
+    return energy, count
+
+
 @inline_kernel()
 def _accumulate(sums, confidence, jx, jy, rendered, change, reference, huber):
     """Add one colour to the normal equations (xx, xy, yy, to x, to y) and to the misfit.
