@@ -51,6 +51,7 @@ def live(
         source: `simulated`, `folder DIR` into which another program writes images, `device NAME`: a
             part of a camera's name or serial number, or the path of a camera or of a recorded
             stream, `camera:0` by number, `http://...` or `rtsp://...`: a video stream of a network,
+            `realsense` with a serial number where there are several: the depth camera of a bubble,
             or `ws://HOST:PORT TOPIC`: images or depth that a Foxglove bridge (ROS 1 and 2)
             publishes.
         sensor: Sensor type, if neither device name nor image size identifies it; for `simulated`
