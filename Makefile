@@ -10,7 +10,7 @@ TORCH_FOR_CPU := torch==$(shell sed -n 's/^torch==//p' constraints.txt)+cpu
 READY := $(VENV)/.ready
 SAMPLE := sample_data/recordings/first_touch.h5
 
-.PHONY: run test setup lint slow monkey tour docs stability bench samples clean
+.PHONY: run test setup lint slow gpu monkey tour docs stability bench samples clean
 
 run: $(READY)
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
@@ -22,7 +22,7 @@ run: $(READY)
 
 # Two processes, a file's tests in one of them; each adds on one thread, so that they do not get in each other's way.
 test: $(READY)
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -m "not slow" -n $(JOBS) --dist loadfile --max-worker-restart 0
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -m "not slow and not gpu" -n $(JOBS) --dist loadfile --max-worker-restart 0
 
 setup: $(READY)
 
@@ -46,6 +46,11 @@ lint: $(READY)
 
 slow: $(READY)
 	$(BIN)/python -m pytest -q -m slow
+
+# The tests that need a graphics card, and the times of a lab-sized network on it.
+gpu: $(READY)
+	$(BIN)/python -m pytest -q -m gpu
+	$(BIN)/python -m benchmarks.gpu
 
 # A seeded monkey over commands, controls and files for an hour; MONKEY_MINUTES says otherwise.
 MONKEY_MINUTES ?= 60

@@ -4,6 +4,7 @@ import math
 import os
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -11,14 +12,22 @@ from cyclopts import Parameter
 
 from pipeline.cli.terminal import handle_interrupts, print_line
 from pipeline.core.errors import SettingProblem
+from pipeline.core.params import check_range
 from pipeline.io.live import reference_capture
 from pipeline.io.live.reader import LiveReader
 from pipeline.io.live.recorder import LiveRecorder
 from pipeline.io.live.source import LiveSource
-from pipeline.io.live.source_parsing import parse_source
+from pipeline.io.live.source_parsing import RATE_RANGE_HZ, parse_source
 from pipeline.io.live.usb_camera import list_usb_cameras
+from pipeline.io.mounts import mount, unmount
+from pipeline.sensors.spec import load_sensor
+from pipeline.translation.live_translation import LiveResult, LiveTranslation
+from pipeline.translation.translate import Request, open_translation
 
 _STATUS_PERIOD_S = 1.0
+_POLL_S = 0.05  # between looks at the clock and at Ctrl-C
+_SIMULATED_RATE_HZ = 15.0  # of a simulated sensor where best quality is wanted
+_LIVE = Path("live:/1")  # the name by which the sensor opens like a file
 _STOP_TIMEOUT_S = 5.0  # for the reader's thread to end
 
 
@@ -29,33 +38,46 @@ def live(
     ),
     sensor: str = "",
     object_source: Annotated[str, Parameter(name="--object")] = "sphere",
+    target: str = "",
+    route: str = "t2d2",
     rate: float = 15.0,
     record: Path | None = None,
     seconds: float = 0.0,
     list_devices: Annotated[bool, Parameter(name="--list", negative="")] = False,
 ) -> int:
-    """Print a sensor's status every second; returns the exit code.
+    """Print a sensor's status every second, and translate it on all cores; returns the exit code.
 
     Args:
         source: `simulated`, `folder DIR` into which another program writes images, `device NAME`: a
             part of a camera's name or serial number, or the path of a camera or of a recorded
             stream, `camera:0` by number, `http://...` or `rtsp://...`: a video stream of a network,
+            `realsense` with a serial number where there are several: the depth camera of a bubble,
             or `ws://HOST:PORT TOPIC`: images or depth that a Foxglove bridge (ROS 1 and 2)
             publishes.
         sensor: Sensor type, if neither device name nor image size identifies it; for `simulated`
             the sensor to simulate.
         object_source: Object pressed into a simulated sensor: an object of `tactoscope simulate`,
             or a mesh file.
-        rate: Frames per second of a simulated sensor.
+        target: Sensor to translate to; the status then says how many frames a second are
+            translated, and how old they are when they are. Default: no translation.
+        route: Route through the stages.
+        rate: Frames per second of a simulated sensor, and to translate: what cannot be computed in
+            time is left out, and said. 0 = best quality: nothing is left out of a frame.
         record: Recording to write, an .h5 file that is readable while it grows and after a crash.
         seconds: Stop after this time; 0 = at Ctrl-C.
         list_devices: Only list the connected cameras.
     """
     if list_devices:
         return _list_cameras()
-    return _watch_sensor(
-        parse_source(source, sensor=sensor, tool=object_source, rate_hz=rate), record, seconds
+    if rate:
+        check_range("--rate", rate, *RATE_RANGE_HZ, "Hz")
+    opened = parse_source(
+        source, sensor=sensor, tool=object_source, rate_hz=rate or _SIMULATED_RATE_HZ
     )
+    if target:
+        load_sensor(target)  # a wrong name is said before anything starts
+    request = Request(recording=_LIVE, target=target, route=route) if target else None
+    return _watch_sensor(opened, record, seconds, request, rate)
 
 
 def _list_cameras() -> int:
@@ -69,7 +91,13 @@ def _list_cameras() -> int:
     return 0
 
 
-def _watch_sensor(source: LiveSource, record: Path | None, seconds: float) -> int:
+def _watch_sensor(
+    source: LiveSource,
+    record: Path | None,
+    seconds: float,
+    request: Request | None,
+    rate_hz: float,
+) -> int:
     """Print the status until the time is over or Ctrl-C; returns 1 if no frame came."""
     if not 0.0 <= seconds < math.inf:
         raise SettingProblem(f"--seconds must be 0 or more, got {seconds:g}")
@@ -78,15 +106,29 @@ def _watch_sensor(source: LiveSource, record: Path | None, seconds: float) -> in
     ended = threading.Event()
     if recorder is not None:
         reader.set_listener(recorder.offer)
-    start_s = time.monotonic()
+    live: LiveTranslation | None = None
+    shown: list[LiveResult] = []
+    start_s = said_s = time.monotonic()
+    mount(_LIVE, lambda: reader.make_recording(_LIVE))
     try:
         with handle_interrupts(lambda *_: ended.set()):
             reader.start()
-            while not ended.wait(_STATUS_PERIOD_S) and (
-                seconds <= 0 or time.monotonic() - start_s < seconds
-            ):
-                _print_status(reader, recorder)
+            while not ended.is_set() and (seconds <= 0 or time.monotonic() - start_s < seconds):
+                if request is not None and live is None and reader.has_reference:
+                    live = LiveTranslation(open_translation(request), reader, rate_hz=rate_hz)
+                if live is None:
+                    ended.wait(_POLL_S)
+                else:
+                    shown += live.poll(_POLL_S)
+                now_s = time.monotonic()
+                if now_s - said_s >= _STATUS_PERIOD_S:
+                    translated = "" if live is None else _describe(live, shown, now_s - said_s)
+                    _print_status(reader, recorder, translated)
+                    shown, said_s = [], now_s
     finally:
+        unmount(_LIVE)
+        if live is not None:
+            live.close()
         reader.set_listener(None)
         reader.stop(_STOP_TIMEOUT_S)
         if recorder is not None:
@@ -94,7 +136,20 @@ def _watch_sensor(source: LiveSource, record: Path | None, seconds: float) -> in
     return _print_result(reader, recorder)
 
 
-def _print_status(reader: LiveReader, recorder: LiveRecorder | None) -> None:
+def _describe(live: LiveTranslation, shown: Sequence[LiveResult], period_s: float) -> str:
+    """How many frames a second were translated, how old they were, and what was left out."""
+    ages_ms = sorted(1e3 * one.age_s for one in shown)
+    aim = f" of {live.plan.rate_hz:g}" if live.plan.rate_hz else ""
+    parts = (
+        f"{len(shown) / period_s:.1f}{aim} Hz translated",
+        f"{ages_ms[len(ages_ms) // 2]:.0f} ms old, at most {ages_ms[-1]:.0f}" if shown else "",
+        live.plan.describe(),
+        live.problem,
+    )
+    return ", ".join(part for part in parts if part)
+
+
+def _print_status(reader: LiveReader, recorder: LiveRecorder | None, translated: str) -> None:
     status = reader.status()
     written = (
         ""
@@ -106,7 +161,7 @@ def _print_status(reader: LiveReader, recorder: LiveRecorder | None) -> None:
     problem = status.message or ("" if recorder is None else recorder.problem)
     print_line(
         f"{status.state}: {status.rate_hz:.1f} Hz, {status.n_frames} frames, {status.n_lost} "
-        f"lost{clock}{written}"
+        f"lost{clock}{written}{f'; {translated}' if translated else ''}"
         f"{'' if reader.has_reference else ', no reference yet'}{f'; {problem}' if problem else ''}"
     )
 

@@ -2,11 +2,14 @@
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from concurrent.futures import BrokenExecutor
+from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated
+from uuid import uuid4
 
 from cyclopts import Parameter
 from rich.console import Console
@@ -24,7 +27,7 @@ from pipeline.cli.translation_options import (
 )
 from pipeline.core import compiling, user_folders
 from pipeline.core.cluster import connect_cluster
-from pipeline.core.errors import SettingProblem, TouchError, escape_text
+from pipeline.core.errors import NotConverged, SettingProblem, TouchError, escape_text
 from pipeline.core.files import check_folder
 from pipeline.core.params import check_range
 from pipeline.core.processes import WorkerPool
@@ -51,18 +54,24 @@ _FORCE_SKIPPED = (
 _MAX_JOBS = 64
 _MAX_CORES = 8
 _FRAMES_PER_WORKER = 24  # a process takes as long to start as some twenty frames with contact
+# frames in a row whose poses follow each other; the next run is searched anew, so that results do
+# not depend on the number of processes
+_FOLLOWED_FRAMES = 24
 _LISTED_FRAMES = 8  # frame numbers listed behind a warning
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _FrameJob:
-    """A frame for a remote worker, which writes it into the common folder."""
+class _Run:
+    """Frames that one process translates in a row and writes into the common folder."""
 
+    indices: tuple[int, ...]
+    out: Path
     request: Request
     settings: tuple[str, ...]
+    token: str  # of the command: a worker opens its recording once for all runs of one
+    follow: bool  # each pose from that of the frame before
     force: bool
-    out: Path
-    index: int
+    sheets: bool
 
 
 def translate(
@@ -75,6 +84,7 @@ def translate(
     all_frames: Annotated[bool, Parameter(name="--all", negative="")] = False,
     follow: Flag = False,
     force: Flag = False,
+    sheets: bool = True,
     settings: StageSettings = (),
     jobs: int = 0,
     scheduler: str = "",
@@ -91,9 +101,10 @@ def translate(
         frame: The only frame to translate; default without --all: the first one with contact.
         all_frames: Translate every frame.
         follow: With --all, start each pose at that of the previous frame: several times as fast,
-            for moving sequences.
+            for moving sequences. Every 24th is searched anew.
         force: Compute the normal force of frames as well; done anyway with the scale of `tactoscope
             calibrate force`.
+        sheets: Draw `sheet.png`, which takes as long as all stages of a frame and more.
         jobs: With --all, processes that translate frames at once, each with some 400 MB; 0 = one a
             core where there are frames enough to be worth their start.
         scheduler: With --all, address of a Dask scheduler whose workers translate the frames, such
@@ -115,33 +126,32 @@ def translate(
     ):
         indices = range(translation.n_frames) if all_frames else [_select_frame(translation, frame)]
     translation = _identify_object(translation, indices[0], meshes, console)
+    length = _FOLLOWED_FRAMES if follow else 1
+    whole = _Run(
+        indices=tuple(indices),
+        out=out.resolve(),
+        request=request,
+        settings=tuple(settings),
+        token=uuid4().hex,
+        follow=follow,
+        force=force,
+        sheets=sheets,
+    )
+    runs = [
+        replace(whole, indices=whole.indices[k : k + length])
+        for k in range(0, len(indices), length)
+    ]
+    n_workers = 0 if meshes else min(_choose_workers(jobs, len(indices)), len(runs))
     reports: list[FrameReport] = []
-    last: FinishedFrame | None = None
-    n_resumed = n_workers = 0
+    n_resumed = 0
     try:
-        with open_progress_bar(len(indices), console) as bar:
-            n_workers = 0 if follow or scheduler or meshes else _choose_workers(jobs, len(indices))
-            if scheduler or n_workers > 1:
-                pieces = [
-                    _FrameJob(
-                        request=request,
-                        settings=tuple(settings),
-                        force=force,
-                        out=out.resolve(),
-                        index=k,
-                    )
-                    for k in indices
-                ]
-                _translate_elsewhere(pieces, scheduler, n_workers, bar)
-            for done, index in enumerate(indices):
-                part = SubProgress(bar, done / len(indices), 1.0 / len(indices), f"frame {index}")
-                part.step(0.0, "")
-                with compiling.report_compiling(bar.show):
-                    previous = last if follow else None
-                    is_resumed, last = _translate_frame(
-                        translation, index, out, previous, part, force=force
-                    )
-                reports.append(last.report)
+        with (
+            open_progress_bar(len(indices), console) as bar,
+            compiling.report_compiling(bar.show),
+            closing(_translate_runs(runs, translation, scheduler, n_workers, bar)) as finished,
+        ):
+            for is_resumed, one in finished:
+                reports.append(one.report)
                 n_resumed += is_resumed
     finally:  # also on Ctrl-C: finished frames are complete and listed
         translation.close()
@@ -168,7 +178,7 @@ def translate(
         *_describe_force(reports, translation, force=force),
     ):
         print_line(line)
-    if n_resumed and n_workers < 2 and not scheduler:
+    if n_resumed:
         print_line(f"{n_resumed} of them were finished by an earlier run and are kept")
     print_line(f"{len(reports) - len(failed)} of {len(reports)} frames written to {os.fspath(out)}")
     return _exit_code(failed)
@@ -204,14 +214,10 @@ def _check_options(
         raise SettingProblem("give either --frame or --all, not both")
     if follow and not all_frames:
         raise SettingProblem("--follow uses the previous frame's pose; give it with --all")
-    if scheduler and (follow or not all_frames):
-        raise SettingProblem(
-            "--scheduler distributes single frames; give it with --all, and without --follow"
-        )
-    if jobs and (follow or scheduler or not all_frames):
-        raise SettingProblem(
-            "--jobs share single frames; give it with --all, without --follow and --scheduler"
-        )
+    if scheduler and not all_frames:
+        raise SettingProblem("--scheduler distributes frames; give it with --all")
+    if jobs and (scheduler or not all_frames):
+        raise SettingProblem("--jobs share frames; give it with --all, without --scheduler")
     check_range("--jobs", jobs, 0, _MAX_JOBS)
 
 
@@ -315,50 +321,73 @@ def _choose_workers(jobs: int, n_frames: int) -> int:
     )
 
 
-def _translate_elsewhere(
-    jobs: Sequence[_FrameJob], scheduler: str, n_workers: int, progress: Progress
-) -> None:
-    """Have frames translated and written by the workers of a scheduler, or by processes of this
-    machine.
+def _translate_runs(
+    runs: Sequence[_Run],
+    translation: Translation,
+    scheduler: str,
+    n_workers: int,
+    progress: Progress,
+) -> Generator[tuple[bool, FinishedFrame]]:
+    """Yield (whether an earlier run had finished it, the frame) of all frames in order, translated
+    by the workers of a scheduler, by processes of this machine, or here.
     """
     if scheduler:
         with connect_cluster(scheduler) as workers:
-            workers.map(_run_job, jobs, progress)
-        return
-    from concurrent.futures import as_completed
-
-    with WorkerPool(n_workers) as pool:
-        futures = [pool.submit(_run_job_here, job) for job in jobs]
-        for n_done, future in enumerate(as_completed(futures), 1):
-            future.result()
-            progress.step(
-                n_done / len(jobs), f"{n_done} of {len(jobs)} frames by {n_workers} processes"
+            for run in workers.map(_run_elsewhere, runs, progress):
+                yield from run
+    elif n_workers > 1:
+        n_frames = sum(len(run.indices) for run in runs)
+        n_done = 0
+        with WorkerPool(n_workers) as pool:
+            for future in [pool.submit(_run_elsewhere, run) for run in runs]:
+                try:
+                    frames = future.result()
+                except BrokenExecutor as error:
+                    raise NotConverged(
+                        "a process died, perhaps out of memory; run again with --jobs 1, which "
+                        "keeps the finished frames"
+                    ) from error
+                n_done += len(frames)
+                progress.step(
+                    n_done / n_frames, f"{n_done} of {n_frames} frames by {n_workers} processes"
+                )
+                yield from frames
+    else:
+        for k, run in enumerate(runs):
+            yield from _translate_run(
+                run, translation, SubProgress(progress, k / len(runs), 1.0 / len(runs))
             )
 
 
-def _run_job_here(job: _FrameJob) -> None:
-    """Translate one frame in a process of this machine, which keeps the recording and the
-    weights open.
+def _run_elsewhere(run: _Run) -> list[tuple[bool, FinishedFrame]]:
+    """Translate frames in a worker, which keeps the recording and the weights open.
+
+    Returns them without the poses, which only the next frame of a run needs.
     """
-    _translate_frame(
-        _open_once(job.request, job.settings), job.index, job.out, None, SILENT, force=job.force
-    )
+    opened = _open_once(run.request, run.settings, run.token)
+    return [
+        (is_resumed, replace(one, pose=None))
+        for is_resumed, one in _translate_run(run, opened, SILENT)
+    ]
 
 
 @lru_cache(maxsize=1)
-def _open_once(request: Request, settings: tuple[str, ...]) -> Translation:
+def _open_once(request: Request, settings: tuple[str, ...], _token: str) -> Translation:
     return open_translation(request, settings=settings, cache_bytes=CACHE_BYTES)
 
 
-def _run_job(job: _FrameJob) -> None:
-    """Translate one frame on a worker and write it.
-
-    A frame that fails is left to the main process.
-    """
-    with open_translation(
-        job.request, settings=job.settings, cache_bytes=CACHE_BYTES
-    ) as translation:
-        _translate_frame(translation, job.index, job.out, None, SILENT, force=job.force)
+def _translate_run(
+    run: _Run, translation: Translation, progress: Progress
+) -> Iterator[tuple[bool, FinishedFrame]]:
+    last: FinishedFrame | None = None
+    n_frames = len(run.indices)
+    for done, index in enumerate(run.indices):
+        part = SubProgress(progress, done / n_frames, 1.0 / n_frames, f"frame {index}")
+        part.step(0.0, "")
+        is_resumed, last = _translate_frame(
+            translation, index, run, last if run.follow else None, part
+        )
+        yield is_resumed, last
 
 
 def _with_absolute_paths(request: Request) -> Request:
@@ -379,19 +408,17 @@ def _exit_code(failed: Sequence[FrameReport]) -> int:
 def _translate_frame(
     translation: Translation,
     index: int,
-    out: Path,
+    run: _Run,
     previous: FinishedFrame | None,
     progress: Progress,
-    *,
-    force: bool,
 ) -> tuple[bool, FinishedFrame]:
     """(whether an earlier run had finished it, the frame).
 
     A frame that fails has its problem in the report.
     """
     try:
-        key = compute_frame_key(translation, index, previous, with_force=force)
-        finished = load_finished_frame(out, index, key)
+        key = compute_frame_key(translation, index, previous, with_force=run.force)
+        finished = load_finished_frame(run.out, index, key, sheet=run.sheets)
         if finished is not None:
             return True, finished
         results = translation.evaluate(
@@ -400,10 +427,11 @@ def _translate_frame(
         truth = translation.read_ground_truth(index)
         results = {name: add_truth_warnings(result, truth) for name, result in results.items()}
         metrics = translation.compute_metrics(results, index)
-        if force:
+        if run.force:
             metrics |= measure_force(results, index, translation)
         report = FrameReport(index=index, results=results, metrics=metrics)
-        write_frame(out, translation.stream.frame(index), report, translation, key)
+        frame = translation.stream.frame(index)
+        write_frame(run.out, frame, report, translation, key, sheet=run.sheets)
         return False, FinishedFrame(report=report.without_arrays, key=key, pose=_get_pose(report))
     except Exception as error:  # noqa: BLE001 - whatever one frame does, the others are translated
         is_user_error = isinstance(error, TouchError)

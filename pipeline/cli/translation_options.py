@@ -64,6 +64,8 @@ class TranslationOptions:
         translation_mm: Translation added to the alignment: x, y and z in the target's frame.
         rotation_deg: Rotation added to the alignment: a rotation vector in the target's frame.
         pivot_mm: Centre of that rotation in the target's frame.
+        device: Where networks run: auto (a card for those of published size), cpu, cuda, cuda:1 (of
+            several) or mps.
     """
 
     sensor: str = ""
@@ -81,6 +83,7 @@ class TranslationOptions:
     translation_mm: Vector3 = (0.0, 0.0, 0.0)
     rotation_deg: Vector3 = (0.0, 0.0, 0.0)
     pivot_mm: Vector3 = (0.0, 0.0, 0.0)
+    device: str = "auto"
 
     def build_request(self, recording: Path, target: str) -> Request:
         """The request of these options.
@@ -113,6 +116,7 @@ class TranslationOptions:
             weights=tuple(weights.items()),
             refuses_unusable_weights=True,
             offsets=self._build_offsets(),
+            device=self.device,
         )
 
     def _build_offsets(self) -> Offsets:

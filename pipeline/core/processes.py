@@ -8,12 +8,16 @@ import os
 import signal
 import sys
 import threading
+import time
 from concurrent.futures import Future, ProcessPoolExecutor
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
+
+
+_POLL_S = 0.01
 
 
 class WorkerPool(ProcessPoolExecutor):
@@ -27,6 +31,12 @@ class WorkerPool(ProcessPoolExecutor):
         """Start nothing yet."""
         import multiprocessing
 
+        import cv2
+
+        del cv2
+        # Workers take over the module path, which OpenCV changes while another thread imports it.
+        while hasattr(sys, "OpenCV_LOADER"):
+            time.sleep(_POLL_S)
         context = multiprocessing.get_context("spawn")
         watched, self._lifeline = context.Pipe(duplex=False)
         super().__init__(n, mp_context=context, initializer=_initialise, initargs=(nice, watched))

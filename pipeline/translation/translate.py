@@ -40,7 +40,9 @@ from pipeline.io.depth_arrays import DepthUnit
 from pipeline.sensors import alignment as alignments
 from pipeline.sensors.alignment import Alignment, Offsets, load_alignment, shift_alignment_along_z
 from pipeline.sensors.spec import SensorSpec, describe_unit_problem, load_sensor
-from pipeline.stages.networks.weights import NoWeights
+from pipeline.stages.networks.devices import AUTO, check_device, choose_placement
+from pipeline.stages.networks.network_factory import ONNX_KINDS
+from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.stages.stage import TRUTH, GroundTruth, SensorRole, Stage, get_input_name
 from pipeline.translation.catalogue import BUILT_IN, Catalogue, with_settings
 from pipeline.translation.frame_selection import select_context_frames
@@ -77,6 +79,7 @@ class Request:
     # raise, where False lets the method fall back and say so
     refuses_unusable_weights: bool = False
     offsets: Offsets = field(default_factory=Offsets)  # offsets from that alignment
+    device: str = AUTO  # that networks run on: auto, cpu, cuda, cuda:1 or mps
 
 
 DEFAULT_DISPLAY = DisplayParams()
@@ -421,10 +424,19 @@ class Translation:
         or `NoWeights`.
         """
         return {
-            method.weights_name: method.weights(self.source, self.target, file)
+            method.weights_name: self._place(method.weights(self.source, self.target, file))
             for method, file in self._select_weights_files()
             if method.weights is not None
         }
+
+    def _place(self, weights: object) -> object:
+        """Return weights for the requested device; the reason why there are none as it is."""
+        if not isinstance(weights, Weights):
+            return weights
+        by_opencv = weights.kind in ONNX_KINDS
+        return weights.place(
+            choose_placement(self.request.device, weights.n_parameters, by_opencv=by_opencv)
+        )
 
     def _select_weights_files(self) -> list[tuple[Method, Path | None]]:
         """Return each method that reads weights with its file of the request.
@@ -523,6 +535,7 @@ def open_translation(
     `stage.parameter=value`. `cache_bytes` bounds the results that are held.
     """
     # report a wrong name before anything is read
+    check_device(request.device)
     methods = catalogue.methods(request.route, dict(request.methods))
     target = load_sensor(request.target)
     recording = recording or open_recording(

@@ -188,7 +188,10 @@ class FrameReport:
 
     @property
     def without_arrays(self) -> FrameReport:
-        """Return the report without arrays, small enough to keep thousands of them."""
-        return replace(
-            self, results={name: replace(r, output=None) for name, r in self.results.items()}
-        )
+        """Return the report without arrays and functions, small enough to keep thousands of them
+        and to send them between processes.
+        """
+        results = {
+            name: replace(r, output=None, method=None, nodes=()) for name, r in self.results.items()
+        }
+        return replace(self, results=results, metrics=dict(self.metrics))

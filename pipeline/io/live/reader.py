@@ -101,6 +101,10 @@ class LiveReader:
         fits = first is not None and frame.reference is None and first.shape == frame.image.shape
         return replace(frame, reference=first) if fits else frame
 
+    def measure_age_s(self, frame: TactileFrame) -> float:
+        """How long ago one of its frames was taken."""
+        return time.monotonic() - self._start_s - frame.time_s
+
     def truth(self, index: int) -> Truth | None:
         """The ground truth of a simulated frame, else None."""
         return self._get_buffered(index)[1]

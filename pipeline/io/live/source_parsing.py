@@ -16,6 +16,7 @@ from pipeline.core.values.frames import TactileFrame, Truth
 from pipeline.io import image_files
 from pipeline.io.gel_images import GelImageConverter, make_gel_converter
 from pipeline.io.live.foxglove_stream import FoxgloveSource
+from pipeline.io.live.realsense import RealSenseSource
 from pipeline.io.live.source import LiveFrame, LiveSource, LiveSourceLost
 from pipeline.io.live.usb_camera import UsbCameraSource, is_address
 from pipeline.physics.sensor_images import render_sensor_image
@@ -237,15 +238,15 @@ def parse_source(
             return FolderSource(Path(name), sensor=sensor)
         case ["device", name]:
             return UsbCameraSource(name, sensor=sensor)
-        case [name] if name.startswith("camera:") and name != "camera:":
+        case [name] if is_address(name) or (name.startswith("camera:") and name != "camera:"):
             return UsbCameraSource(name.removeprefix("camera:"), sensor=sensor)
-        case [name] if is_address(name):
-            return UsbCameraSource(name, sensor=sensor)
         case [name, *topic] if name.startswith(("ws://", "wss://")) and len(topic) < 2:
             return FoxgloveSource(name, *topic, sensor=sensor)
+        case ["realsense", *serial] if len(serial) < 2:
+            return RealSenseSource(*serial, sensor=sensor)
         case _:
             kinds = (
-                "simulated, folder DIR, device NAME, camera:0, http://..., rtsp://... or "
-                "ws://HOST:PORT TOPIC"
+                "simulated, folder DIR, device NAME, camera:0, http://..., rtsp://..., "
+                "realsense [SERIAL] or ws://HOST:PORT TOPIC"
             )
             raise SettingProblem(f"a source is {kinds}, got {' '.join(words)!r}")

@@ -26,6 +26,7 @@ from pipeline.core.graph import EarlyAnswer, Fallback, Method, Skipped
 from pipeline.core.memo import Memo
 from pipeline.core.params import Value
 from pipeline.core.progress import Progress
+from pipeline.stages.networks.devices import PROCESSOR, place_network
 from pipeline.stages.networks.onnx_predictor import FirstPassPredictor, OnnxPredictor, export_onnx
 from pipeline.stages.networks.weights import NoWeights, Weights
 
@@ -80,15 +81,21 @@ def build_network(kind: str, config: Mapping[str, Value]) -> nn.Module:
 
 
 def load_network(weights: Weights | NoWeights) -> nn.Module:
-    """The network of these weights in eval mode, float32, on the CPU, without gradients.
+    """The network of these weights in eval mode, without gradients, where their placement says.
 
     It is cached; do not modify it. Raises ModelMissing where there are no weights or they do not
     fit their network.
     """
     if isinstance(weights, NoWeights):
         raise ModelMissing(weights.why)
+    placement = weights.placement
+    if placement == PROCESSOR:
+        return _loaded_networks.get_or_make(
+            weights.content_digest, lambda: _build_with_weights(weights)
+        )
     return _loaded_networks.get_or_make(
-        weights.content_digest, lambda: _build_with_weights(weights)
+        f"{weights.content_digest} {placement}",
+        lambda: place_network(_build_with_weights(weights), placement),
     )
 
 

@@ -3,6 +3,9 @@
 Loads no torch: what a method reads is known, and its cache key computed, before a network is built.
 """
 
+from __future__ import annotations
+
+import copy
 import json
 import math
 import zlib
@@ -29,6 +32,7 @@ from pipeline.core.files import (
 from pipeline.core.params import Value
 from pipeline.core.torch_archive import SIGNATURE
 from pipeline.core.typed_data import Name, Plain, convert
+from pipeline.stages.networks.devices import PROCESSOR
 
 SUFFIX = ".safetensors"
 _WHAT = "the weights"
@@ -107,6 +111,7 @@ class Weights:
     onnx: bytes | OnnxOnDisk = field(
         default=b"", metadata=UNDIGESTED, repr=False
     )  # the network as an ONNX file; b"" if not exported
+    placement: str = PROCESSOR  # device and precision of the network, which results depend on
     # of kind, config and tensors: all that results depend on
     content_digest: str = field(init=False)
     n_parameters: int = field(init=False, metadata=UNDIGESTED)  # trained ones
@@ -123,6 +128,14 @@ class Weights:
             "content_digest",
             compute_digest((self.kind, dict(self.config), dict(self.tensors))),
         )
+
+    def place(self, placement: str) -> Weights:
+        """Return the same weights for a network elsewhere; nothing is copied."""
+        if placement == self.placement:
+            return self
+        placed = copy.copy(self)
+        object.__setattr__(placed, "placement", placement)
+        return placed
 
     @property
     def trained_with_condition_dropout(self) -> bool:

@@ -36,6 +36,7 @@ from pipeline.stages.pose.registration.search import (
     SelectedPose,
     select_pose,
 )
+from pipeline.stages.pose.warm_start import FOLLOWED, follow_pose
 
 _NO_POSE = "there is no pose"
 NO_MESH = "no object mesh is given; a pose needs one"
@@ -178,9 +179,17 @@ def estimate_or_track_pose(
     params: PoseParams,
     progress: Progress = SILENT,
 ) -> ObjectPose:
-    """`track_pose` where the previous touch has a pose, else `estimate_pose`."""
+    """The pose followed from that of the previous touch where it has one and that fits, else
+    `track_pose`, else `estimate_pose`.
+    """
     if previous is None or previous.sensor_from_object is None:
         return estimate_pose(touch_depth, mesh, params, progress)
+    prepared = prepare_search(touch_depth, mesh, params, progress)
+    if isinstance(prepared, ObjectPose):
+        return prepared
+    followed = follow_pose(prepared[0], previous, progress)
+    if followed is not None:
+        return _make_pose(prepared[0], followed, 0, (FOLLOWED,))
     return track_pose(
         touch_depth,
         mesh,

@@ -73,22 +73,30 @@ def frame_folder(out: Path, index: int) -> Path:
 
 
 def write_frame(
-    out: Path, frame: TactileFrame, report: FrameReport, translation: Translation, key: str = ""
+    out: Path,
+    frame: TactileFrame,
+    report: FrameReport,
+    translation: Translation,
+    key: str = "",
+    *,
+    sheet: bool = True,
 ) -> Path:
     """Write `frame_NNNN/` with stages.npz, sheet.png and frame.json under `out`.
 
     Returns that folder.
 
-    A later run recognises the finished frame by its `key`; without one it is made again.
+    A later run recognises the finished frame by its `key`; without one it is made again. Without
+    `sheet` there is no sheet.png, whose drawing takes longer than all stages.
     """
-    from pipeline.translation.reports.sheet import write_sheet  # imports matplotlib
-
     folder = frame_folder(out, report.index)
 
     def fill(part: Path) -> None:
         write_arrays(part / "stages.npz", collect_stage_arrays(frame, report.results))
-        write_sheet(part / "sheet.png", frame, report, translation)
-        digests = {name: compute_fingerprint(part / name) for name in FRAME_FILES[1:]}
+        if sheet:
+            from pipeline.translation.reports.sheet import write_sheet  # imports matplotlib
+
+            write_sheet(part / "sheet.png", frame, report, translation)
+        digests = {path.name: compute_fingerprint(path) for path in sorted(part.iterdir())}
         write_json(part / "frame.json", {"key": key or None, "files": digests, **_to_json(report)})
 
     write_folder(folder, fill, FRAME_FILES)
@@ -182,16 +190,19 @@ def compute_frame_key(
     )
 
 
-def load_finished_frame(out: Path, index: int, key: str) -> FinishedFrame | None:
+def load_finished_frame(
+    out: Path, index: int, key: str, *, sheet: bool = True
+) -> FinishedFrame | None:
     """Return frame `index` of an earlier run under `out`.
 
-    None if it is incomplete or was made from other inputs.
+    None if it is incomplete, lacks a `sheet`, or was made from other inputs.
     """
     folder = frame_folder(out, index)
     with contextlib.suppress(Exception):  # a frame that cannot be read is made again
         record = json.loads((folder / "frame.json").read_text(encoding="utf-8"))
-        digests = {name: compute_fingerprint(folder / name) for name in FRAME_FILES[1:]}
-        if record["key"] == key and record["files"] == digests:
+        digests = {name: compute_fingerprint(folder / name) for name in record["files"]}
+        complete = record["files"] == digests and (not sheet or FRAME_FILES[-1] in digests)
+        if record["key"] == key and complete:
             return FinishedFrame(report=_report(record), key=key, pose=_pose(folder / "stages.npz"))
     return None
 

@@ -127,10 +127,10 @@ def test_an_interrupted_run_continues(typed, tmp_path, monkeypatch):
     whole = translate.write_frame
     written = []
 
-    def until_killed(*args):
+    def until_killed(*args, **options):
         if len(written) == 2:
             raise KeyboardInterrupt
-        written.append(whole(*args))
+        written.append(whole(*args, **options))
 
     monkeypatch.setattr(translate, "write_frame", until_killed)
     assert typed()[0] == 130
@@ -190,6 +190,18 @@ def test_a_frame_with_other_inputs_or_incomplete_files_is_computed_again(
     assert code == 0
     assert RESUMED not in out
     assert times(tmp_path / "out") != before
+
+
+def test_frames_without_sheets_are_kept_and_made_again_where_sheets_are_wanted(typed, tmp_path):
+    typed("--all", "--no-sheets")
+    assert not list((tmp_path / "out").glob("*/sheet.png"))
+    _, out, _ = typed("--all", "--no-sheets")
+    assert f"3 of them {RESUMED}" in out
+    _, out, _ = typed()
+    assert RESUMED not in out
+    assert len(list((tmp_path / "out").glob("*/sheet.png"))) == 3
+    _, out, _ = typed("--all", "--no-sheets")
+    assert f"3 of them {RESUMED}" in out, "a sheet more does no harm"
 
 
 def test_a_frame_folder_with_other_files_stays(typed, tmp_path):
@@ -252,7 +264,7 @@ def test_memory_does_not_grow_with_the_frames(typed, touches, monkeypatch):
     for i in range(3, n_frames):
         save(touches / f"touch_{i}.png", dent(0.3 + 0.005 * i, seed=i))
     monkeypatch.setattr(
-        translate, "write_frame", lambda *_: held.append(tracemalloc.get_traced_memory()[0])
+        translate, "write_frame", lambda *_, **__: held.append(tracemalloc.get_traced_memory()[0])
     )
     monkeypatch.setattr(translate, "CACHE_BYTES", 8_000_000)
     tracemalloc.start()

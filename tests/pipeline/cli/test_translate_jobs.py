@@ -1,5 +1,6 @@
 """Frames that several processes translate at once."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -8,18 +9,34 @@ import pytest
 
 from pipeline.cli import translate
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
+from pipeline.translation.translate import Translation
 
-UNTOUCHED = Path(__file__).parents[3] / "sample_data" / "recordings" / "no_contact.h5"
+RECORDINGS = Path(__file__).parents[3] / "sample_data" / "recordings"
+UNTOUCHED = RECORDINGS / "no_contact.h5"
 
 
 @pytest.mark.timeout(600)
-def test_frames_of_two_processes_are_those_of_one(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("follow", [False, True])
+def test_frames_of_two_processes_are_those_of_one(follow, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    shutil.copy(UNTOUCHED, "still.h5")
-    common = ["translate", "still.h5", "--target", "digit", "--sensor", "gelslim", "--all"]
+    monkeypatch.setattr(translate, "_FOLLOWED_FRAMES", 2)
+    recording = RECORDINGS / ("digit_gelslim.h5" if follow else "no_contact.h5")
+    shutil.copy(recording, "some.h5")
+    common = ["translate", "some.h5", "--target", "gelslim" if follow else "digit", "--all"]
+    common += ["--sensor", "digit" if follow else "gelslim", "--no-sheets"]
+    common += ["--follow"] if follow else []
     assert run_app(build_app(), [*common, "--jobs", "2", "--out", "two"]) == 0
     assert "finished by an earlier run" not in capsys.readouterr().out
+    followed = []
+    evaluate = Translation.evaluate
+
+    def record(self, index, *given, previous=None, **more):
+        followed.extend([index] if previous is not None else [])
+        return evaluate(self, index, *given, previous=previous, **more)
+
+    monkeypatch.setattr(Translation, "evaluate", record)
     assert run_app(build_app(), [*common, "--jobs", "1", "--out", "one"]) == 0
+    assert followed == ([3] if follow else []), "frame 2 has a pose as well, and begins a run"
     frames = sorted(path.name for path in Path("one").glob("frame_*"))
     assert len(frames) > 1
     assert frames == sorted(path.name for path in Path("two").glob("frame_*"))
@@ -27,8 +44,10 @@ def test_frames_of_two_processes_are_those_of_one(tmp_path, monkeypatch, capsys)
         one, two = (np.load(Path(where, name, "stages.npz")) for where in ("one", "two"))
         assert one.files == two.files
         assert all(one[key].tobytes() == two[key].tobytes() for key in one.files)
-    assert run_app(build_app(), [*common, "--jobs", "1", "--out", "two"]) == 0
-    assert "finished by an earlier run" in capsys.readouterr().out
+    one, two = (json.loads(Path(where, "report.json").read_text()) for where in ("one", "two"))
+    assert [f["metrics"] for f in one["frames"]] == [f["metrics"] for f in two["frames"]]
+    assert run_app(build_app(), [*common, "--jobs", "2", "--out", "two"]) == 0
+    assert f"{len(frames)} of them were finished by an earlier run" in capsys.readouterr().out
 
 
 def test_few_frames_start_no_further_process(monkeypatch):
@@ -37,10 +56,8 @@ def test_few_frames_start_no_further_process(monkeypatch):
     assert [translate._choose_workers(3, n) for n in (1, 2, 1000)] == [1, 2, 3]
 
 
-@pytest.mark.parametrize(
-    "more", [[], ["--all", "--follow"], ["--all", "--scheduler", "tcp://127.0.0.1:1"]]
-)
+@pytest.mark.parametrize("more", [[], ["--all", "--scheduler", "tcp://127.0.0.1:1"]])
 def test_jobs_go_with_all_frames_alone(more, capsys):
     words = ["translate", str(UNTOUCHED), "--target", "digit", "--out", "x", "--jobs", "2", *more]
     assert run_app(build_app(), words) == EXIT_USER_ERROR
-    assert "--jobs share single frames" in capsys.readouterr().err
+    assert "--jobs share frames" in capsys.readouterr().err

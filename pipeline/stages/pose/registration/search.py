@@ -423,11 +423,16 @@ class SelectedPose:
 
 
 def select_pose(
-    search: PoseSearch, found: Sequence[PoseMinimum], progress: Progress = SILENT
+    search: PoseSearch,
+    found: Sequence[PoseMinimum],
+    progress: Progress = SILENT,
+    *,
+    equal: Sequence[Doubles] | None = None,
 ) -> SelectedPose | None:
     """Select the first of `found`, which is in order.
 
-    None if there is none. `progress` may cancel it.
+    None if there is none. `progress` may cancel it. `equal` are the poses that fit as well, where
+    they need not be looked for.
     """
     if not found:
         return None
@@ -440,10 +445,11 @@ def select_pose(
     progress.step(1.0, _OPEN)
     shown = _shown_by_outline(search, first, known)
     unseen = known.weak_motions[[not s for s in shown]]
-    explained = search.explains(found[0])
-    others = search.find_equal_poses(
-        first, [m.fit.sensor_from_object for m in found[1:]], unseen, progress, explained=explained
-    )
+    others = equal
+    if others is None:
+        explained = search.explains(found[0])
+        besides = [m.fit.sensor_from_object for m in found[1:]]
+        others = search.find_equal_poses(first, besides, unseen, progress, explained=explained)
     chosen = _centre_on_contact(search, found[0], unseen)
     notes = tuple(
         f"{words}: {OUTLINE_ONLY}"

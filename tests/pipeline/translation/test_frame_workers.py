@@ -1,0 +1,147 @@
+"""Frames of a live sensor on worker processes: the values of one process, in order, none invented."""
+
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pipeline.cli import live as live_command
+from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
+from pipeline.core.shared_memory import SharedBlock
+from pipeline.io.live.reader import LiveReader
+from pipeline.io.live.source import LiveFrame
+from pipeline.io.mounts import mount, unmount
+from pipeline.translation.live_rate import FrameCost, RatePlan, plan_rate
+from pipeline.translation.live_translation import LiveTranslation
+from pipeline.translation.translate import Request, open_translation
+from sample_data.make_samples import RECORDINGS_FOLDER
+
+LIVE = Path("live:/workers")
+
+
+@dataclass
+class RecordedSource:
+    """The frames of a recording as a live sensor: its reference, then its touches."""
+
+    path: Path
+    sensor: str
+    title: str = "a recorded sensor"
+    touching_object: None = None
+    images: list = field(default_factory=list)
+    _n: int = 0
+
+    def open(self) -> None:
+        opened = open_translation(Request(recording=self.path, target="gelslim"))
+        frames = [opened.stream.frame(k) for k in range(opened.n_frames)]
+        self.images = [f.image for f in frames if opened.stream.truth(f.index).contact.any()]
+        self.reference = frames[0].reference
+
+    def read(self) -> LiveFrame | None:
+        time.sleep(0.05)
+        self._n += 1
+        image = self.images[self._n % len(self.images)] if self._n > 20 else self.reference
+        return LiveFrame(image=image, time_s=time.monotonic(), sequence_number=self._n)
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.timeout(300)
+def test_a_live_sensor_is_translated_in_order_with_the_values_of_one_process():
+    reader = LiveReader(RecordedSource(RECORDINGS_FOLDER / "digit_gelslim.h5", "digit"))
+    mount(LIVE, lambda: reader.make_recording(LIVE))
+    reader.start()
+    while not reader.has_reference:
+        time.sleep(0.01)
+    translation = open_translation(Request(recording=LIVE, target="gelslim"))
+    live = LiveTranslation(translation, reader, n_workers=2)
+    shown = []
+    started_s = time.monotonic()
+    try:
+        while not (shown and shown[-1].results["depth"].output.contact.any()) or len(shown) < 6:
+            shown += live.poll(0.2)
+            assert not live.problem
+            assert time.monotonic() - started_s < 200.0
+    finally:
+        live.close()
+        reader.stop(5.0)
+        unmount(LIVE)
+    numbers = [one.frame.index for one in shown]
+    assert numbers == sorted(set(numbers))
+    assert all(one.age_s > 0 for one in shown)
+    last = shown[-1]
+    here = translation.evaluate(last.frame)
+    assert list(last.results) == list(here)
+    for name, result in here.items():
+        assert last.results[name].method is result.method
+        if name != "pose":
+            assert last.results[name].digest == result.digest
+    depth_mm = last.results["depth"].output.depth_mm
+    assert depth_mm.tobytes() == here["depth"].output.depth_mm.tobytes()
+    assert not depth_mm.flags.writeable
+
+
+def test_a_block_holds_one_value_and_one_that_is_too_large_goes_through_the_pipe():
+    block = SharedBlock(1 << 16)
+    other = SharedBlock(name=block.name)
+    try:
+        for n in (0, 100, 1 << 14):
+            value = {"a": np.arange(n, dtype=np.float32), "b": (np.ones((2, 3), bool), "text")}
+            taken = other.take(block.put(value))
+            assert taken["b"][1] == "text"
+            assert taken["a"].tobytes() == value["a"].tobytes()
+            assert taken["b"][0].all()
+        kept = other.take(block.put(np.zeros(5)))
+        block.put(np.ones(5))
+        assert not kept.any(), "a copy"
+    finally:
+        other.close()
+        block.close()
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "cost", "plan"),
+    [
+        (0.0, (900.0, None, 300.0), (1, False)),  # best quality leaves nothing out
+        (10.0, (50.0, None, 50.0), (1, False)),
+        (25.0, (50.0, None, 50.0), (3, False)),
+        (30.0, (100.0, 40.0, 30.0), (2, True)),
+        (30.0, (90.0, None, 30.0), (3, True)),  # a draft not measured yet counts half
+        (30.0, (400.0, 400.0, 30.0), (5, False)),  # without a draft, frames are left out
+    ],
+)
+def test_the_rate_decides_what_is_left_out(rate_hz, cost, plan):
+    stages_ms, draft_ms, pose_ms = cost
+    made = plan_rate(
+        rate_hz, FrameCost(stages_ms=stages_ms, draft_ms=draft_ms, pose_ms=pose_ms), n_workers=2
+    )
+    assert (made.pose_every, made.draft) == plan
+    assert made.rate_hz == rate_hz
+
+
+def test_what_is_left_out_is_said():
+    assert plan_rate(25.0, None, 2) == RatePlan(rate_hz=25.0)
+    assert RatePlan().describe() == ""
+    assert RatePlan(pose_every=2).describe() == "pose in every 2nd frame"
+    assert RatePlan(pose_every=5, draft=True).describe() == "pose in every 5th frame, drafts"
+
+
+def test_the_status_of_a_live_translation_says_rate_age_and_what_is_left_out():
+    plan = RatePlan(rate_hz=25.0, pose_every=3)
+    shown = [SimpleNamespace(age_s=age_s) for age_s in (0.06, 0.09, 0.05)]
+    assert live_command._describe(SimpleNamespace(plan=plan, problem=""), shown, 0.5) == (
+        "6.0 of 25 Hz translated, 60 ms old, at most 90, pose in every 3rd frame"
+    )
+    nothing = SimpleNamespace(plan=RatePlan(), problem="no depth: try another")
+    assert live_command._describe(nothing, [], 1.0) == "0.0 Hz translated, no depth: try another"
+
+
+@pytest.mark.parametrize(
+    ("more", "said"), [(["--target", "nose"], "nose"), (["--rate", "1000"], "--rate")]
+)
+def test_a_wrong_target_or_rate_is_said_before_anything_starts(more, said, capsys):
+    assert run_app(build_app(), ["live", "--seconds", "1", *more]) == EXIT_USER_ERROR
+    assert said in capsys.readouterr().err
