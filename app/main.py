@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from pipeline.translation.catalogue import Catalogue
     from pipeline.translation.translate import Request
 
+_TEXT_PT = 10.0
 _SHOW_TIMEOUT_S = 1.0  # for the window to be on screen; a minimised one never is
 # Thresholds of the garbage collector. Loading Qt, VTK and numba creates millions of lasting
 # objects; with Python's defaults, collecting takes a tenth of the time to the first touch.
@@ -106,6 +107,9 @@ def make_application() -> QApplication:
     # Qt sets the user's: a C library would then read 0,5 and not 0.5
     locale.setlocale(locale.LC_NUMERIC, "C")
     application.setApplicationName("Tactoscope")
+    font = application.font()
+    font.setPointSizeF(_TEXT_PT)
+    application.setFont(font)
     return application
 
 
@@ -138,7 +142,7 @@ def show_window(
 
     if not isinstance(QApplication.style(), PlainTextStyle):
         QApplication.setStyle(PlainTextStyle())
-    theme = Preferences().theme if restore else "light"
+    theme = Preferences().theme if restore else "dark"
     apply_theme(theme)
     catalogue = catalogue or BUILT_IN
     with_steps = frozenset(stage.name for stage in catalogue.stages if stage.has_steps)

@@ -1,7 +1,7 @@
 """The session and its background computation: the newest request is the one on screen."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -28,6 +28,7 @@ from pipeline.stages.networks.guidance import raise_steps
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.translate import Request, Translation
 from pipeline.translation.truth_view import ComparisonMode
+from widgets.style.notification_bar import Choice
 from widgets.style.styling import make_single_shot_timer
 
 _STALE_DELAY_MS = 150  # columns not replaced within this time are marked stale
@@ -41,6 +42,7 @@ class SessionController(SessionDocument):
     session_shown = pyqtSignal(object)  # Session; `app.shell.connections` lists all that follows
     opening_cancelled = pyqtSignal()
     alignment_dropped = pyqtSignal(object)  # AlignmentMismatch
+    remedies_changed = pyqtSignal()
     closing = pyqtSignal()
     termination_requested = pyqtSignal()  # by a signal, before closing without questions
 
@@ -53,6 +55,7 @@ class SessionController(SessionDocument):
         self.probe = PixelProbe(window)
         self.views = StageViews(window, self.probe)
         self.is_closed = False
+        self.remedies: Sequence[Choice] = ()  # for the warnings of the frame on screen
         self.requests = Requests()
         self._extras: set[str] = set()  # that panels request
         # that are open: as requested, and with names resolved
@@ -81,7 +84,7 @@ class SessionController(SessionDocument):
         )
         self.change(words, key=f"params {key}", params={**self.session.params, key: given})
         if given != params:
-            self.window.readout.setText(_STEPS_RAISED)
+            self.window.say(_STEPS_RAISED)
 
     def _describe_params_change(self, method: Method | None, old: object, new: object) -> str:
         """Return "change smoothing of depth" for one changed parameter, else the stage alone."""
@@ -194,12 +197,6 @@ class SessionController(SessionDocument):
         ticket = self.job.submit(work, interrupt=interrupt)
         self.requests = old.yield_to(ticket, background=background)
         return ticket
-
-    def show_only(self, name: str) -> None:
-        """Show one stage alone, or all again; hidden stages are not computed."""
-        is_alone = self.window.visible_columns() == (name,)
-        self.window.show_only(None if is_alone else name)
-        self.refresh()
 
     def cancel(self) -> None:
         """Cancel the computation, and clear the probe."""
@@ -387,7 +384,7 @@ class SessionController(SessionDocument):
             with_observation="observation" in self._extras,
             get_current=lambda: self.views.translation,
             with_truth=bool(self.views.comparison_mode)
-            or self.window.shows_truth_column
+            or self.window.shows_true_touch
             or "truth" in self._extras,
         )
         now_s = time.monotonic()

@@ -1,8 +1,8 @@
-"""The Attribution tab: the error of a frame at rest is attributed to the stages while the tab is
-visible.
+"""The attribution in the inspector: the error of a frame at rest is attributed to the stages while
+it is visible.
 """
 
-from PyQt6.QtCore import QEvent
+from PyQt6.QtCore import QEvent, pyqtSignal
 
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
@@ -19,7 +19,9 @@ _NO_TRUTH = "This frame has no known error: the recording has no touch of the ta
 
 
 class ErrorAttributionController(Feature):
-    """Connects the tab with the session."""
+    """Connects the waterfall with the session."""
+
+    attributed = pyqtSignal(object)  # ErrorAttribution
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
@@ -82,6 +84,7 @@ class ErrorAttributionController(Feature):
             make_bars("this frame's error", result.total, parts, result.remainder),
             result.unit,
         )
+        self.attributed.emit(result)
 
     def _toggle_truth(self, share: int) -> None:
         """Pin the truth of the stage of a share in its column's head.

@@ -34,7 +34,7 @@ _LINES = 2  # more lines scroll
 
 
 class TracePanel(QScrollArea):
-    """Shows a pixel trace, one titled step after the other."""
+    """Shows the pixel under the mouse over a pixel's trace, one titled step after the other."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -53,13 +53,14 @@ class TracePanel(QScrollArea):
         layout.addWidget(self._label)
         self.setWidget(body)
         self.setFixedHeight(_LINES * self.fontMetrics().lineSpacing() + 3)
-        self.text = ""
+        self.text = self.pixel_text = ""
         self._shown: tuple[Sequence[tuple[str, str]], bool, str, bool] = ((), False, "", False)
-        EventListener(self, self._show_again, QEvent.Type.PaletteChange)
+        EventListener(self, self._show, QEvent.Type.PaletteChange)
 
-    def _show_again(self) -> None:
-        steps, pinned, ending, waits = self._shown
-        self.show_steps(steps, pinned=pinned, ending=ending, is_waiting=waits)
+    def show_pixel(self, text: str) -> None:
+        """Show what is under the mouse; "" for nothing."""
+        self.pixel_text = text
+        self._show()
 
     def show_steps(
         self,
@@ -75,9 +76,10 @@ class TracePanel(QScrollArea):
         """
         self._shown = steps, pinned, ending, is_waiting
         self.text = " → ".join(text for _, text in steps)
-        if not steps:
-            self._label.setText(_INVITATION)
-            return
+        self._show()
+
+    def _show(self) -> None:
+        steps, pinned, ending, is_waiting = self._shown
         soft = to_hex(get_theme_colours(self.palette()).secondary_text)
         alarm = to_hex(get_theme_colours(self.palette()).warning_text)
         parts = [
@@ -85,12 +87,14 @@ class TracePanel(QScrollArea):
             for title, text in steps
         ]
         sentence = " &nbsp;→&nbsp; ".join(parts)
-        if ending:
+        if ending and steps:
             sentence += (
                 " &nbsp; <span "
                 f"style='color:{soft if is_waiting else alarm}'>{escape(ending)}</span>"
             )
-        self._label.setText(sentence + (" &nbsp; <i>pinned</i>" if pinned else ""))
+        sentence += " &nbsp; <i>pinned</i>" if pinned and steps else ""
+        lines = filter(None, (escape(self.pixel_text), sentence))
+        self._label.setText("<br>".join(lines) or _INVITATION)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -27,7 +27,7 @@ _Policy = QSizePolicy.Policy
 GROWS = _Policy.Expanding
 FIXED = _Policy.Fixed
 YIELDS = _Policy.Ignored
-MIN_FONT_PT = 8.5  # smallest letters of the window
+MIN_FONT_PT = 10.0  # smallest letters of the window
 _UNDER_PX = 2
 
 

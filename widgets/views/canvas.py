@@ -86,12 +86,6 @@ class Canvas(QWidget):
             self._plate.overlay = (self._plate.overlay[0], share)
             self.invalidate()
 
-    def set_dimmed(self, dimmed: bool) -> None:
-        """Fade the image, or restore it."""
-        if dimmed != self._plate.is_dimmed:
-            self._plate.is_dimmed = dimmed
-            self.invalidate()
-
     def show_crosshair(self, pixel: tuple[int, int] | None, tag: str = "") -> None:
         """Show the crosshair at (row, col) with a value; None hides it."""
         if (pixel, tag) != (self.crosshair, self.crosshair_text):

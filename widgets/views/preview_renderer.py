@@ -26,7 +26,6 @@ MIN_ZOOM = 0.02
 # screen pixels: images without a scale bar; half the room for its text
 _NARROWEST_PX = 60.0
 _LABEL_PX = 100.0
-_DIMMED = 0.45
 
 
 class PreviewRenderer:
@@ -39,7 +38,6 @@ class PreviewRenderer:
         self.overlay: tuple[QImage, float] | None = None
         self._ink = LIGHT_COLOURS
         self._overlay_pixels: Image | None = None  # pixels of the overlay
-        self.is_dimmed = False
         # image pixel at the centre; screen pixels per image pixel
         self.centre = QPointF()
         self.scale = 0.0
@@ -130,11 +128,9 @@ class PreviewRenderer:
         """
         if self.image is None or self.preview is None:
             return
-        painter.setOpacity(_DIMMED if self.is_dimmed else 1.0)
         self._draw_image(painter, self.image, 0.0, dense)
         if self.overlay is not None:
             self._draw_image(painter, *self.overlay, dense)
-        painter.setOpacity(1.0)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         for line in list_outlines(self.preview):
             self._draw_line(painter, line)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, pyqtSignal
-from PyQt6.QtWidgets import QBoxLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QBoxLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.views.preview import Preview
 from widgets.style.base import EventListener, FixedSizeLabel, resize_font
@@ -23,8 +23,7 @@ class PreviewView(QWidget):
 
     pixel_hovered = pyqtSignal(int, int)  # row, col; (-1, -1) after the mouse has left
     pixel_clicked = pyqtSignal(int, int)
-    shape_changed = pyqtSignal()  # an image of another size
-    scale_changed = pyqtSignal()  # a colour scale appeared or disappeared
+    shape_changed = pyqtSignal()  # an image of another size, or a colour scale comes or goes
     view_changed = pyqtSignal()  # panned or zoomed by the user
 
     def __init__(self) -> None:
@@ -43,7 +42,11 @@ class PreviewView(QWidget):
         self.message.setAutoFillBackground(True)
         self.message.hide()
         self.text_area = QWidget()  # all text about the image
-        fill(set_spacing(QVBoxLayout(self.text_area), 2), self.colour_bar, self.caption, 1)
+        self.remark = FixedSizeLabel()  # beside the caption, where there is something to say
+        self.remark.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignRight)
+        self.remark.hide()
+        line = fill(set_spacing(QHBoxLayout(), 8), (self.caption, 1), (self.remark, 1))
+        fill(set_spacing(QVBoxLayout(self.text_area), 2), self.colour_bar, line, 1)
         self._both = set_spacing(QBoxLayout(QBoxLayout.Direction.TopToBottom, self), 2)
         fill(self._both, (self.canvas, 1), self.text_area)
         resize_font(self.caption)
@@ -80,11 +83,9 @@ class PreviewView(QWidget):
         self.caption.setText(picture.caption)
         self.caption.setToolTip(picture.caption)
         shape = (picture.pixels.shape[0], picture.pixels.shape[1])
-        if shape != self._shape:
+        if shape != self._shape or other:
             self._shape = shape
             self.shape_changed.emit()
-        if other:
-            self.scale_changed.emit()
 
     def show_compared(
         self, preview: Preview, truth: Preview | None, difference: Preview | None, mode: str

@@ -21,20 +21,15 @@ AnyStep = PoseStep | TouchStep
 
 
 class View3DPanel(QWidget):
-    """`view` over `legend`, or over `under` in its place, over `caption`."""
+    """`view` over `legend`, or over `under` in its place, and `caption`."""
 
     def __init__(self, under: QWidget | None = None) -> None:
         super().__init__()
         self.view = View3D()
         self.legend = FixedSizeLabel()
         self.caption = FittingLabel()
-        resize_font(self.legend)
-        self.legend.setAlignment(Qt.AlignmentFlag.AlignHCenter)
-        fill(set_spacing(QVBoxLayout(self), 0), (self.view, 1), under or self.legend, self.caption)
-
-    def compute_height_px(self, tall: float) -> int:
-        """Return the height with a view of `tall` widths."""
-        return self.height() - self.view.height() + round(tall * self.view.width())
+        line = fill(set_spacing(QHBoxLayout(), 8), (under or self.legend, 1), (self.caption, 1))
+        fill(set_spacing(QVBoxLayout(self), 2), (self.view, 1), line)
 
 
 class FittingLabel(QLabel):
@@ -45,7 +40,7 @@ class FittingLabel(QLabel):
         self.setTextFormat(Qt.TextFormat.RichText)
         resize_font(self)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        self.setAlignment(Qt.AlignmentFlag.AlignHCenter)
+        self.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         self._tellings: tuple[str, ...] = ()
         self._widths: list[int] = []
         EventListener(self, self._fit, QEvent.Type.Resize)
