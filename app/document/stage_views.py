@@ -24,7 +24,6 @@ from widgets.views.view_3d_panel import AnyStep
 PageScene = Literal["track", "task"]  # pages with a 3D scene of their own
 _PREVIEWED = "target_depth"  # stage that an alignment drag previews
 _GENERATED = "touch"  # stage that is shown with its truth under a wipe
-_WIPED = ", recorded at the right"  # after its title
 
 
 class StageViews:
@@ -60,7 +59,7 @@ class StageViews:
         """Show another recording, or the same one between other sensors."""
         (old, self.translation), window = (self.translation, t), self._window
         sensors = ", ".join(filter(None, (f"{t.source.title} → {t.target.title}", t.truth_label)))
-        window.setWindowTitle(f"{t.request.recording.name}[*] · {sensors} · Tactoscope")
+        window.show_title(t.request.recording.name, sensors)
         window.timeline.show_frames(t.n_frames)
         if old is None or old.stream is not t.stream:
             window.frames.model.reset_frames(t.n_frames)
@@ -80,7 +79,7 @@ class StageViews:
         "" = none is.
         """
         self.translation, window = None, self._window
-        window.setWindowTitle(f"{following}[*] · Tactoscope" if following else "Tactoscope[*]")
+        window.show_title(following, "")
         window.banner.hide()
         window.verdict.show_verdict("", "")
         window.frames.model.reset_frames(0)
@@ -182,9 +181,8 @@ class StageViews:
             (None, None) if other is None else (other.truth, other.difference_to_truth)
         )
         mode = self.comparison_mode or ("wipe" if stage == _GENERATED else "")
-        column = self._window.columns[stage]
-        column.view.show_compared(preview, truth, difference, mode)
-        column.show_comparison(_WIPED if truth is not None and mode == "wipe" else "")
+        view = self._window.columns[stage].view
+        view.show_compared(preview, truth, difference, mode)
 
     def show_wipe(self, before: Preview, after: Preview) -> None:
         """Show two target depth previews, divided by a handle, until the stage is computed

@@ -80,7 +80,7 @@ class ErrorAttributionController(Feature):
         self._shares = result.shares
         parts = [(part.title, part.share) for part in result.shares]
         self._panel.show_attribution(
-            result.summary,
+            "Where the error comes from",
             make_bars("this frame's error", result.total, parts, result.remainder),
             result.unit,
         )

@@ -35,7 +35,7 @@ class Layout:
     """Layout by name, with the panes of *Look*."""
 
     name: LayoutName = "look"
-    panes: _Panes = (("source", "both"), ("target_depth", "3D"), ("touch", "both"))
+    panes: _Panes = (("source", "both"), ("touch_depth", "3D"), ("touch", "both"))
 
     def resolve_panes(self, available: Sequence[str]) -> tuple[tuple[str, Dims], ...]:
         """Return the panes with every stage that is not in `available` replaced by a spare one."""

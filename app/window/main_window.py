@@ -9,6 +9,7 @@ from PyQt6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent, QResi
 from PyQt6.QtWidgets import (
     QComboBox,
     QDockWidget,
+    QHBoxLayout,
     QLabel,
     QMainWindow,
     QStackedWidget,
@@ -43,7 +44,7 @@ from widgets.stages.stage_column import StageColumn
 from widgets.stages.steps_panel import StepsPanel
 from widgets.stages.timings_panel import TimingsPanel
 from widgets.stages.verdict_line import VerdictLine
-from widgets.style.base import ChoiceBox
+from widgets.style.base import ChoiceBox, FixedSizeLabel
 from widgets.style.run_bar import RunBar
 from widgets.style.styling import fill, set_spacing
 from widgets.task.task_page import TaskPage
@@ -54,9 +55,9 @@ from widgets.views.view_3d_panel import StepsSlider, View3DPanel
 
 DEFAULT_SIZE = QSize(1600, 950)
 _FRAME = QSize(2, 40)  # that a desktop draws around a window: borders and title bar
-_ACTIVITY_WIDTH_PX = 260
+_READOUT_WIDTH_PX = 420
 # width of a sensor chooser; of its list, which cuts no name off
-_CHOOSER_LETTERS = 15
+_CHOOSER_LETTERS = 11
 _SENSOR_LIST_PX = 240
 _INSPECTOR_FROM_PX = 1500  # a narrower window folds the inspector
 _SAY_MS = 5000  # until a sentence of the status bar leaves
@@ -88,7 +89,7 @@ class MainWindow(QMainWindow):
             ),
         )
         self.columns = {
-            name: StageColumn(name, f"{i + 1} · {title}") for i, (name, title) in enumerate(columns)
+            name: StageColumn(name, f"{i + 1} {title}") for i, (name, title) in enumerate(columns)
         }
         self.banner = Banner()
         self.timeline = Timeline()
@@ -124,6 +125,8 @@ class MainWindow(QMainWindow):
                 widget.hide()
         self.source, self.target = (self._make_sensor_box(role) for role in ("source", "target"))
         self.route = ChoiceBox("choose_route", "route")
+        self.route.setSizeAdjustPolicy(self.source.sizeAdjustPolicy())
+        self.route.setMinimumContentsLength(_CHOOSER_LETTERS)
         self._build_centre()
         self._build_drawers()
         self.menus = build_menus(
@@ -131,7 +134,7 @@ class MainWindow(QMainWindow):
         )
         layouts = [self.actions_by_name[f"layout_{name}"] for name in LAYOUT_NAMES]
         self.layout_tabs = ActionTabs(layouts, "layout")
-        build_tool_bar(
+        self._menu_button = build_tool_bar(
             self,
             self.actions_by_name,
             self.menus,
@@ -141,6 +144,12 @@ class MainWindow(QMainWindow):
         for name in ("first", "previous", "play", "next", "last", "loop"):
             self.timeline.add_command(self.actions_by_name[name])
         self._build_status()
+
+    def show_title(self, recording: str, details: str) -> None:
+        """Show a recording's name, "" for none, in the title and at the left of the tool bar."""
+        parts = filter(None, (f"{recording}[*]" if recording else "", details, "Tactoscope"))
+        self.setWindowTitle(" · ".join(parts) if recording else "Tactoscope[*]")
+        self._menu_button.setText(recording or "Menu")
 
     def _set_default_size(self) -> None:
         """Set the default size, at most the screen's."""
@@ -230,18 +239,24 @@ class MainWindow(QMainWindow):
         return box
 
     def _build_status(self) -> None:
+        """The trace at the left; at the right the pixel under the mouse, or what is computed."""
         self.activity_label = QLabel()
         self.run_bar = RunBar("frame", keeps_room=True)
-        self.activity_label.setFixedWidth(_ACTIVITY_WIDTH_PX)
-        self.activity_label.setAlignment(
-            Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
-        )
+        self.readout = FixedSizeLabel()
+        self.readout.setObjectName("probe")
+        for label in (self.readout, self.activity_label):
+            label.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        progress = QWidget()
+        fill(set_spacing(QHBoxLayout(progress), 8), self.run_bar, (self.activity_label, 1))
+        self._at_right = QStackedWidget()
+        self._at_right.setFixedWidth(_READOUT_WIDTH_PX)
+        for widget in (self.readout, progress):
+            self._at_right.addWidget(widget)
         status = self._status = QStatusBar()
         status.setSizeGripEnabled(False)
         self.setStatusBar(status)
         status.addWidget(self.trace, 1)
-        for widget in (self.run_bar, self.activity_label):
-            status.addPermanentWidget(widget)
+        status.addPermanentWidget(self._at_right)
         self.show_progress(None)
 
     def say(self, sentence: str) -> None:
@@ -279,6 +294,7 @@ class MainWindow(QMainWindow):
         """Show what is being computed; None shows that nothing is."""
         self.run_bar.show_progress(fraction)
         self.activity_label.setText(text if fraction is not None else "ready")
+        self._at_right.setCurrentIndex(0 if fraction is None else 1)
 
     @property
     def views_3d(self) -> tuple[View3D, ...]:

@@ -19,8 +19,6 @@ from widgets.shell.command_bar import CommandBar
 from widgets.style.icons import make_command_icon
 
 _TOOLS = (
-    "undo",
-    "redo",
     "",
     "reset_view",
     "pin_probe",
@@ -51,7 +49,7 @@ _AFTER_SEPARATOR = frozenset(
     )
 )
 # Buttons that get their text next to the icon while there is room, the first ones first.
-_TEXT_ORDER = ("full_screen", "export", "live", "show_wipe", "show_difference", "pin_probe", "undo")
+_TEXT_ORDER = ("full_screen", "export", "live", "show_wipe", "show_difference", "pin_probe")
 _AREA = Qt.DockWidgetArea
 _SIDE_PX = {_AREA.LeftDockWidgetArea: 360, _AREA.RightDockWidgetArea: 290}
 _MAX_SIDE_SHARE = 0.2  # of the window's width, for the frames table
@@ -96,8 +94,10 @@ def build_tool_bar(
     menus: Mapping[str, QMenu],
     widgets: Sequence[QWidget],
     drawers: Iterable[QDockWidget],
-) -> None:
-    """Create the tool bar: all menus in one button, `widgets`, and the tools used most."""
+) -> QToolButton:
+    """Create the tool bar: all menus in one button, which is returned, `widgets`, and the tools
+    used most.
+    """
     bar = CommandBar("Commands", window)
     bar.setObjectName("tool_bar")
     bar.setMovable(False)
@@ -116,6 +116,7 @@ def build_tool_bar(
     button.setMenu(everything)
     button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
     bar.addWidget(button)
+    bar.addAction(actions["open_recording"])
     for widget in widgets:
         bar.addWidget(widget)
     for name in _TOOLS:
@@ -131,6 +132,7 @@ def build_tool_bar(
     for name in _AT_RIGHT:
         bar.addAction(actions[name])
     bar.set_text_order([actions[name] for name in _TEXT_ORDER])
+    return button
 
 
 class Drawers:

@@ -28,13 +28,13 @@ _HINT = "A click on an image pins a pixel, up to five; a click on its mark relea
 _ICON_PX = 10
 _INVITATION = (
     "Move the mouse over an image to follow that pixel through every stage. "
-    "A click pins it, up to five (again, or <b>F</b>, to release); <b>Esc</b> clears all."
+    "A click pins it; <b>Esc</b> clears all."
 )
-_LINES = 2  # more lines scroll
+_LINES = 1  # more lines scroll
 
 
 class TracePanel(QScrollArea):
-    """Shows the pixel under the mouse over a pixel's trace, one titled step after the other."""
+    """Shows a pixel trace, one titled step after the other."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -53,14 +53,9 @@ class TracePanel(QScrollArea):
         layout.addWidget(self._label)
         self.setWidget(body)
         self.setFixedHeight(_LINES * self.fontMetrics().lineSpacing() + 3)
-        self.text = self.pixel_text = ""
+        self.text = ""
         self._shown: tuple[Sequence[tuple[str, str]], bool, str, bool] = ((), False, "", False)
         EventListener(self, self._show, QEvent.Type.PaletteChange)
-
-    def show_pixel(self, text: str) -> None:
-        """Show what is under the mouse; "" for nothing."""
-        self.pixel_text = text
-        self._show()
 
     def show_steps(
         self,
@@ -93,8 +88,7 @@ class TracePanel(QScrollArea):
                 f"style='color:{soft if is_waiting else alarm}'>{escape(ending)}</span>"
             )
         sentence += " &nbsp; <i>pinned</i>" if pinned and steps else ""
-        lines = filter(None, (escape(self.pixel_text), sentence))
-        self._label.setText("<br>".join(lines) or _INVITATION)
+        self._label.setText(sentence or _INVITATION)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,6 +6,7 @@ from functools import partial
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QPalette, QStandardItemModel
 from PyQt6.QtWidgets import (
+    QBoxLayout,
     QComboBox,
     QFrame,
     QHBoxLayout,
@@ -45,6 +46,8 @@ class StageColumn(QFrame):
         self.view = PreviewView()
         self.view.remark.setObjectName(f"note_{name}")
         self.view.caption.set_lines(1)
+        self.view.text_layout.setDirection(QBoxLayout.Direction.LeftToRight)
+        self.view.text_layout.setStretchFactor(self.view.colour_bar, 1)
         self.view.shape_changed.connect(
             lambda: self.view.colour_bar.setVisible(self.view.has_colour_scale)
         )
@@ -60,12 +63,12 @@ class StageColumn(QFrame):
         self._unpin.clicked.connect(lambda: self.method_chosen.emit(name, ""))
         self._unpin.hide()
         self.head = QWidget()  # a pane shows it over image and 3D view
-        self._method.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
+        self._method.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self._line = QFrame()  # while the stage is computed again
         self._line.setFixedHeight(_LINE_PX)
         self._line.setBackgroundRole(QPalette.ColorRole.Link)
         row = set_spacing(QHBoxLayout(), 8, (4, 0, 0, 0))
-        fill(row, self._title, self._method, self._unpin, self._sign, 1)
+        fill(row, self._title, (self._method, 1), self._unpin, self._sign)
         fill(set_spacing(QVBoxLayout(self.head), 0), (row, 1), self._line)
         fill(set_spacing(QVBoxLayout(self), 0), self.head, (self.view, 1))
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
@@ -147,10 +150,6 @@ class StageColumn(QFrame):
         self.warnings = warnings
         warns = (bool(warnings) or is_fallback) and state != "draft"
         self.show_state("warning" if warns else state, ms, (*warnings, *plain), badge)
-
-    def show_comparison(self, text: str) -> None:
-        """Show what is compared in the title; "" for the stage alone."""
-        self._title.setText(f"{self.title}{text}")
 
     def _explain_empty(self, state: str, notes: tuple[str, ...]) -> str:
         if state in PENDING and self.view.preview is None:

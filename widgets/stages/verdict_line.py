@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from PyQt6.QtCore import pyqtSignal
+from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QMenu, QPushButton, QSizePolicy
 
 from widgets.style.icons import StateIcon
@@ -36,11 +36,12 @@ class VerdictLine(QFrame):
         self._sign = StateIcon()
         self._sentence = QLabel()
         self._sentence.setWordWrap(True)
+        self._sentence.setTextFormat(Qt.TextFormat.RichText)
         self._sentence.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
         self.list_button = make_button("", "findings", "Everything that is wrong with this frame")
         self._menu = QMenu(self.list_button)
         self.list_button.setMenu(self._menu)
-        self._row = set_spacing(QHBoxLayout(self), 8, (8, 4, 4, 4))
+        self._row = set_spacing(QHBoxLayout(self), 8, (8, 2, 2, 2))
         fill(self._row, self._sign, (self._sentence, 1), self.list_button)
         self.buttons: list[QPushButton] = []  # that mend what is wrong, or show where
         self.show_verdict("", "")

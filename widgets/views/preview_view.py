@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, pyqtSignal
-from PyQt6.QtWidgets import QBoxLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.views.preview import Preview
 from widgets.style.base import EventListener, FixedSizeLabel, resize_font
@@ -42,11 +42,12 @@ class PreviewView(QWidget):
         self.message.setAutoFillBackground(True)
         self.message.hide()
         self.text_area = QWidget()  # all text about the image
-        self.remark = FixedSizeLabel()  # beside the caption, where there is something to say
-        self.remark.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignRight)
+        self.remark = FixedSizeLabel()  # under the caption, where there is something to say
+        self.remark.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self.remark.hide()
-        line = fill(set_spacing(QHBoxLayout(), 8), (self.caption, 1), (self.remark, 1))
-        fill(set_spacing(QVBoxLayout(self.text_area), 2), self.colour_bar, line, 1)
+        self.text_layout = QBoxLayout(QBoxLayout.Direction.TopToBottom, self.text_area)
+        words = fill(set_spacing(QVBoxLayout(), 0), self.caption, self.remark, 1)
+        fill(set_spacing(self.text_layout, 4), self.colour_bar, (words, 1))
         self._both = set_spacing(QBoxLayout(QBoxLayout.Direction.TopToBottom, self), 2)
         fill(self._both, (self.canvas, 1), self.text_area)
         resize_font(self.caption)

@@ -3,12 +3,12 @@
 from PyQt6.QtCore import QEvent, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QTextDocumentFragment
 from PyQt6.QtWidgets import (
+    QGridLayout,
     QHBoxLayout,
     QLabel,
     QSizePolicy,
     QSlider,
     QToolButton,
-    QVBoxLayout,
     QWidget,
 )
 
@@ -18,18 +18,23 @@ from widgets.style.styling import fill, set_spacing
 from widgets.views.view_3d import View3D
 
 AnyStep = PoseStep | TouchStep
+_BELOW = Qt.AlignmentFlag.AlignBottom
 
 
 class View3DPanel(QWidget):
-    """`view` over `legend`, or over `under` in its place, and `caption`."""
+    """`view` with `legend`, or `under` in its place, and `caption` along its lower edge."""
 
     def __init__(self, under: QWidget | None = None) -> None:
         super().__init__()
         self.view = View3D()
         self.legend = FixedSizeLabel()
         self.caption = FittingLabel()
-        line = fill(set_spacing(QHBoxLayout(), 8), (under or self.legend, 1), (self.caption, 1))
-        fill(set_spacing(QVBoxLayout(self), 2), (self.view, 1), line)
+        for label in (self.legend, self.caption):
+            label.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+        line = set_spacing(QHBoxLayout(), 8, (4, 0, 4, 2))
+        layout = set_spacing(QGridLayout(self), 0)
+        layout.addWidget(self.view, 0, 0)
+        layout.addLayout(fill(line, (under or self.legend, 1), (self.caption, 1)), 0, 0, _BELOW)
 
 
 class FittingLabel(QLabel):
