@@ -1,7 +1,7 @@
 """The session and its background computation: the newest request is the one on screen."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -143,9 +143,8 @@ class SessionController(SessionDocument):
         if session.cameras_linked != old.cameras_linked or session.display != old.display:
             self.views.reset_cameras(session)
         if session.recording is not None:
-            self._request_stages(
-                other_request=old.recording is None or make_request(old) != make_request(session)
-            )
+            is_other = old.recording is None or make_request(old) != make_request(session)
+            self._request_stages(self._find_changed_stages(old), other_request=is_other)
         self.session_shown.emit(session)
 
     @property
@@ -178,7 +177,7 @@ class SessionController(SessionDocument):
     def refresh(self) -> None:
         """Compute the session's frame again."""
         if self.session.recording is not None and not self.is_closed:
-            self._request_stages(other_request=False)
+            self._request_stages(frozenset(), other_request=False)
 
     def submit_priority(self, work: JobFunction, *, background: bool = False) -> int:
         """Run a short job on the open recording instead of the stages.
@@ -376,7 +375,23 @@ class SessionController(SessionDocument):
         unavailable = self.evaluator.unavailable
         show_controls(self.window, self.session, self.methods, self.catalogue, opened, unavailable)
 
-    def _request_stages(self, *, other_request: bool) -> None:
+    def _find_changed_stages(self, old: Session) -> Set[str] | None:
+        """Return what a session change reaches first: stages or the alignment; None = all."""
+        new = self.session
+        before = replace(old, methods=new.methods)
+        if before.recording is None or make_request(before) != make_request(new):
+            return None
+        if (old.frame, old.display) != (new.frame, new.display):
+            return None
+        changed = {
+            m.stage
+            for m in self.methods
+            if old.get_params(m) != new.get_params(m)
+            or old.methods.get(m.stage) != new.methods.get(m.stage)
+        }
+        return changed if old.offsets == new.offsets else changed | {"alignment"}
+
+    def _request_stages(self, changed: Set[str] | None, *, other_request: bool) -> None:
         session = self._session_to_compute()
         stages = self.window.visible_columns()
         evaluate = partial(
@@ -399,7 +414,7 @@ class SessionController(SessionDocument):
             interrupts=interrupts,
             draft_stage=self._dragged_key.partition("/")[0],
         )
-        self.views.mark_all_pending()
+        self.views.mark_pending(changed)
         self.window.timeline.show_ready(ready=False)
         if not self._stale_timer.isActive():
             self._stale_timer.start()

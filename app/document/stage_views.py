@@ -1,6 +1,6 @@
 """Shows results in the window: columns, 3D views, captions."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from typing import Literal
 
 from app.document.evaluator import EvaluatedFrame
@@ -12,6 +12,7 @@ from app.window.main_window import MainWindow
 from pipeline.core.arrays import Doubles
 from pipeline.core.errors import TouchError
 from pipeline.core.graph import StageResult
+from pipeline.stages.pose.signed_distances import NO_MESH
 from pipeline.stages.truth_method import TRUTH
 from pipeline.translation.translate import Request, Translation
 from pipeline.translation.truth_view import ComparisonMode, TruthView
@@ -130,6 +131,8 @@ class StageViews:
             )
             self._show_who_answered(result)
             self._probe.set_results(self._results)
+            card = self._window.look.filmstrip.thumbnails[name]
+            card.show_feedable(feedable=NO_MESH in result.notes)
             if name in self._window.steps:
                 self._steps[name] = part
                 self._window.steps[name].show_steps(part.result.output.steps)
@@ -227,9 +230,13 @@ class StageViews:
                 )
             )
 
-    def mark_all_pending(self) -> None:
-        """Mark every column as pending."""
-        self._fresh = set()
+    def mark_pending(self, changed: Set[str] | None = None) -> None:
+        """Mark the stages that depend on changed ones as pending, and these; None for all."""
+        if changed is None:
+            self._fresh = set()
+            return
+        for name in changed:
+            self._fresh -= {name, *self._find_dependent_stages(name)}
 
     def mark_stale(self) -> None:
         """Mark pending columns as stale, and the first one as running."""

@@ -26,6 +26,7 @@ _NARROW_PX = 360
 _RIM_PX = 10
 _WORDS_PX = 72
 _LEVELS_PX = 48
+_SIDE_PX = 160  # height of title, colour bar and caption beside an image
 # gain in image width needed to place the text at the side: under an image it is read sooner
 _SIDE_TEXT_GAIN = 1.1
 _LEAST_PX = (320, 240)
@@ -74,7 +75,7 @@ class TileView(QFrame):
         line = self._subtitle.fontMetrics().lineSpacing()
         lines = 2 if self.width() < _NARROW_PX else 1
         if self._text_at_side:
-            lines = min(max(2, (self.height() - _WORDS_PX - 2 * _LEVELS_PX) // line), self._lines)
+            lines = min(max(2, (self.height() - _SIDE_PX) // line), self._lines)
         self._subtitle.setFixedHeight(lines * line + 2)
         self._title.setFixedHeight(
             (2 if self._text_at_side else 1) * self._title.fontMetrics().lineSpacing() + 2

@@ -47,10 +47,9 @@ class StageColumn(QFrame):
         self.view.remark.setObjectName(f"note_{name}")
         self.view.caption.set_lines(1)
         self.view.text_layout.setDirection(QBoxLayout.Direction.LeftToRight)
-        self.view.text_layout.setStretchFactor(self.view.colour_bar, 1)
-        self.view.shape_changed.connect(
-            lambda: self.view.colour_bar.setVisible(self.view.has_colour_scale)
-        )
+        self.view.text_layout.setStretch(0, 2)
+        self.view.text_layout.setStretch(1, 3)
+        self.view.shape_changed.connect(self._fit_text)
         self._method = ChoiceBox(f"method_{name}", f"method of {title}")
         self._method.setSizeAdjustPolicy(
             QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
@@ -77,6 +76,12 @@ class StageColumn(QFrame):
         self.view.pixel_hovered.connect(partial(self.pixel_hovered.emit, name))
         self.view.pixel_clicked.connect(partial(self.pixel_clicked.emit, name))
         self.show_state("waiting")
+
+    def _fit_text(self) -> None:
+        """Give an image in true colours all the room: its caption is the tooltip."""
+        self.view.text_area.setVisible(self.view.has_colour_scale)
+        preview = self.view.preview
+        self.view.canvas.setToolTip("" if preview is None else preview.caption)
 
     def offer_methods(self, methods: Sequence[tuple[str, str, str]]) -> None:
         """Offer (name, title, help) of the methods of this stage, if there are several."""

@@ -15,7 +15,7 @@ from widgets.style.theme import ThemeColours, get_theme_colours, to_qcolor
 
 _MARK_PX = 7.0
 _WIDEST_PX = 48.0
-_IMAGE_PX = 44
+_IMAGE_PX = 42
 _HEIGHT_PX = 78
 _LEAST_PX = 24  # minimum height
 _CURVE_PX = 1.8
@@ -118,7 +118,7 @@ class ErrorStrip(PaintedWidget):
         if not n:
             return
         painter.setRenderHint(QPainter.RenderHint.Antialiasing, n < 200)
-        has_images = bool(self.thumbnails) and self.height() >= 2 * _IMAGE_PX
+        has_images = bool(self.thumbnails) and self.height() >= _IMAGE_PX + _LEAST_PX
         base = self.height() - _BASE_PX - (_IMAGE_PX if has_images else 0)
         top = _TOP_PX
         step = self.width() / n

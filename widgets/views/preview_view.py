@@ -13,7 +13,7 @@ from widgets.views.canvas import Canvas
 from widgets.views.colour_bar import ColourBar
 from widgets.views.comparison_overlay import ComparisonOverlay
 
-SIDE_TEXT_PX = 170  # width of text next to an image
+SIDE_TEXT_PX = 180  # width of text next to an image
 _AROUND = 1.3  # margin around a fitted contact, as a factor
 _NO_LIMIT = 16_777_215  # Qt's maximum widget width
 

@@ -136,7 +136,7 @@ def test_qt_has_no_complaint_through_a_tour_of_the_window(open_window, touch_fil
         for name in (
             *(f"layout_{layout}" for layout in LAYOUT_NAMES),
             "theme_dark",
-            "layout_stages",
+            "layout_look",
             "theme_light",
         ):
             window.actions_by_name[name].trigger()

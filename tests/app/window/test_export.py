@@ -108,7 +108,7 @@ def test_an_export_and_its_command_leave_the_same_bytes(
     assert path.stat().st_size > 200
 
 
-@pytest.mark.parametrize("layout", ["stages", "demo"])
+@pytest.mark.parametrize("layout", ["look", "align"])
 def test_the_command_of_a_section_writes_the_table_that_is_copied(
     edited, tmp_path, monkeypatch, qtbot, layout
 ):
@@ -131,7 +131,7 @@ def test_the_command_of_a_section_writes_the_table_that_is_copied(
     assert run_app(build_app(), options[1:]) == 0
     assert (tmp_path / "section.csv").read_text() == copied
     assert copied.startswith("along_mm,true_source_mm,true_target_mm,")
-    assert ("touch_depth_mm" in copied) == (layout == "stages")
+    assert ("touch_depth_mm" in copied) == (layout == "look")
 
 
 @pytest.mark.parametrize(

@@ -59,7 +59,7 @@ def test_the_magnifier_reads_what_the_probe_reads_and_stays_clear_of_the_pixel(
     assert not magnifier.isVisible()
 
 
-@pytest.mark.parametrize("layout", ["stages", "inspect", "align"])
+@pytest.mark.parametrize("layout", ["look", "align", "compare"])
 def test_the_active_pane_is_copied(bubble_window, layout):
     window = bubble_window.window
     window.actions_by_name[f"layout_{layout}"].trigger()
@@ -67,9 +67,9 @@ def test_the_active_pane_is_copied(bubble_window, layout):
     window.actions_by_name["copy_image"].trigger()
     copied = QGuiApplication.clipboard().pixmap()
     whole = window.size()
-    assert (copied.width() == whole.width()) == (layout == "stages")
+    assert (copied.width() == whole.width()) == (layout == "compare")
     assert 100 < copied.width() <= whole.width()
-    assert f"{copied.width()} x {copied.height()}" in window.readout.text()
+    assert f"{copied.width()} x {copied.height()}" in window.said
 
 
 def present(controller) -> PresentationController:
