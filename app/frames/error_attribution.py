@@ -1,5 +1,5 @@
-"""The attribution in the inspector: the error of a frame at rest is attributed to the stages while
-it is visible.
+"""The attribution of the error of a frame at rest to the stages, for verdict, cards and inspector
+of *Look*.
 """
 
 from PyQt6.QtCore import QEvent, pyqtSignal
@@ -30,8 +30,8 @@ class ErrorAttributionController(Feature):
         self._ticket = 0
         self._shares: tuple[ErrorShare, ...] = ()
         self._timer = make_single_shot_timer(self, _DELAY_MS, self._attribute)
-        EventListener(self._panel, self._timer.start, QEvent.Type.Show)
-        EventListener(self._panel, self._timer.stop, QEvent.Type.Hide)
+        EventListener(self._window.look, self._timer.start, QEvent.Type.Show)
+        EventListener(self._window.look, self._timer.stop, QEvent.Type.Hide)
         self._panel.metric_box.chosen.connect(self._choose_metric)
         self._panel.share_clicked.connect(self._toggle_truth)
         controller.frame_shown.connect(self._frame_shown)
@@ -43,16 +43,15 @@ class ErrorAttributionController(Feature):
         self._attribute()
 
     def _frame_shown(self, _: int) -> None:
-        if self._panel.isVisible():
-            self._panel.show_empty("")
-            self._timer.start()
+        self._panel.show_empty("")
+        self._timer.start()
 
     def _attribute(self) -> None:
         controller = self._controller
         latest = self._controller.latest_frame
         if (
             latest is None
-            or not self._panel.isVisible()
+            or controller.session.layout.name != "look"
             or controller.window.timeline.is_playing
             or not controller.is_idle
         ):
