@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from pipeline.translation.catalogue import Catalogue
     from pipeline.translation.translate import Request
 
-_TEXT_PT = 10.0
 _SHOW_TIMEOUT_S = 1.0  # for the window to be on screen; a minimised one never is
 # Thresholds of the garbage collector. Loading Qt, VTK and numba creates millions of lasting
 # objects; with Python's defaults, collecting takes a tenth of the time to the first touch.
@@ -107,9 +106,6 @@ def make_application() -> QApplication:
     # Qt sets the user's: a C library would then read 0,5 and not 0.5
     locale.setlocale(locale.LC_NUMERIC, "C")
     application.setApplicationName("Tactoscope")
-    font = application.font()
-    font.setPointSizeF(_TEXT_PT)
-    application.setFont(font)
     return application
 
 
@@ -138,10 +134,12 @@ def show_window(
     from pipeline.lab.tasks.trial_rows import is_rollout_folder
     from pipeline.lab.tracking.track_record import is_track_folder
     from pipeline.translation.catalogue import BUILT_IN
+    from widgets.style.base import set_text_size
     from widgets.style.plain_text_style import PlainTextStyle
 
     if not isinstance(QApplication.style(), PlainTextStyle):
         QApplication.setStyle(PlainTextStyle())
+    set_text_size()
     theme = Preferences().theme if restore else "dark"
     apply_theme(theme)
     catalogue = catalogue or BUILT_IN

@@ -16,7 +16,7 @@ from PyQt6.QtWidgets import (
 )
 
 from pipeline.views.tile import Tile
-from widgets.style.base import EventListener, resize_font
+from widgets.style.base import EventListener
 from widgets.style.styling import fill, make_bold, set_spacing
 from widgets.views.preview_view import SIDE_TEXT_PX, PreviewView
 
@@ -44,7 +44,6 @@ class TileView(QFrame):
         self._subtitle = QLabel()
         self.view = PreviewView()
         make_bold(self._title)
-        resize_font(self._subtitle)
         for label in (self._title, self._subtitle):
             label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)

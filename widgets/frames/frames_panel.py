@@ -26,7 +26,7 @@ from widgets.frames.frames_model import (
     FramesModel,
 )
 from widgets.frames.metric_histogram import MetricHistogram
-from widgets.style.base import ChoiceBox, EventListener, resize_font
+from widgets.style.base import ChoiceBox, EventListener
 from widgets.style.styling import fill, make_search_line, make_single_shot_timer, set_spacing
 from widgets.style.tables import (
     SORT_ROLE,
@@ -65,7 +65,6 @@ class FramesPanel(QWidget):
         self.metric_box.setSizeAdjustPolicy(
             QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
         )
-        resize_font(self._told)
         self.histogram = MetricHistogram()
         self.histogram.range_chosen.connect(self._choose_range)
         self.table = _table(self._sorted)

@@ -9,7 +9,7 @@ from PyQt6.QtWidgets import QFormLayout, QLabel, QVBoxLayout, QWidget
 
 from widgets.frames.error_attribution_panel import ErrorAttributionPanel
 from widgets.stages.parameters_panel import ALL_STAGES, ParametersPanel
-from widgets.style.base import resize_font
+from widgets.style.base import enlarge_font
 from widgets.style.styling import fill, make_bold, make_button, set_spacing
 
 _WIDTH_PX = 252
@@ -53,7 +53,7 @@ class Inspector(QWidget):
         for title, value, tip in figures:
             label, number = QLabel(title), QLabel(value)
             label.setWordWrap(True)
-            resize_font(number, _FIGURE_PT)
+            enlarge_font(number, _FIGURE_PT)
             number.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
             for widget in (label, number):
                 widget.setToolTip(tip)

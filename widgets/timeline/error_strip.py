@@ -10,7 +10,7 @@ from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QHelpEvent, QPainter, QPalette, QPen, QPixmap, QPolygonF
 from PyQt6.QtWidgets import QSizePolicy, QToolTip
 
-from widgets.style.base import YIELDS, PaintedWidget, resize_font
+from widgets.style.base import YIELDS, PaintedWidget
 from widgets.style.theme import ThemeColours, get_theme_colours, to_qcolor
 
 _MARK_PX = 7.0
@@ -215,7 +215,6 @@ class ErrorScale(PaintedWidget):
 
     def __init__(self) -> None:
         super().__init__("error_scale", down=YIELDS)
-        resize_font(self)
         self.setFixedWidth(self.fontMetrics().horizontalAdvance("0.0000") + round(_TICK_PX) + 2)
         self.max_text = ""  # label at the upper end
 

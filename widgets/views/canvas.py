@@ -13,7 +13,6 @@ from PyQt6.QtWidgets import QSizePolicy, QWidget
 from pipeline.core.arrays import Image
 from pipeline.views.drawing import CASING_COLOUR
 from pipeline.views.preview import Preview
-from widgets.style.base import make_caption_font
 from widgets.style.theme import (
     CROSSHAIR_COLOUR,
     SECTION_COLOUR,
@@ -223,7 +222,7 @@ class Canvas(QWidget):
         painter.drawLine(QPointF(0, at.y()), QPointF(self.width(), at.y()))
         if not self.crosshair_text:
             return
-        painter.setFont(make_caption_font(self.font()))
+        painter.setFont(self.font())
         box = QRectF(painter.fontMetrics().boundingRect(self.crosshair_text)).adjusted(-4, -1, 4, 2)
         left = at.x() + 6 if at.x() + 8 + box.width() < self.width() else at.x() - 6 - box.width()
         top = at.y() + 5 if at.y() + 8 + box.height() < self.height() else at.y() - 5 - box.height()
@@ -238,7 +237,7 @@ class Canvas(QWidget):
         painter.drawText(box, Qt.AlignmentFlag.AlignCenter, text)
 
     def _draw_mark(self, painter: QPainter, number: int, at: QPointF) -> None:
-        font = make_caption_font(self.font())
+        font = self.font()
         radius = min(max(_MARK_SHARE * self.height(), _MARK_PX[0]), _MARK_PX[1])
         font.setBold(True)
         painter.setFont(font)

@@ -11,7 +11,7 @@ from PyQt6.QtGui import QImage, QPainter
 
 from pipeline.core.arrays import Doubles, Floats
 from pipeline.views.colours import ColourMapName, ColourScale, get_colour_table
-from widgets.style.base import FIXED, YIELDS, PaintedWidget, resize_font
+from widgets.style.base import FIXED, YIELDS, PaintedWidget
 from widgets.style.styling import make_single_shot_timer
 from widgets.style.theme import ThemeColours, get_colour_map, to_qcolor
 
@@ -89,7 +89,6 @@ class ColourBar(PaintedWidget):
         self._held: tuple[str, ColourScale, float] | None = None
         self._wanted = math.nan
         self._soon = make_single_shot_timer(self, _THROTTLE_MS, self._tell)
-        resize_font(self)
         self.setMouseTracking(True)
 
     def sizeHint(self) -> QSize:  # noqa: N802

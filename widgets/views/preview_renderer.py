@@ -12,7 +12,6 @@ from pipeline.core.arrays import Image
 from pipeline.views.colours import NO_VALUE_COLOUR, ColourScale, darken_diverging
 from pipeline.views.drawing import Line, list_outlines, make_scale_bar
 from pipeline.views.preview import Preview
-from widgets.style.base import make_caption_font
 from widgets.style.theme import (
     LIGHT_COLOURS,
     ThemeColours,
@@ -189,7 +188,7 @@ class PreviewRenderer:
             return
         self._draw_line(painter, bar.line)
         # A font of a size in pixels belongs to the size of the whole image.
-        painter.setFont(make_caption_font(font) if font.pointSizeF() > 0 else font)
+        painter.setFont(font)
         x, y = bar.line.points_px.mean(axis=0)
         tall = painter.fontMetrics().height()
         room = QRectF(

@@ -7,7 +7,7 @@ from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, pyqtSignal
 from PyQt6.QtWidgets import QBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.views.preview import Preview
-from widgets.style.base import EventListener, FixedSizeLabel, resize_font
+from widgets.style.base import EventListener, FixedSizeLabel
 from widgets.style.styling import fill, set_spacing
 from widgets.views.canvas import Canvas
 from widgets.views.colour_bar import ColourBar
@@ -50,7 +50,6 @@ class PreviewView(QWidget):
         fill(set_spacing(self.text_layout, 4), self.colour_bar, (words, 1))
         self._both = set_spacing(QBoxLayout(QBoxLayout.Direction.TopToBottom, self), 2)
         fill(self._both, (self.canvas, 1), self.text_area)
-        resize_font(self.caption)
         self.caption.set_lines(2)
         self.canvas.mouse_moved.connect(self._report_hover)
         self.canvas.mouse_left.connect(lambda: self.pixel_hovered.emit(-1, -1))

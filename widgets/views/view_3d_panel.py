@@ -13,7 +13,7 @@ from PyQt6.QtWidgets import (
 )
 
 from pipeline.core.values.results import PoseStep, TouchStep
-from widgets.style.base import EventListener, FixedSizeLabel, resize_font
+from widgets.style.base import EventListener, FixedSizeLabel
 from widgets.style.styling import fill, set_spacing
 from widgets.views.view_3d import View3D
 
@@ -43,7 +43,6 @@ class FittingLabel(QLabel):
     def __init__(self) -> None:
         super().__init__()
         self.setTextFormat(Qt.TextFormat.RichText)
-        resize_font(self)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         self._tellings: tuple[str, ...] = ()
@@ -101,7 +100,6 @@ class StepsSlider(QWidget):
         self._keeps = False
         self.slider.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         for widget in (self._text, self.keep_button):
-            resize_font(widget)
             # the height of the legends next to it
             widget.setFixedHeight(widget.fontMetrics().height() + 1)
         fill(set_spacing(QHBoxLayout(self), 4), (self.slider, 1), self._text, self.keep_button)
