@@ -9,7 +9,6 @@ from PyQt6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent, QResi
 from PyQt6.QtWidgets import (
     QComboBox,
     QDockWidget,
-    QHBoxLayout,
     QLabel,
     QMainWindow,
     QStackedWidget,
@@ -44,7 +43,7 @@ from widgets.stages.stage_column import StageColumn
 from widgets.stages.steps_panel import StepsPanel
 from widgets.stages.timings_panel import TimingsPanel
 from widgets.stages.verdict_line import VerdictLine
-from widgets.style.base import ChoiceBox, FixedSizeLabel
+from widgets.style.base import ChoiceBox
 from widgets.style.run_bar import RunBar
 from widgets.style.styling import fill, set_spacing
 from widgets.task.task_page import TaskPage
@@ -55,11 +54,11 @@ from widgets.views.view_3d_panel import StepsSlider, View3DPanel
 
 DEFAULT_SIZE = QSize(1600, 950)
 _FRAME = QSize(2, 40)  # that a desktop draws around a window: borders and title bar
-_READOUT_WIDTH_PX = 420
 # width of a sensor chooser; of its list, which cuts no name off
 _CHOOSER_LETTERS = 11
 _SENSOR_LIST_PX = 240
 _INSPECTOR_FROM_PX = 1500  # a narrower window folds the inspector
+_STATUS_PX = 4  # of the status bar around its highest part: it never moves the panes
 _SAY_MS = 5000  # until a sentence of the status bar leaves
 
 
@@ -241,23 +240,23 @@ class MainWindow(QMainWindow):
     def _build_status(self) -> None:
         """The trace at the left; at the right the pixel under the mouse, or what is computed."""
         self.activity_label = QLabel()
-        self.run_bar = RunBar("frame", keeps_room=True)
-        self.readout = FixedSizeLabel()
+        self.run_bar = RunBar("frame")
+        self.readout = QLabel()
         self.readout.setObjectName("probe")
-        for label in (self.readout, self.activity_label):
-            label.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        progress = QWidget()
-        fill(set_spacing(QHBoxLayout(progress), 8), self.run_bar, (self.activity_label, 1))
-        self._at_right = QStackedWidget()
-        self._at_right.setFixedWidth(_READOUT_WIDTH_PX)
-        for widget in (self.readout, progress):
-            self._at_right.addWidget(widget)
         status = self._status = QStatusBar()
         status.setSizeGripEnabled(False)
+        status.setFixedHeight(self.run_bar.cancel_button.sizeHint().height() + _STATUS_PX)
         self.setStatusBar(status)
         status.addWidget(self.trace, 1)
-        status.addPermanentWidget(self._at_right)
+        for widget in (self.readout, self.activity_label, self.run_bar):
+            status.addPermanentWidget(widget)
         self.show_progress(None)
+        self.show_pixel("")
+
+    def show_pixel(self, text: str) -> None:
+        """Show what is known of the pixel under the mouse; "" for none."""
+        self.readout.setText(text)
+        self.readout.setVisible(bool(text))
 
     def say(self, sentence: str) -> None:
         """Show a sentence in place of the trace for a few seconds."""
@@ -294,7 +293,7 @@ class MainWindow(QMainWindow):
         """Show what is being computed; None shows that nothing is."""
         self.run_bar.show_progress(fraction)
         self.activity_label.setText(text if fraction is not None else "ready")
-        self._at_right.setCurrentIndex(0 if fraction is None else 1)
+        self.activity_label.setVisible(fraction is not None)
 
     @property
     def views_3d(self) -> tuple[View3D, ...]:

@@ -34,6 +34,7 @@ def test_the_magnifier_reads_what_the_probe_reads_and_stays_clear_of_the_pixel(
     window = bubble_window.window
     magnifier = bubble_window.findChild(PresentationController).magnifier
     window.resize(1366, 768)
+    window.actions_by_name["stage_2"].trigger()
     depth = window.columns["depth"]
     qtbot.waitUntil(lambda: depth.view.canvas.height() > 120, timeout=240_000)
     depth.pixel_hovered.emit("depth", 60, 70)
