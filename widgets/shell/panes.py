@@ -123,7 +123,7 @@ class Pane(QFrame):
             button.clicked.connect(partial(self.dims_chosen.emit, dims))
         self._both = PaneSplitter()
         self._both.setObjectName(f"split_pane_{number}")
-        self._head = fill(set_spacing(QHBoxLayout(), 0), 1, *self._buttons.values())
+        self._head = fill(set_spacing(QHBoxLayout(), 0), *self._buttons.values())
         fill(set_spacing(QVBoxLayout(self), 0), self._rim, self._head, (self._both, 1))
         self._held: tuple[StageColumn, View3DPanel] | None = None
 
@@ -132,7 +132,7 @@ class Pane(QFrame):
         if self._held != (column, cell):
             self._both.release_contents()
             self._both.set_contents(column, cell)
-            self._head.insertWidget(0, column.head)
+            self._head.insertWidget(0, column.head, 1)
             for widget in (column, column.head, cell):
                 _watch(widget, self)
             self._held = column, cell
@@ -146,7 +146,7 @@ class Pane(QFrame):
         """Hide and release the widgets before they move to another pane."""
         if self._held is not None:
             for widget in (*self._held, self._held[0].head):
-                widget.hide()
+                widget.setParent(self)  # out of splitter and head, which hides it
         self._both.release_contents()
         self._held = None
 

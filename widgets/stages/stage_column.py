@@ -26,6 +26,7 @@ from widgets.views.preview_view import PreviewView
 
 PENDING = ("stale", "running")  # states of a stage that is being computed again
 _LINE_PX = 2
+_METHOD_PX = 48  # least width of the chooser
 
 
 class StageColumn(QFrame):
@@ -63,6 +64,7 @@ class StageColumn(QFrame):
         self._unpin.hide()
         self.head = QWidget()  # a pane shows it over image and 3D view
         self._method.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self._method.setMinimumWidth(_METHOD_PX)
         self._line = QFrame()  # while the stage is computed again
         self._line.setFixedHeight(_LINE_PX)
         self._line.setBackgroundRole(QPalette.ColorRole.Link)
