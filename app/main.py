@@ -134,11 +134,13 @@ def show_window(
     from pipeline.lab.tasks.trial_rows import is_rollout_folder
     from pipeline.lab.tracking.track_record import is_track_folder
     from pipeline.translation.catalogue import BUILT_IN
+    from widgets.style.base import set_text_size
     from widgets.style.plain_text_style import PlainTextStyle
 
     if not isinstance(QApplication.style(), PlainTextStyle):
         QApplication.setStyle(PlainTextStyle())
-    theme = Preferences().theme if restore else "light"
+    set_text_size()
+    theme = Preferences().theme if restore else "dark"
     apply_theme(theme)
     catalogue = catalogue or BUILT_IN
     with_steps = frozenset(stage.name for stage in catalogue.stages if stage.has_steps)

@@ -32,7 +32,7 @@ def welcome(_: SessionController) -> None:
     """An empty window."""
 
 
-def stages(instrument: SessionController) -> None:
+def look(instrument: SessionController) -> None:
     """Every stage of a frame with contact, and the trace of a pixel."""
     tour.open_sample(instrument, frame=5)
     tour.wait_for_idle(instrument)
@@ -54,15 +54,10 @@ def steps(instrument: SessionController) -> None:
     instrument.window.steps["pose"].slider.setValue(1)
 
 
-def inspect(instrument: SessionController) -> None:
-    """Two panes under a filmstrip."""
+def section(instrument: SessionController) -> None:
+    """A line through all panes, and its curves."""
     for drawer in instrument.window.drawers.all_drawers:
         drawer.hide()
-    _layout(instrument, "inspect")
-
-
-def section(instrument: SessionController) -> None:
-    """A line through both panes, and its curves."""
     tour.command(instrument, "section_line")
     tour.wait_for_idle(instrument)
 
@@ -82,12 +77,6 @@ def align(instrument: SessionController) -> None:
     )
     tour.wait_for_views(instrument)
     tour.wait_for_idle(instrument)
-
-
-def demo(instrument: SessionController) -> None:
-    """Source, generated and truth."""
-    instrument.change("put it back", offsets=Offsets())
-    _layout(instrument, "demo")
 
 
 def grid(instrument: SessionController) -> None:
@@ -137,7 +126,7 @@ def two(instrument: SessionController) -> None:
 
 def live(instrument: SessionController) -> None:
     """A simulated sensor, watched."""
-    _layout(instrument, "stages")
+    _layout(instrument, "look")
     living = next(child for child in instrument.children() if isinstance(child, LiveController))
     instrument.show_session(Session(target="gelslim"))
     living.watch_source(SimulatedSource(sensor="digit", tool="sphere", rate_hz=5.0))
@@ -151,13 +140,11 @@ def live(instrument: SessionController) -> None:
 
 SCREENS: dict[str, Callable[[SessionController], None]] = {
     "welcome": welcome,
-    "stages": stages,
+    "look": look,
     "drawers": drawers,
     "steps": steps,
-    "inspect": inspect,
     "section": section,
     "align": align,
-    "demo": demo,
     "grid": grid,
     "compare": compare,
     "two": two,

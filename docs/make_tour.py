@@ -91,46 +91,34 @@ def welcome(instrument: SessionController, path: Path) -> None:
     save_window_screenshot(instrument, path)
 
 
-def inspect(instrument: SessionController, path: Path) -> None:
-    """The worst frame, with the truth next to it and its error taken apart."""
-    open_sample(instrument, frame=5)
-    window = instrument.window
-    window.drawers.frames.show()
-    opened = instrument.views.translation
-    assert opened is not None
-    n = opened.n_frames
-    until(
-        lambda: (
-            all(window.frames.model.get_summary(i) is not None for i in range(n))
-            and instrument.is_idle
-        )
-    )
-    command(instrument, "worst_frame")
-    wait_for_views(instrument)
-    command(instrument, "show_wipe")
-    wait_for_views(instrument)
-    window.drawers.diagnostics.show()
-    window.tabs.setCurrentWidget(window.error_attribution)
-    wait_for_idle(instrument)
-    save_window_screenshot(instrument, path)
-
-
-def stages(instrument: SessionController, path: Path) -> None:
-    """Every stage side by side, a pixel followed through all of them."""
-    open_sample(instrument, frame=5)
-    wait_for_idle(instrument)
+def look(instrument: SessionController, path: Path) -> None:
+    """A frame with all its stages as cards, three of them large, and a pixel followed."""
+    _compute_all_frames(instrument)
     pin_deepest_pixel(instrument)
     wait_for_idle(instrument)
     save_window_screenshot(instrument, path)
 
 
-def filmstrip(instrument: SessionController, path: Path) -> None:
-    """Two stages large under a strip of all."""
-    open_sample(instrument, frame=5)
-    command(instrument, "layout_inspect")
+def inspect(instrument: SessionController, path: Path) -> None:
+    """The worst frame, with the truth under a wipe, and where its error comes from."""
+    _compute_all_frames(instrument)
+    command(instrument, "worst_frame")
+    wait_for_views(instrument)
+    command(instrument, "show_wipe")
+    command(instrument, "stage_4")
     wait_for_views(instrument)
     wait_for_idle(instrument)
     save_window_screenshot(instrument, path)
+
+
+def _compute_all_frames(instrument: SessionController) -> None:
+    """Open the sample, and wait until every frame has its error and thumbnail."""
+    open_sample(instrument, frame=5)
+    opened = instrument.views.translation
+    assert opened is not None
+    model = instrument.window.frames.model
+    until(lambda: all(model.get_summary(i) is not None for i in range(opened.n_frames)))
+    wait_for_idle(instrument)
 
 
 def compare(instrument: SessionController, path: Path) -> None:
@@ -188,15 +176,6 @@ def _compared(instrument: SessionController) -> ComparisonController:
     command(instrument, "layout_compare")
     wait_for_views(instrument)
     return next(child for child in instrument.children() if isinstance(child, ComparisonController))
-
-
-def demo(instrument: SessionController, path: Path) -> None:
-    """Source, generated and truth, large."""
-    instrument.show_session(Session(recording=PAIRED, source="digit", target="gelslim", frame=3))
-    wait_for_views(instrument)
-    command(instrument, "layout_demo")
-    wait_for_views(instrument)
-    save_window_screenshot(instrument, path)
 
 
 def align(instrument: SessionController, path: Path) -> None:
@@ -296,13 +275,11 @@ def record_trials() -> Path:
 
 PICTURES = {
     "welcome": welcome,
-    "stages": stages,
-    "filmstrip": filmstrip,
+    "look": look,
     "inspect": inspect,
     "compare": compare,
     "two": two,
     "grid": grid,
-    "demo": demo,
     "align": align,
     "track": track,
     "live": live,

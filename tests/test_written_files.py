@@ -342,7 +342,7 @@ def check_alignment(written: Any, folder: Path) -> None:
 TRIPLES = st.tuples(*[st.floats(-300.0, 300.0)] * 3)
 LAYOUTS = st.builds(
     Layout,
-    name=st.sampled_from(("stages", "inspect", "align")),
+    name=st.sampled_from(("look", "compare", "align")),
     panes=st.lists(
         st.tuples(NAMES, st.sampled_from(("2D", "3D", "both"))), min_size=1, max_size=3
     ).map(tuple),

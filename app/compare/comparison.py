@@ -75,7 +75,7 @@ class ComparisonController(BackgroundController):
         for view in (page.grid.grid, page.grid.plot):
             view.cell_chosen.connect(self._use_cell)
         for tab in page.tile_tabs:
-            tab.grid.readout_changed.connect(window.readout.setText)
+            tab.grid.readout_changed.connect(window.show_pixel)
         controller.frame_shown.connect(self._update)
         controller.closing.connect(self._close)
         window.connect_command("cancel", self.cancel)

@@ -36,6 +36,7 @@ from pipeline.translation.frame_selection import find_contact_frame
 from pipeline.translation.round_trip import measure_round_trip
 from pipeline.translation.translate import Request, Translation
 from pipeline.translation.truth_view import add_truth_warnings
+from pipeline.views.preview import make_recorded_preview
 from widgets.frames.frame_summary import FrameSummary
 
 log = logging.getLogger("tactoscope")
@@ -168,15 +169,15 @@ class Evaluator:
         translation.evaluate(loaded.frame, stages, report, on_stage=on_stage)
         metrics = self._previews.compute_metrics(translation, results, index, truth)
         self._release_memory(results)
+        is_whole = set(results) == set(translation.stages)
+        summary = summarise_frame(results, metrics, translation) if is_whole else None
         return EvaluatedFrame(
             index=index,
             settings=replace(session, target=translation.target.name).settings,
             frame=loaded.frame,
             results=results,
             metrics=metrics,
-            summary=summarise_frame(results, metrics, translation)
-            if set(results) == set(translation.stages)
-            else None,
+            summary=None if summary is None else add_thumbnails(summary, loaded.preview),
         )
 
     def _release_memory(self, results: Mapping[str, StageResult]) -> None:
@@ -245,7 +246,8 @@ class Evaluator:
             summary = summarise_frame(results, metrics, translation) or FrameSummary(
                 metrics=metrics
             )
-            summary = add_thumbnails(summary, frame, translation.source, session.display)
+            preview, _ = make_recorded_preview(frame, translation.source, session.display)
+            summary = add_thumbnails(summary, preview)
             if completely:
                 round_trip = measure_round_trip(results, translation, report)
                 cause = _find_cause(translation, results, index, report)

@@ -1,7 +1,7 @@
 """The session and its background computation: the newest request is the one on screen."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -28,6 +28,7 @@ from pipeline.stages.networks.samplers import raise_steps
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.translate import Request, Translation
 from pipeline.translation.truth_view import ComparisonMode
+from widgets.style.notification_bar import Choice
 from widgets.style.styling import make_single_shot_timer
 
 _STALE_DELAY_MS = 150  # columns not replaced within this time are marked stale
@@ -41,6 +42,7 @@ class SessionController(SessionDocument):
     session_shown = pyqtSignal(object)  # Session; `app.shell.connections` lists all that follows
     opening_cancelled = pyqtSignal()
     alignment_dropped = pyqtSignal(object)  # AlignmentMismatch
+    remedies_changed = pyqtSignal()
     closing = pyqtSignal()
     termination_requested = pyqtSignal()  # by a signal, before closing without questions
 
@@ -53,6 +55,7 @@ class SessionController(SessionDocument):
         self.probe = PixelProbe(window)
         self.views = StageViews(window, self.probe)
         self.is_closed = False
+        self.remedies: Sequence[Choice] = ()  # for the warnings of the frame on screen
         self.requests = Requests()
         self._extras: set[str] = set()  # that panels request
         # that are open: as requested, and with names resolved
@@ -81,7 +84,7 @@ class SessionController(SessionDocument):
         )
         self.change(words, key=f"params {key}", params={**self.session.params, key: given})
         if given != params:
-            self.window.readout.setText(_STEPS_RAISED)
+            self.window.say(_STEPS_RAISED)
 
     def _describe_params_change(self, method: Method | None, old: object, new: object) -> str:
         """Return "change smoothing of depth" for one changed parameter, else the stage alone."""
@@ -140,9 +143,8 @@ class SessionController(SessionDocument):
         if session.cameras_linked != old.cameras_linked or session.display != old.display:
             self.views.reset_cameras(session)
         if session.recording is not None:
-            self._request_stages(
-                other_request=old.recording is None or make_request(old) != make_request(session)
-            )
+            is_other = old.recording is None or make_request(old) != make_request(session)
+            self._request_stages(self._find_changed_stages(old), other_request=is_other)
         self.session_shown.emit(session)
 
     @property
@@ -175,7 +177,7 @@ class SessionController(SessionDocument):
     def refresh(self) -> None:
         """Compute the session's frame again."""
         if self.session.recording is not None and not self.is_closed:
-            self._request_stages(other_request=False)
+            self._request_stages(frozenset(), other_request=False)
 
     def submit_priority(self, work: JobFunction, *, background: bool = False) -> int:
         """Run a short job on the open recording instead of the stages.
@@ -194,12 +196,6 @@ class SessionController(SessionDocument):
         ticket = self.job.submit(work, interrupt=interrupt)
         self.requests = old.yield_to(ticket, background=background)
         return ticket
-
-    def show_only(self, name: str) -> None:
-        """Show one stage alone, or all again; hidden stages are not computed."""
-        is_alone = self.window.visible_columns() == (name,)
-        self.window.show_only(None if is_alone else name)
-        self.refresh()
 
     def cancel(self) -> None:
         """Cancel the computation, and clear the probe."""
@@ -379,7 +375,23 @@ class SessionController(SessionDocument):
         unavailable = self.evaluator.unavailable
         show_controls(self.window, self.session, self.methods, self.catalogue, opened, unavailable)
 
-    def _request_stages(self, *, other_request: bool) -> None:
+    def _find_changed_stages(self, old: Session) -> Set[str] | None:
+        """Return what a session change reaches first: stages or the alignment; None = all."""
+        new = self.session
+        before = replace(old, methods=new.methods)
+        if before.recording is None or make_request(before) != make_request(new):
+            return None
+        if (old.frame, old.display) != (new.frame, new.display):
+            return None
+        changed = {
+            m.stage
+            for m in self.methods
+            if old.get_params(m) != new.get_params(m)
+            or old.methods.get(m.stage) != new.methods.get(m.stage)
+        }
+        return changed if old.offsets == new.offsets else changed | {"alignment"}
+
+    def _request_stages(self, changed: Set[str] | None, *, other_request: bool) -> None:
         session = self._session_to_compute()
         stages = self.window.visible_columns()
         evaluate = partial(
@@ -387,7 +399,7 @@ class SessionController(SessionDocument):
             with_observation="observation" in self._extras,
             get_current=lambda: self.views.translation,
             with_truth=bool(self.views.comparison_mode)
-            or self.window.shows_truth_column
+            or self.window.shows_true_touch
             or "truth" in self._extras,
         )
         now_s = time.monotonic()
@@ -402,7 +414,7 @@ class SessionController(SessionDocument):
             interrupts=interrupts,
             draft_stage=self._dragged_key.partition("/")[0],
         )
-        self.views.mark_all_pending()
+        self.views.mark_pending(changed)
         self.window.timeline.show_ready(ready=False)
         if not self._stale_timer.isActive():
             self._stale_timer.start()

@@ -1,6 +1,6 @@
 """Shows results in the window: columns, 3D views, captions."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from typing import Literal
 
 from app.document.evaluator import EvaluatedFrame
@@ -12,19 +12,19 @@ from app.window.main_window import MainWindow
 from pipeline.core.arrays import Doubles
 from pipeline.core.errors import TouchError
 from pipeline.core.graph import StageResult
+from pipeline.stages.pose.signed_distances import NO_MESH
 from pipeline.stages.stage import TRUTH
 from pipeline.translation.translate import Request, Translation
 from pipeline.translation.truth_view import ComparisonMode, TruthView
 from pipeline.views.layers import Layer, ViewBounds
 from pipeline.views.preview import Preview
 from widgets.stages.timings_panel import TimingRow
-from widgets.views.preview_view import PreviewView
 from widgets.views.scene_renderer import SceneRenderer
 from widgets.views.view_3d_panel import AnyStep
 
 PageScene = Literal["track", "task"]  # pages with a 3D scene of their own
 _PREVIEWED = "target_depth"  # stage that an alignment drag previews
-_GENERATED = "touch"  # stage whose truth the Demo layout shows
+_GENERATED = "touch"  # stage that is shown with its truth under a wipe
 
 
 class StageViews:
@@ -53,18 +53,18 @@ class StageViews:
         self.page_views: Mapping[PageScene, int] = {"track": last - 1, "task": last}
         self._page_layers: dict[PageScene, tuple[Layer, ...]] = {}
         self._page_bounds: dict[PageScene, ViewBounds] = {}
-        for name, thumbnail in window.panes.filmstrip.thumbnails.items():
+        for name, thumbnail in window.look.filmstrip.thumbnails.items():
             window.columns[name].state_shown.connect(thumbnail.show_state)
 
     def show_translation(self, t: Translation, session: Session) -> None:
         """Show another recording, or the same one between other sensors."""
         (old, self.translation), window = (self.translation, t), self._window
         sensors = ", ".join(filter(None, (f"{t.source.title} → {t.target.title}", t.truth_label)))
-        window.setWindowTitle(f"{t.request.recording.name}[*] · {sensors} · Tactoscope")
+        window.show_title(t.request.recording.name, sensors)
         window.timeline.show_frames(t.n_frames)
         if old is None or old.stream is not t.stream:
             window.frames.model.reset_frames(t.n_frames)
-        window.warning_line.show_warnings(())
+        window.verdict.show_verdict("", "")
         self.scene.clear_cache()
         window.source.setItemText(0, f"{t.source.title} (recorded)")
         for stage in t.catalogue.stages:
@@ -80,19 +80,18 @@ class StageViews:
         "" = none is.
         """
         self.translation, window = None, self._window
-        window.setWindowTitle(f"{following}[*] · Tactoscope" if following else "Tactoscope[*]")
+        window.show_title(following, "")
         window.banner.hide()
-        window.warning_line.show_warnings(())
-        window.warning_line.show_remedies(())
+        window.verdict.show_verdict("", "")
         window.frames.model.reset_frames(0)
         window.timeline.show_frames(0)
         window.timings.show_rows(())
         window.source.setItemText(0, "as recorded")
-        for column in (*window.columns.values(), window.truth_column):
+        for column in window.columns.values():
             column.view.show_preview(None)
             column.warnings = ()
             column.show_state("waiting")
-        for thumbnail in window.panes.filmstrip.thumbnails.values():
+        for thumbnail in window.look.filmstrip.thumbnails.values():
             thumbnail.show_preview(None)
         for index in self._layers:
             self.scene.show_layers(index, ())
@@ -114,14 +113,12 @@ class StageViews:
             return
         column = self._window.columns[name]
         self._show_preview(
-            column.view, part.preview, part.truth_view if isinstance(part, StagePreview) else None
+            name, part.preview, part.truth_view if isinstance(part, StagePreview) else None
         )
-        self._window.panes.filmstrip.thumbnails[name].show_preview(
+        self._window.look.filmstrip.thumbnails[name].show_preview(
             column.view.preview or part.preview
         )
         if isinstance(part, StagePreview):
-            if name == _GENERATED:
-                self._show_truth(part)
             self._results = {**self._results, name: part.result}
             result = part.result
             column.show_result(
@@ -134,6 +131,8 @@ class StageViews:
             )
             self._show_who_answered(result)
             self._probe.set_results(self._results)
+            card = self._window.look.filmstrip.thumbnails[name]
+            card.show_feedable(feedable=NO_MESH in result.notes)
             if name in self._window.steps:
                 self._steps[name] = part
                 self._window.steps[name].show_steps(part.result.output.steps)
@@ -169,7 +168,6 @@ class StageViews:
         reason = result.fallback or (
             next(iter(result.notes), "") if result.state == "skipped" else ""
         )
-        self._window.columns[result.name].pinned.show_unused(reason)
         if result.method is not None:
             self._window.parameters.show_unused(result.method.key, reason)
 
@@ -177,25 +175,17 @@ class StageViews:
         """Return what a column shows; None if it is empty."""
         return self._shown.get(name)
 
-    def _show_preview(self, view: PreviewView, preview: Preview, other: TruthView | None) -> None:
-        """Show a preview and what is known of its truth in the comparison mode."""
+    def _show_preview(self, stage: str, preview: Preview, other: TruthView | None) -> None:
+        """Show a preview and what is known of its truth in the comparison mode.
+
+        The recorded touch lies under a wipe of the generated one unless another mode is chosen.
+        """
         truth, difference = (
             (None, None) if other is None else (other.truth, other.difference_to_truth)
         )
-        view.show_compared(preview, truth, difference, self.comparison_mode)
-
-    def _show_truth(self, part: StagePreview) -> None:
-        """Show the truth of the generated touch in the column of the Demo layout."""
-        column = self._window.truth_column
-        other = part.truth_view
-        if column.isHidden():
-            return
-        if other is None:
-            column.show_state("skipped", None, ("the recording has no touch of the target",))
-            return
-        column.view.show_preview(other.truth)
-        column.show_state("read")
-        self.scene.show_layers(len(self._order), other.layers)
+        mode = self.comparison_mode or ("wipe" if stage == _GENERATED else "")
+        view = self._window.columns[stage].view
+        view.show_compared(preview, truth, difference, mode)
 
     def show_wipe(self, before: Preview, after: Preview) -> None:
         """Show two target depth previews, divided by a handle, until the stage is computed
@@ -219,12 +209,12 @@ class StageViews:
             if column.state != "stale":
                 column.show_state("stale")
         column = self._window.columns[_PREVIEWED]
-        self._show_preview(column.view, preview, other)
+        self._show_preview(_PREVIEWED, preview, other)
         column.show_state("preview")
         self.scene.show_layers(self._order.index(_PREVIEWED), layers)
 
     def show_frame_summary(self, shown: EvaluatedFrame, *, is_comparable: bool) -> None:
-        """Show the warnings of a finished frame.
+        """Show the times of a finished frame.
 
         Its summary only if `is_comparable` with the other frames.
         """
@@ -239,19 +229,14 @@ class StageViews:
                     for key, r in shown.results.items()
                 )
             )
-            common = self._window.frames.model.common_warnings
-            warnings = [
-                (stage(key).title, warning)
-                for key, r in shown.results.items()
-                for warning in r.warnings
-            ]
-            # Warnings that every frame has come last.
-            warnings.sort(key=lambda pair: f"{pair[0].lower()}: {pair[1]}" in common)
-            self._window.warning_line.show_warnings(warnings)
 
-    def mark_all_pending(self) -> None:
-        """Mark every column as pending."""
-        self._fresh = set()
+    def mark_pending(self, changed: Set[str] | None = None) -> None:
+        """Mark the stages that depend on changed ones as pending, and these; None for all."""
+        if changed is None:
+            self._fresh = set()
+            return
+        for name in changed:
+            self._fresh -= {name, *self._find_dependent_stages(name)}
 
     def mark_stale(self) -> None:
         """Mark pending columns as stale, and the first one as running."""
@@ -295,11 +280,9 @@ class StageViews:
         display = session.display
         bounds = compute_view_bounds(t)
         places = {self._order.index(name): bound for name, bound in bounds.items()}
-        if _GENERATED in bounds:
-            places[len(self._order)] = bounds[_GENERATED]
         for k, (stage, other) in enumerate(self._variants):
             if stage in bounds and other is not None:
-                places[len(self._order) + 1 + k] = compute_view_bounds(other)[stage]
+                places[len(self._order) + k] = compute_view_bounds(other)[stage]
         places |= {self.page_views[page]: bound for page, bound in self._page_bounds.items()}
         self.scene.fit_cameras(places, linked=session.cameras_linked)
         self._probe.set_scene(self.scene, display, t)
@@ -327,13 +310,13 @@ class StageViews:
             kept = {
                 column: at
                 for column, at in self.scene.get_cameras().items()
-                if column <= len(self._order)
+                if column < len(self._order)
             }
             self.reset_cameras(session)
             self.scene.set_cameras(kept)
         for k, (layers, _) in enumerate(others):
-            self.scene.show_layers(len(self._order) + 1 + k, layers)
-            self._layers[len(self._order) + 1 + k] = layers
+            self.scene.show_layers(len(self._order) + k, layers)
+            self._layers[len(self._order) + k] = layers
 
     def show_page_scene(
         self, page: PageScene, layers: Sequence[Layer], bounds: ViewBounds | None, session: Session

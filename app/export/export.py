@@ -51,7 +51,7 @@ class ExportController(BackgroundController):
         self._autosave = autosave
         self._comparison = comparison
         self.dialog = ExportDialog(self._window)
-        self._window.notifications.add_bar(self.notification)
+        self._window.strips.addWidget(self.notification)
         # see `start_writing`
         self._written: tuple[Path, str, Callable[[object], str] | None] = Path(), "", None
         self._window.connect_command("export", self.show_export_dialog)
@@ -234,11 +234,9 @@ class ExportController(BackgroundController):
         self.notification.show_notification("cancelled; nothing was written")
 
     def _pane_on_screen(self) -> str:
-        shown = self._window.visible_columns()
-        layout = self._controller.session.layout
-        if layout.name == "inspect" and (panes := layout.resolve_panes(self._window.route_columns)):
-            return panes[min(self._window.panes.active_pane, len(panes) - 1)][0]
-        return shown[0] if len(shown) == 1 else SHEET
+        """The stage in the active pane; all side by side where there are no panes."""
+        look = self._window.look
+        return (look.active_stage if look.isVisible() else "") or SHEET
 
     def _content_on_screen(self, pane: str) -> str:
         mode = self._controller.views.comparison_mode

@@ -1,8 +1,8 @@
-"""The Attribution tab: the error of a frame at rest is attributed to the stages while the tab is
-visible.
+"""The attribution of the error of a frame at rest to the stages, for verdict, cards and inspector
+of *Look*.
 """
 
-from PyQt6.QtCore import QEvent
+from PyQt6.QtCore import QEvent, pyqtSignal
 
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
@@ -19,7 +19,9 @@ _NO_TRUTH = "This frame has no known error: the recording has no touch of the ta
 
 
 class ErrorAttributionController(Feature):
-    """Connects the tab with the session."""
+    """Connects the waterfall with the session."""
+
+    attributed = pyqtSignal(object)  # ErrorAttribution
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
@@ -28,8 +30,8 @@ class ErrorAttributionController(Feature):
         self._ticket = 0
         self._shares: tuple[ErrorShare, ...] = ()
         self._timer = make_single_shot_timer(self, _DELAY_MS, self._attribute)
-        EventListener(self._panel, self._timer.start, QEvent.Type.Show)
-        EventListener(self._panel, self._timer.stop, QEvent.Type.Hide)
+        EventListener(self._window.look, self._timer.start, QEvent.Type.Show)
+        EventListener(self._window.look, self._timer.stop, QEvent.Type.Hide)
         self._panel.metric_box.chosen.connect(self._choose_metric)
         self._panel.share_clicked.connect(self._toggle_truth)
         controller.frame_shown.connect(self._frame_shown)
@@ -41,16 +43,15 @@ class ErrorAttributionController(Feature):
         self._attribute()
 
     def _frame_shown(self, _: int) -> None:
-        if self._panel.isVisible():
-            self._panel.show_empty("")
-            self._timer.start()
+        self._panel.show_empty("")
+        self._timer.start()
 
     def _attribute(self) -> None:
         controller = self._controller
         latest = self._controller.latest_frame
         if (
             latest is None
-            or not self._panel.isVisible()
+            or controller.session.layout.name != "look"
             or controller.window.timeline.is_playing
             or not controller.is_idle
         ):
@@ -78,10 +79,11 @@ class ErrorAttributionController(Feature):
         self._shares = result.shares
         parts = [(part.title, part.share) for part in result.shares]
         self._panel.show_attribution(
-            result.summary,
+            "Where the error comes from",
             make_bars("this frame's error", result.total, parts, result.remainder),
             result.unit,
         )
+        self.attributed.emit(result)
 
     def _toggle_truth(self, share: int) -> None:
         """Pin the truth of the stage of a share in its column's head.

@@ -105,6 +105,7 @@ class FrameRankingController(Feature):
             i: texts for i in range(model.rowCount()) if (texts := model.get_specific_warnings(i))
         }
         values = model.get_values(self._metric) if model.rowCount() > 1 else ()
+        self._window.timeline.errors.show_thumbnails(model.thumbnails)
         self._window.timeline.show_errors(
             describe_metric(self._metric), values, warnings, is_quantity=self._is_quantity
         )

@@ -10,18 +10,18 @@ from msgspec import Meta
 
 from pipeline.core.typed_data import Name
 
-LayoutName = Literal["stages", "inspect", "align", "demo", "compare", "track", "task"]
+LayoutName = Literal["look", "compare", "align", "track", "task"]
 Dims = Literal["2D", "3D", "both"]
 DIMS: tuple[Dims, ...] = get_args(Dims)
 LAYOUT_NAMES: tuple[LayoutName, ...] = get_args(LayoutName)
-# Columns that a layout shows large; all columns of the route where a layout is not listed.
-_LARGE_COLUMNS: Mapping[str, tuple[str, ...]] = {
+# Stages that a layout shows; those of the route where a layout is not listed.
+_STAGES: Mapping[str, tuple[str, ...]] = {
     "align": ("target_depth",),
-    "demo": ("source", "touch"),
     "compare": (),
     "track": (),
     "task": ("source", "touch"),
 }
+MAX_PANES = 3
 # stage and views of each
 _Panes = Annotated[tuple[tuple[Name, Dims], ...], Meta(min_length=1, max_length=3)]
 ComparisonTabName = Literal["methods", "two", "grid"]
@@ -32,13 +32,15 @@ DEFAULT_STAGE = "touch_depth"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
-    """Layout by name, with the panes of the Inspect layout."""
+    """Layout by name, with the panes of *Look*."""
 
-    name: LayoutName = "stages"
-    panes: _Panes = (("depth", "both"), ("touch_depth", "both"))
+    name: LayoutName = "look"
+    panes: _Panes = (("source", "both"), ("touch_depth", "3D"), ("touch", "both"))
 
     def resolve_panes(self, available: Sequence[str]) -> tuple[tuple[str, Dims], ...]:
         """Return the panes with every stage that is not in `available` replaced by a spare one."""
+        if self.name == "align":
+            return tuple((name, "both") for name in self.list_stages(available))
         spare = [name for name in available if name not in dict(self.panes)]
         panes: list[tuple[str, Dims]] = []
         for name, dims in self.panes:
@@ -46,19 +48,16 @@ class Layout:
                 panes.append((name if name in available else spare.pop(0), dims))
         return tuple(panes)
 
-    def list_columns(self, available: Sequence[str], only_stage: str = "") -> list[str]:
-        """List the columns that the layout shows large (all layouts but Inspect)."""
-        shown = [name for name in _LARGE_COLUMNS.get(self.name, available) if name in available]
-        return [only_stage] if self.name == "stages" and only_stage in available else shown
+    def list_stages(self, available: Sequence[str]) -> list[str]:
+        """List the stages that the layout shows, large or as cards."""
+        return [name for name in _STAGES.get(self.name, available) if name in available]
 
-    def with_stage(self, pane: int, stage: str) -> Layout:
-        """Copy with another stage in a pane; if it is in another pane, the two change places."""
-        if not 0 <= pane < len(self.panes):
+    def with_stage(self, pane: int, stage: str, dims: Dims = "both") -> Layout:
+        """Copy with another stage in a pane; unchanged if a pane shows it."""
+        if not 0 <= pane < len(self.panes) or stage in dict(self.panes):
             return self
         panes = list(self.panes)
-        other = next((i for i, (name, _) in enumerate(panes) if name == stage), pane)
-        panes[other] = (panes[pane][0], panes[other][1])
-        panes[pane] = (stage, panes[pane][1])
+        panes[pane] = (stage, dims)
         return replace(self, panes=tuple(panes))
 
     def with_dims(self, pane: int, dims: Dims) -> Layout:
@@ -69,13 +68,12 @@ class Layout:
         panes[pane] = (panes[pane][0], dims)
         return replace(self, panes=tuple(panes))
 
-    def with_count(self, count: int, available: Sequence[str]) -> Layout:
-        """Copy with `count` panes; new panes show the last available stages."""
-        panes = list(self.panes[:count])
-        spare = [name for name in reversed(available) if name not in dict(panes)]
-        while len(panes) < count and spare:
-            panes.append((spare.pop(0), "both"))
-        return replace(self, panes=tuple(panes))
+    def with_toggled(self, stage: str) -> Layout:
+        """Copy with one more pane for a stage, in place of the last of three; or without it."""
+        others = tuple(pane for pane in self.panes if pane[0] != stage)
+        if len(others) < len(self.panes):
+            return replace(self, panes=others or self.panes)
+        return replace(self, panes=(*self.panes[: MAX_PANES - 1], (stage, "both")))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

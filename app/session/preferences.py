@@ -73,9 +73,9 @@ class Preferences:
 
     @property
     def theme(self) -> Theme:
-        """Colour theme; "system" unless chosen."""
-        value: object = self._settings.value("theme", "system")
-        return next((theme for theme in get_args(Theme) if theme == value), "system")
+        """Colour theme; "dark" unless chosen."""
+        value: object = self._settings.value("theme", "dark")
+        return next((theme for theme in get_args(Theme) if theme == value), "dark")
 
     @theme.setter
     def theme(self, theme: Theme) -> None:

@@ -256,16 +256,24 @@ def _parse_session(data: object, path: Path, catalogue: Catalogue) -> Session:
     )
 
 
+# pages of older sessions, and what does now what they did
+_RENAMED = {
+    "sweep": "compare",
+    "seeds": "grid",
+    "stages": "look",
+    "inspect": "look",
+    "demo": "look",
+}
+
+
 def _rename_pages(data: Mapping[str, object]) -> dict[str, object]:
-    """Replace pages of older sessions by the grid of *Compare*, which does what they did."""
+    """Replace pages of older sessions."""
     renamed = dict(data)
-    for field_name, key, old, new in (
-        ("layout", "name", "sweep", "compare"),
-        ("comparison", "tab", "seeds", "grid"),
-    ):
+    for field_name, key in (("layout", "name"), ("comparison", "tab")):
         part = data.get(field_name)
-        if isinstance(part, dict) and cast("dict[str, object]", part).get(key) == old:
-            renamed[field_name] = {**part, key: new}
+        if isinstance(part, dict):
+            old = cast("dict[str, object]", part).get(key)
+            renamed[field_name] = {**part, key: _RENAMED.get(str(old), old)}
     return renamed
 
 

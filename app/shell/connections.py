@@ -16,6 +16,7 @@ from app.document.session_controller import SessionController
 from app.export.export import ExportController
 from app.frames.error_attribution import ErrorAttributionController
 from app.frames.frame_ranking import FrameRankingController
+from app.frames.verdict import VerdictController
 from app.live.live import LiveController
 from app.session.preferences import Theme
 from app.session.state import DISPLAY_KEY
@@ -48,7 +49,7 @@ from widgets.timeline.timeline import Timeline
 from widgets.views.preview_key_filter import KeyboardFocusFilter
 
 
-def connect(controller: SessionController, theme: Theme = "light") -> AutosaveController:
+def connect(controller: SessionController, theme: Theme = "dark") -> AutosaveController:
     """Create the controllers of all features and connect everything; `theme` is the current one."""
     window = controller.window
     job = controller.job
@@ -75,7 +76,6 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     window.route.chosen.connect(partial(_choose, controller, "route", {}))
 
     for add_feature in (
-        ErrorAttributionController,
         PinnedProbesController,
         Probe3DController,
         KeyboardController,
@@ -85,6 +85,7 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
         ColourLimitController,
     ):
         add_feature(controller)
+    VerdictController(controller, ErrorAttributionController(controller))
     step_scrubber = StepScrubberController(controller)
     frame_ranking = FrameRankingController(controller)
     comparison = ComparisonController(controller)
@@ -125,7 +126,7 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
 
     _connect_files(controller, alignment, autosave, comparison, track)
     _connect_playback(controller)
-    _connect_view(controller, layouts)
+    _connect_view(controller)
     _connect_undo(controller)
     _connect_palette(window)
     add_panels(controller)
@@ -141,9 +142,8 @@ def _choose(
 def _connect_columns(controller: SessionController) -> None:
     window = controller.window
     probe = controller.probe
-    for parameters in (window.parameters, *(column.pinned for column in window.columns.values())):
-        parameters.params_edited.connect(controller.choose_params)
-        parameters.slider_held.connect(controller.hold_slider)
+    window.parameters.params_edited.connect(controller.choose_params)
+    window.parameters.slider_held.connect(controller.hold_slider)
     for slider in window.steps.values():
         slider.step_chosen.connect(controller.views.show_step)
     for column in window.columns.values():
@@ -164,7 +164,6 @@ def _fill_choices(window: MainWindow, catalogue: Catalogue) -> None:
         choices = catalogue.list_choices(stage.name)
         column = window.columns[stage.name]
         column.offer_methods([(m.name, m.title, m.help) for m in choices])
-        column.pinned.offer_methods((m.key, m.params()) for m in choices)
         for method in choices:
             title = stage.title if len(choices) == 1 else f"{stage.title} · {method.title}"
             window.parameters.add_group(method.key, title, method.params(), method.help)
@@ -235,7 +234,7 @@ def _connect_playback(controller: SessionController) -> None:
     connect("loop_all", lambda line: set_loop_range(line, 0, line.slider.maximum()))
 
 
-def _connect_view(controller: SessionController, layouts: LayoutController) -> None:
+def _connect_view(controller: SessionController) -> None:
     window = controller.window
     probe = controller.probe
     pin = window.actions_by_name["pin_probe"]
@@ -252,18 +251,8 @@ def _connect_view(controller: SessionController, layouts: LayoutController) -> N
             f"show_{mode}", lambda mode=mode: _toggle_comparison_mode(controller, mode)
         )
     window.connect_command("cancel", controller.cancel)
-    for i, name in enumerate(window.columns):
-        window.connect_command(
-            f"only_{i + 1}", lambda name=name: _show_column(controller, layouts, name)
-        )
-
-
-def _show_column(controller: SessionController, layouts: LayoutController, name: str) -> None:
-    """Show a column in the active pane of Inspect, elsewhere alone."""
-    if controller.session.layout.name == "inspect":
-        layouts.show_stage(name)
-    else:
-        controller.show_only(name)
+    window.look.filmstrip.thumbnails["pose"].offer_remedy(window.actions_by_name["open_mesh"])
+    window.connect_command("inspector", window.show_inspector_if_checked)
 
 
 def _toggle_comparison_mode(controller: SessionController, mode: ComparisonMode) -> None:

@@ -1,4 +1,4 @@
-"""Layouts: the commands that change them, and the drawers and modes that come with each."""
+"""Layouts: the commands that change them, and the drawer and mode that come with *Align*."""
 
 from dataclasses import replace
 from functools import partial
@@ -19,21 +19,23 @@ class LayoutController(Feature):
         super().__init__(controller)
         self._mode_before_align: ComparisonMode | None = None  # None outside Align
         self._opened_drawer = False  # whether Align opened the alignment drawer
-        self._shown_layout: LayoutName = "stages"
         window = self._window
-        panes = self._window.panes
         for name in LAYOUT_NAMES:
             window.connect_command(f"layout_{name}", partial(self.choose_layout, name))
-        window.connect_command("toggle_inspect", self._toggle_inspect)
-        panes.stage_chosen.connect(self._choose_stage)
-        panes.dims_chosen.connect(self._choose_dims)
-        panes.count_chosen.connect(self._choose_count)
+        for i, name in enumerate(window.columns):
+            window.connect_command(f"stage_{i + 1}", partial(self.show_stage, name))
+        window.look.stage_chosen.connect(self._choose_stage)
+        window.look.stage_toggled.connect(
+            lambda stage: self._arrange(self._resolved_layout.with_toggled(stage))
+        )
+        window.look.dims_chosen.connect(self._choose_dims)
+        window.verdict.finding_chosen.connect(self.show_stage)
         window.show_layout(controller.session.layout)
 
     @property
     def _resolved_layout(self) -> Layout:
-        """The layout with panes of stages that the route computes."""
-        layout = self._controller.session.layout
+        """*Look* with panes of stages that the route computes."""
+        layout = replace(self._controller.session.layout, name="look")
         return replace(
             layout, panes=layout.resolve_panes(self._window.route_columns) or layout.panes
         )
@@ -45,13 +47,10 @@ class LayoutController(Feature):
         self._window.show_layout(self._controller.session.layout)  # resets the command's check mark
 
     def show_stage(self, stage: str) -> None:
-        """Show a stage in the active pane."""
-        self._arrange(self._resolved_layout.with_stage(self._window.panes.active_pane, stage))
-
-    def _toggle_inspect(self) -> None:
-        self.choose_layout(
-            "stages" if self._controller.session.layout.name == "inspect" else "inspect"
-        )
+        """Show a stage of the route in *Look*, in the pane that has it, else in the active one."""
+        if stage in self._window.route_columns:
+            self._arrange(self._resolved_layout)
+            self._window.look.choose_stage(stage)
 
     def _arrange(self, layout: Layout) -> None:
         self._controller.change("arrange panes", key=_PANES_KEY, layout=layout)
@@ -59,24 +58,14 @@ class LayoutController(Feature):
     def _choose_stage(self, pane: int, stage: str) -> None:
         self._arrange(self._resolved_layout.with_stage(pane, stage))
 
-    def _choose_count(self, count: int) -> None:
-        self._arrange(self._resolved_layout.with_count(count, self._window.route_columns))
-
     def _choose_dims(self, pane: int, dims: str) -> None:
         chosen: Dims = next(d for d in DIMS if d == dims)
         self._arrange(self._resolved_layout.with_dims(pane, chosen))
 
     def show_session(self, session: Session) -> None:
-        """Open drawer and difference mode for Align, close all drawers for Demo, and undo that
-        afterwards.
-        """
+        """Open drawer and difference mode for *Align*, and undo that afterwards."""
         drawer = self._window.drawers.alignment
-        name = session.layout.name
-        is_align = name == "align"
-        if name == "demo" and self._shown_layout != "demo":
-            for other in self._window.drawers.all_drawers:
-                other.hide()
-        self._shown_layout = name
+        is_align = session.layout.name == "align"
         if is_align and self._mode_before_align is None:
             self._mode_before_align = self._controller.views.comparison_mode
             self._opened_drawer = drawer.isHidden()

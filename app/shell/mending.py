@@ -42,7 +42,7 @@ class MendingController(Feature):
         super().__init__(controller)
         self._calibration = calibration
         self.notification = NotificationBar("mending_notification")
-        self._window.notifications.add_bar(self.notification)
+        self._window.strips.addWidget(self.notification)
         self._offered: Translation | None = None  # whose offers were made
         self._alternatives: tuple[Path, ...] = ()  # recordings of the folder that was opened last
         self._shown: set[Path | None] = set()  # recordings of which a frame was on screen
@@ -189,7 +189,8 @@ class MendingController(Feature):
             remedies.append(("Centre the touch", self.centre_touch))
         if any(isinstance(warning, CalibrationWarning) for warning in warnings):
             remedies.append(("Calibrate here…", self._calibration.ask))
-        self._window.warning_line.show_remedies(remedies)
+        self._controller.remedies = remedies
+        self._controller.remedies_changed.emit()
         if self._offered is None or self._offered.request.recording != opened.request.recording:
             self._offered = opened
             self._shown.add(opened.request.recording)

@@ -4,7 +4,6 @@ from pathlib import Path
 
 from PyQt6.QtCore import QSize
 from PyQt6.QtGui import QGuiApplication
-from PyQt6.QtWidgets import QWidget
 
 from app.document.evaluator import Evaluator
 from app.document.feature import Feature
@@ -53,19 +52,14 @@ class PresentationController(Feature):
         controller.probe.pixel_moved.connect(self._show_pixel)
 
     def copy_image(self) -> None:
-        """Copy an image of the only or active pane, else of the window."""
+        """Copy an image of the active pane, else of the window."""
         clipboard = QGuiApplication.clipboard()
-        shown = self._window.visible_columns()
-        panes = self._window.panes
-        widget: QWidget = self._window
-        if panes.isVisible():
-            widget = panes.panes[panes.active_pane]
-        elif len(shown) == 1:
-            widget = self._window.columns[shown[0]]
+        look = self._window.look
+        widget = look.panes[look.active_pane] if look.isVisible() else self._window
         if clipboard is not None:
             clipboard.setPixmap(widget.grab())
             size = widget.size() * widget.devicePixelRatioF()
-            self._window.readout.setText(f"image of {size.width()} x {size.height()} pixels copied")
+            self._window.say(f"image of {size.width()} x {size.height()} pixels copied")
 
     def present(self) -> None:
         """Show source, generated touch and truth on the full screen of the window.
@@ -75,7 +69,7 @@ class PresentationController(Feature):
         opened = self._controller.views.translation
         screen = self._window.screen()
         if opened is None:
-            self._window.readout.setText("nothing to present; open a recording first")
+            self._window.say("nothing to present; open a recording first")
             self._full_screen.setChecked(False)
             return
         self._full_screen.setChecked(True)

@@ -62,16 +62,14 @@ class KeyboardController(Feature):
         if self.focused_column:
             self._end()
             return
-        panes = self._window.panes
         shown = self._visible_columns
-        active = panes.active_stage if panes.isVisible() else ""
+        active = self._window.look.active_stage
         if shown:
             self._focus(active if active in shown else shown[0])
 
     def _focus(self, name: str) -> None:
         self._window.columns[name].view.canvas.setFocus(Qt.FocusReason.OtherFocusReason)
-        self._window.readout.setText(_HINT)
-        self._window.readout.setToolTip(_HINT)
+        self._window.say(_HINT)
 
     def _focus_next(self, name: str, by: int) -> None:
         shown = self._visible_columns
@@ -81,7 +79,7 @@ class KeyboardController(Feature):
     def _end(self) -> None:
         if self.focused_column:
             self._window.setFocus()
-            self._window.readout.setText("")
+            self._window.say("")
 
     def _edit_alignment(self) -> None:
         self._window.show_drawer(self._window.drawers.alignment)
@@ -103,7 +101,7 @@ def make_parameter_actions(window: MainWindow, parent: QObject) -> list[QAction]
     for old in parent.findChildren(QAction):
         old.deleteLater()
     actions: list[QAction] = []
-    for title, setting, control in window.parameters.list_shown():
+    for title, setting, control in window.parameters.list_offered():
         action = QAction(f"{setting.label} ({title})", parent)
         action.setToolTip(control.toolTip())
         action.triggered.connect(partial(_focus_parameter, window, control))
@@ -112,16 +110,9 @@ def make_parameter_actions(window: MainWindow, parent: QObject) -> list[QAction]
 
 
 def _focus_parameter(window: MainWindow, control: QWidget, _checked: bool = False) -> None:
-    """Give the keyboard to a control, in its column if it is visible there, else in the
-    Parameters drawer.
-    """
-    key, _, name = control.objectName().rpartition(".")
-    column = window.columns[key.partition("/")[0]] if "/" in key else None
-    if column is not None and name in column.pinned.names and column.pinned.isVisible():
-        control = column.pinned.get_control(name)
-    else:
-        window.show_drawer(window.drawers.parameters)
-        window.parameters.ensureWidgetVisible(control)
+    """Give the keyboard to a control in the inspector."""
+    window.show_inspector()
+    window.parameters.reveal(control)
     target = next(
         (child for child in control.findChildren(QWidget) if _takes_focus(child)), control
     )

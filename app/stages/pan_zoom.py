@@ -132,9 +132,7 @@ class ColourLimitController(Feature):
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
         window = controller.window
-        bars = [
-            column.view.colour_bar for column in (*window.columns.values(), window.truth_column)
-        ]
+        bars = [column.view.colour_bar for column in window.columns.values()]
         for source in (*bars, *(tab.grid for tab in window.comparison.tile_tabs)):
             source.limit_dragged.connect(self.set_limit)
             source.limits_fitted.connect(self.set_limits)

@@ -20,7 +20,6 @@ _DELAY_MS = 15  # updates within it are drawn together
 _DEFAULT_SHARE = 0.9  # of the source's width, for the default line
 _DIGITS = 2  # decimals of a coordinate in mm
 _OUTDATED = ("failed", "waiting")  # column states of another frame
-_TRUTH = "truth"  # column of the Demo layout
 
 
 class SectionLineController(Feature):
@@ -34,7 +33,6 @@ class SectionLineController(Feature):
         )
         self._last_line: SectionLine | None = None  # before it was removed
         self._views = {name: column.view for name, column in self._window.columns.items()}
-        self._views[_TRUTH] = self._window.truth_column.view
         self._tools = {name: SectionLineTool(view.canvas) for name, view in self._views.items()}
         for name, tool in self._tools.items():
             tool.line_moved.connect(partial(self._move_end, name))
@@ -169,7 +167,7 @@ class SectionLineController(Feature):
         preview = self._views[name].preview
         if opened is None or preview is None:
             return None
-        role = "target" if name == _TRUTH else opened.get_role(name)
+        role = opened.get_role(name)
         camera = cross_section.find_image_camera(
             preview, opened.source if role == "source" else opened.target
         )

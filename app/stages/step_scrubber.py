@@ -2,11 +2,11 @@
 tab.
 """
 
+from dataclasses import replace
 from functools import partial
 
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
-from app.session.layout import Layout
 from app.views.stage_previews import StagePreview
 from pipeline.core.graph import Method
 from pipeline.core.params import list_settings, replace_value
@@ -48,7 +48,7 @@ class StepScrubberController(Feature):
         window.show_diagnostics(self._panel)
         self._panel.stage_box.setCurrentIndex(max(0, self._panel.stage_box.findData(stage)))
         if stage in window.route_columns and stage not in window.visible_columns():
-            self._controller.change("show stages", layout=Layout(panes=layout.panes))
+            self._controller.change("show stages", layout=replace(layout, name="look"))
         self.set_keep_steps(stage, keep=True)
         self.show_session()
 

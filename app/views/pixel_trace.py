@@ -92,7 +92,7 @@ class PixelProbe(QObject):
         text = preview.describe_pixel(row, col) if preview is not None and row >= 0 else ""
         true = self._describe_truth(column, row, col) if text else ""
         ending = f" · truth {true}" if true else ""
-        self._window.readout.setText(f"{self._get_title(column)} {text}{ending}" if text else "")
+        self._window.show_pixel(f"{self._get_title(column)} {text}{ending}" if text else "")
         if self._active is None and row >= 0:
             self._trace(column, row, col)
 
@@ -103,7 +103,7 @@ class PixelProbe(QObject):
         if number is not None:
             self.release_pin(number)
         elif free is None:
-            self._window.readout.setText(_FULL)
+            self._window.say(_FULL)
         else:
             self.pins[free] = (column, row, col)
             self.choose_pin(free)

@@ -91,7 +91,6 @@ _SOURCE_LEGEND = "image on the sensor surface"
 
 def show_captions(window: MainWindow, opened: Translation, display: DisplayParams) -> None:
     """Update the captions, with the axes in the colours of the theme."""
-    window.truth_view_panel.caption.set_texts(*_format_captions(opened.target.name, 1.0))
     _show_caption(window.view_panels["source"], _SOURCE_LEGEND, opened.source.name, 1.0)
     for stage in opened.catalogue.stages:
         stretch = get_depth_stretch(stage.name, opened, display)
@@ -127,7 +126,7 @@ def _format_axes() -> str:
 
 
 # after the views of the columns
-_OTHER_VIEWS = ("truth", "compare_a", "compare_b", "track", "task")
+_OTHER_VIEWS = ("compare_a", "compare_b", "track", "task")
 
 
 class ViewCameras:

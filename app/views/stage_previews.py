@@ -13,7 +13,6 @@ from pipeline.core.graph import StageResult
 from pipeline.core.memo import Memo, measure_bytes
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthMap
-from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.stage import GroundTruth
 from pipeline.translation.round_trip import measure_training_distance
 from pipeline.translation.translate import Translation
@@ -217,13 +216,10 @@ def _add_comparison(
     )
 
 
-def add_thumbnails(
-    summary: FrameSummary, frame: TactileFrame, sensor: SensorSpec, display: DisplayParams
-) -> FrameSummary:
+def add_thumbnails(summary: FrameSummary, preview: Preview) -> FrameSummary:
     """Return the summary with a small image (rows, cols, 3) of its frame for either theme, for
-    the frames table.
+    table and timeline.
     """
-    preview, _ = make_recorded_preview(frame, sensor, display)
     dark = (
         None
         if preview.scale is None

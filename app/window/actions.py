@@ -230,6 +230,15 @@ VIEW_COMMANDS = (
         key="P",
     ),
     Command(
+        "inspector",
+        "Inspector",
+        "Show the parameters of the chosen stage, figures of the frame and where its error comes "
+        "from",
+        icon="sliders",
+        key="F3",
+        checkable=True,
+    ),
+    Command(
         "section_line",
         "Section line",
         "Draw a line through all images and plot the heights along it",
@@ -308,16 +317,16 @@ REGISTRATION_COMMANDS = (
 )
 LAYOUT_COMMANDS = (
     Command(
-        "layout_stages",
-        "Stages",
-        "Show all stages side by side, images above 3D views",
+        "layout_look",
+        "Look",
+        "Show all stages as cards, and up to three of them large",
         key="Ctrl+1",
         checkable=True,
     ),
     Command(
-        "layout_inspect",
-        "Inspect",
-        "Show up to three large panes under a filmstrip of all stages",
+        "layout_compare",
+        "Compare",
+        "Compare methods, settings, or values on a grid, on one frame",
         key="Ctrl+2",
         checkable=True,
     ),
@@ -329,39 +338,18 @@ LAYOUT_COMMANDS = (
         checkable=True,
     ),
     Command(
-        "layout_demo",
-        "Demo",
-        "Show source, generated touch and truth, large",
-        key="Ctrl+4",
-        checkable=True,
-    ),
-    Command(
-        "layout_compare",
-        "Compare",
-        "Compare methods, settings, or values on a grid, on one frame",
-        key="Ctrl+5",
-        checkable=True,
-    ),
-    Command(
         "layout_track",
         "Track",
         "Show the motion of the touched object and its fused surface",
-        key="Ctrl+6",
+        key="Ctrl+4",
         checkable=True,
     ),
     Command(
         "layout_task",
         "Task",
         "Show the rollouts of a task: why a trial fails",
-        key="Ctrl+7",
+        key="Ctrl+5",
         checkable=True,
-    ),
-    Command(
-        "toggle_inspect",
-        "Toggle Inspect",
-        "Switch between Inspect and Stages",
-        icon="panes",
-        key="I",
     ),
 )
 TASK_COMMANDS = (
@@ -425,14 +413,13 @@ MENUS: Mapping[str, tuple[Command, ...]] = {  # title -> commands; every command
 
 
 def make_stage_commands(titles: tuple[str, ...]) -> tuple[Command, ...]:
-    """Return the commands 1, 2, ... that show one stage alone."""
+    """Return the commands 1, 2, ... that show one stage large."""
     return tuple(
         Command(
-            f"only_{i + 1}",
-            f"Only {title.lower()}",
-            "Show this stage alone, or all again; hidden stages are not computed",
+            f"stage_{i + 1}",
+            f"Show {title.lower()}",
+            "Show this stage in the active pane",
             key=str(i + 1),
-            checkable=True,
         )
         for i, title in enumerate(titles)
     )

@@ -7,7 +7,6 @@ from PyQt6.QtCore import QSignalBlocker
 from app.session.state import DISPLAY_KEY, Session
 from app.window.main_window import MainWindow
 from pipeline.core.graph import Method
-from pipeline.core.params import list_settings
 from pipeline.translation.catalogue import Catalogue
 from pipeline.translation.translate import Translation
 
@@ -43,14 +42,9 @@ def show_controls(
     )
     for method in methods:
         column = window.columns[method.stage]
-        reasons = dict(unavailable.get(method.key, {}))
         column.show_method(method.name)
-        window.parameters.show_unavailable(method.key, reasons)
-        lacking = set(column.pinned.names) - set(list_settings(method.params()))
-        reasons |= dict.fromkeys(
-            lacking, f"not a parameter of {method.title}; choose another method"
-        )
-        column.pinned.show_params(method.key, session.get_params(method), reasons)
+        window.look.filmstrip.thumbnails[method.stage].show_method(column.method_title)
+        window.parameters.show_unavailable(method.key, unavailable.get(method.key, {}))
     for name in ("source", "target", "route"):
         box = getattr(window, name)
         value = getattr(session, name)

@@ -5,13 +5,14 @@ from itertools import chain
 from pathlib import Path
 
 from PyQt6.QtCore import QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent
+from PyQt6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent, QResizeEvent
 from PyQt6.QtWidgets import (
     QComboBox,
     QDockWidget,
     QLabel,
     QMainWindow,
     QStackedWidget,
+    QStatusBar,
     QTabWidget,
     QVBoxLayout,
     QWidget,
@@ -25,24 +26,24 @@ from app.window.actions import (
     make_actions,
     make_stage_commands,
 )
-from app.window.menus import REFERENCE, Drawers, add_layout_tabs, build_menus, build_tool_bar
+from app.window.menus import Drawers, build_menus, build_tool_bar
 from widgets.align.alignment_panel import AlignmentPanel
 from widgets.compare.comparison_page import ComparisonPage
 from widgets.frames.error_attribution_panel import ErrorAttributionPanel
 from widgets.frames.frames_panel import FramesPanel
 from widgets.shell.banner import Banner
+from widgets.shell.command_bar import ActionTabs
 from widgets.shell.log_panel import LogPanel
-from widgets.shell.panes import PanesPage
+from widgets.shell.panes import LookPage
+from widgets.stages.inspector import Inspector
 from widgets.stages.parameters_panel import ParametersPanel
 from widgets.stages.probes_panel import ProbesPanel, TracePanel
 from widgets.stages.section_panel import SectionPanel
 from widgets.stages.stage_column import StageColumn
-from widgets.stages.stage_rows import StageRows
 from widgets.stages.steps_panel import StepsPanel
 from widgets.stages.timings_panel import TimingsPanel
-from widgets.stages.warning_line import WarningLine
-from widgets.style.base import ChoiceBox, FixedSizeLabel
-from widgets.style.notification_bar import NotificationStack
+from widgets.stages.verdict_line import VerdictLine
+from widgets.style.base import ChoiceBox
 from widgets.style.run_bar import RunBar
 from widgets.style.styling import fill, set_spacing
 from widgets.task.task_page import TaskPage
@@ -53,20 +54,16 @@ from widgets.views.view_3d_panel import StepsSlider, View3DPanel
 
 DEFAULT_SIZE = QSize(1600, 950)
 _FRAME = QSize(2, 40)  # that a desktop draws around a window: borders and title bar
-_ACTIVITY_WIDTH_PX = 260
 # width of a sensor chooser; of its list, which cuts no name off
-_CHOOSER_LETTERS = 15
+_CHOOSER_LETTERS = 11
 _SENSOR_LIST_PX = 240
-# height of the error strip
-MIN_STRIP_PX = 24
-INSPECT_STRIP_PX = 44
-MAX_STRIP_SHARE = 0.125  # of the window height
+_INSPECTOR_FROM_PX = 1500  # a narrower window folds the inspector
+_STATUS_PX = 4  # of the status bar around its highest part: it never moves the panes
+_SAY_MS = 5000  # until a sentence of the status bar leaves
 
 
 class MainWindow(QMainWindow):
-    """Stage columns above 3D views above the timeline and the probe trace, surrounded by
-    drawers.
-    """
+    """Verdict over the page of a layout over the timeline, surrounded by drawers."""
 
     paths_dropped = pyqtSignal(list)  # of Path
     closing = pyqtSignal()
@@ -91,7 +88,7 @@ class MainWindow(QMainWindow):
             ),
         )
         self.columns = {
-            name: StageColumn(name, f"{i + 1} · {title}") for i, (name, title) in enumerate(columns)
+            name: StageColumn(name, f"{i + 1} {title}") for i, (name, title) in enumerate(columns)
         }
         self.banner = Banner()
         self.timeline = Timeline()
@@ -109,34 +106,49 @@ class MainWindow(QMainWindow):
         self.steps_panel = StepsPanel()
         self.section_panel = SectionPanel()
         self.presented_columns: tuple[str, ...] = ()  # those of a presentation, while there is one
-        self._only_stage = ""
         self._hidden_stages = frozenset[str]()
         self.current_layout = Layout()
         self.view_panels = {name: View3DPanel(self.steps.get(name)) for name, _ in columns}
-        # of the Demo layout
-        self.truth_column = StageColumn("truth", "Truth")
-        self.truth_view_panel = View3DPanel()
-        self.warning_line = WarningLine()
+        self.verdict = VerdictLine()
         self.pages = QStackedWidget()
-        self.rows = StageRows()
         self.comparison = ComparisonPage()
         self.task = TaskPage()
         self.track = TrackPage()
-        self.panes = PanesPage(
-            {name: f"{i + 1} · {title}" for i, (name, title) in enumerate(columns)}
+        self.inspector = Inspector(self.parameters, self.error_attribution)
+        self.look = LookPage(
+            {name: f"{i + 1} {title}" for i, (name, title) in enumerate(columns)}, self.inspector
         )
+        for name, column in self.columns.items():  # until a pane shows them
+            for widget in (column, column.head, self.view_panels[name]):
+                widget.setParent(self.look)
+                widget.hide()
         self.source, self.target = (self._make_sensor_box(role) for role in ("source", "target"))
         self.route = ChoiceBox("choose_route", "route")
+        self.route.setSizeAdjustPolicy(self.source.sizeAdjustPolicy())
+        self.route.setMinimumContentsLength(_CHOOSER_LETTERS)
         self._build_centre()
         self._build_drawers()
         self.menus = build_menus(
             self, self.actions_by_name, len(self.columns), self.drawers.all_drawers
         )
         layouts = [self.actions_by_name[f"layout_{name}"] for name in LAYOUT_NAMES]
-        self.layout_tabs = add_layout_tabs(self, layouts)
-        choosers = ("source", self.source), ("target", self.target), ("route", self.route)
-        build_tool_bar(self, self.actions_by_name, self.menus[REFERENCE], choosers, self.timeline)
+        self.layout_tabs = ActionTabs(layouts, "layout")
+        self._menu_button = build_tool_bar(
+            self,
+            self.actions_by_name,
+            self.menus,
+            (self.source, self.target, self.route, self.layout_tabs),
+            self.drawers.all_drawers,
+        )
+        for name in ("first", "previous", "play", "next", "last", "loop"):
+            self.timeline.add_command(self.actions_by_name[name])
         self._build_status()
+
+    def show_title(self, recording: str, details: str) -> None:
+        """Show a recording's name, "" for none, in the title and at the left of the tool bar."""
+        parts = filter(None, (f"{recording}[*]" if recording else "", details, "Tactoscope"))
+        self.setWindowTitle(" · ".join(parts) if recording else "Tactoscope[*]")
+        self._menu_button.setText(recording or "Menu")
 
     def _set_default_size(self) -> None:
         """Set the default size, at most the screen's."""
@@ -179,23 +191,15 @@ class MainWindow(QMainWindow):
         self.tabs.setCurrentWidget(tab)
 
     def _build_centre(self) -> None:
-        for page in (self.rows, self.panes, self.comparison, self.track, self.task):
+        for page in (self.look, self.comparison, self.track, self.task):
             self.pages.addWidget(page)
-        self.rows.spare_height_changed.connect(self._use_spare_height)
+        self.look.active_changed.connect(self.inspector.show_stage)
         centre = QWidget()
-        layout = set_spacing(QVBoxLayout(centre), 2, (2, 2, 2, 0))
-        self.strips = set_spacing(QVBoxLayout(), 2)  # of controls, above the stages
-        fill(layout, self.strips, (self.pages, 1), self.warning_line, self.timeline, self.trace)
+        layout = set_spacing(QVBoxLayout(centre), 4, (4, 4, 4, 0))
+        self.strips = set_spacing(QVBoxLayout(), 4)  # what is to be acted on, over no view
+        self.strips.addWidget(self.banner)
+        fill(layout, self.strips, self.verdict, (self.pages, 1), self.timeline)
         self.setCentralWidget(centre)
-        self.notifications = NotificationStack(centre, self.pages)
-        self.notifications.add_bar(self.banner)
-
-    def _use_spare_height(self, spare_px: int) -> None:
-        """Give the height that images and 3D views do not need to the error strip."""
-        strip = self.timeline.errors
-        if abs(spare_px) > 1:
-            max_px = round(MAX_STRIP_SHARE * self.height())
-            strip.set_height_px(min(max(strip.height() + spare_px, MIN_STRIP_PX), max_px))
 
     def _build_drawers(self) -> None:
         for name in ("open_alignment", "save_alignment"):
@@ -205,7 +209,6 @@ class MainWindow(QMainWindow):
         self.tabs.setAccessibleName("diagnostics")
         self.tabs.setDocumentMode(True)
         tabs = (
-            (self.error_attribution, "Attribution"),
             (self.probes, "Probes"),
             (self.section_panel, "Section"),
             (self.steps_panel, "Steps"),
@@ -221,7 +224,6 @@ class MainWindow(QMainWindow):
         self.drawers = Drawers(
             self,
             frames=self.frames,
-            parameters=self.parameters,
             alignment=self.alignment,
             diagnostics=self.tabs,
         )
@@ -236,90 +238,96 @@ class MainWindow(QMainWindow):
         return box
 
     def _build_status(self) -> None:
-        self.readout = FixedSizeLabel()
+        """The trace at the left; at the right the pixel under the mouse, or what is computed."""
         self.activity_label = QLabel()
-        self.run_bar = RunBar("frame", keeps_room=True)
+        self.run_bar = RunBar("frame")
+        self.readout = QLabel()
         self.readout.setObjectName("probe")
-        self.activity_label.setFixedWidth(_ACTIVITY_WIDTH_PX)
-        self.activity_label.setAlignment(
-            Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
-        )
-        status = self.statusBar()
-        assert status is not None
-        status.addWidget(self.readout, 1)
-        for widget in (self.run_bar, self.activity_label):
+        status = self._status = QStatusBar()
+        status.setSizeGripEnabled(False)
+        status.setFixedHeight(self.run_bar.cancel_button.sizeHint().height() + _STATUS_PX)
+        self.setStatusBar(status)
+        status.addWidget(self.trace, 1)
+        for widget in (self.readout, self.activity_label, self.run_bar):
             status.addPermanentWidget(widget)
         self.show_progress(None)
+        self.show_pixel("")
+
+    def show_pixel(self, text: str) -> None:
+        """Show what is known of the pixel under the mouse; "" for none."""
+        self.readout.setText(text)
+        self.readout.setVisible(bool(text))
+
+    def say(self, sentence: str) -> None:
+        """Show a sentence in place of the trace for a few seconds."""
+        self._status.showMessage(sentence, _SAY_MS)
+
+    @property
+    def said(self) -> str:
+        """The sentence in the status bar; "" while there is none."""
+        return self._status.currentMessage()
+
+    def resizeEvent(self, a0: QResizeEvent | None) -> None:  # noqa: N802
+        """Fold the inspector where there is little room, and unfold it again."""
+        super().resizeEvent(a0)
+        action = self.actions_by_name["inspector"]
+        was_wide = a0 is None or a0.oldSize().width() >= _INSPECTOR_FROM_PX
+        is_wide = self.width() >= _INSPECTOR_FROM_PX
+        if is_wide != was_wide or a0 is None or not a0.oldSize().isValid():
+            action.setChecked(is_wide)
+            self.show_inspector_if_checked()
+
+    def show_inspector(self) -> None:
+        """Show *Look* with the inspector."""
+        if self.current_layout.name != "look":
+            self.actions_by_name["layout_look"].trigger()
+        self.actions_by_name["inspector"].setChecked(True)
+        self.show_inspector_if_checked()
+
+    def show_inspector_if_checked(self) -> None:
+        """Show the inspector, unless its command or the layout hides it."""
+        is_shown = self.actions_by_name["inspector"].isChecked()
+        self.inspector.setVisible(is_shown and self.current_layout.name == "look")
 
     def show_progress(self, fraction: float | None, text: str = "") -> None:
         """Show what is being computed; None shows that nothing is."""
         self.run_bar.show_progress(fraction)
         self.activity_label.setText(text if fraction is not None else "ready")
+        self.activity_label.setVisible(fraction is not None)
 
     @property
     def views_3d(self) -> tuple[View3D, ...]:
-        """The 3D views: one per column, then the truth's, the two of the comparison, the
-        track's, the task's.
+        """The 3D views: one per column, then the two of the comparison, the track's, the
+        task's.
         """
         return (
             *(cell.view for cell in self.view_panels.values()),
-            self.truth_view_panel.view,
             *(c.view for c in self.comparison.views_3d),
             self.track.scene.view,
             self.task.scene.view,
         )
 
-    def show_only(self, name: str | None) -> None:
-        """Show one column alone; None shows all columns of the route."""
-        self._only_stage = name or ""
-        self.show_layout(self.current_layout)
-
     def hide_stages(self, names: frozenset[str]) -> None:
         """Hide the columns that the route does not compute."""
         self._hidden_stages = names
-        self._only_stage = "" if self._only_stage in names else self._only_stage
         self.show_layout(self.current_layout)
 
     def show_layout(self, layout: Layout) -> None:
-        """Arrange the columns."""
+        """Show the page of a layout, and stages in its panes."""
         self.current_layout = layout
-        self.panes.filmstrip.hide_stages(self._hidden_stages)
-        pairs = {name: (column, self.view_panels[name]) for name, column in self.columns.items()}
-        if layout.name == "inspect":
-            panes = layout.resolve_panes(self.route_columns)
-            self.panes.show_panes([(name, *pairs[name], dims) for name, dims in panes])
-            shown = [name for name, _ in panes]
-        else:
-            self.panes.release_contents()
-            wide = layout.name in ("align", "demo")
-            self.rows.set_columns(
-                (*pairs.values(), (self.truth_column, self.truth_view_panel)), wide=wide
-            )
-            shown = layout.list_columns(self.route_columns, self._only_stage)
-        for name, widgets in pairs.items():
-            for widget in widgets:
-                if layout.name != "inspect" or name not in shown:
-                    widget.setVisible(name in shown)
-        for widget in (self.truth_column, self.truth_view_panel):
-            widget.setVisible(layout.name == "demo")
-        self.rows.lower_row.setVisible(layout.name != "align")
-        pages = {
-            "inspect": self.panes,
-            "compare": self.comparison,
-            "track": self.track,
-            "task": self.task,
-        }
-        self.pages.setCurrentWidget(pages.get(layout.name, self.rows))
+        pages = {"compare": self.comparison, "track": self.track, "task": self.task}
+        page = pages.get(layout.name, self.look)
+        self.look.filmstrip.hide_stages(self._hidden_stages)
+        self.look.filmstrip.setVisible(layout.name == "look")
+        panes = layout.resolve_panes(self.route_columns) if page is self.look else ()
+        self.look.show_panes(
+            [(name, self.columns[name], self.view_panels[name], dims) for name, dims in panes]
+        )
+        self.show_inspector_if_checked()
+        self.pages.setCurrentWidget(page)
         self.timeline.setVisible(layout.name != "task")  # which steps through ticks
-        self.trace.setVisible(layout.name not in ("track", "task"))
-        if layout.name not in ("stages", "demo"):  # these two use the spare height
-            self.timeline.errors.set_height_px(
-                INSPECT_STRIP_PX if layout.name == "inspect" else MIN_STRIP_PX
-            )
         for i, key in enumerate(self.columns):
-            action = self.actions_by_name[f"only_{i + 1}"]
-            action.setChecked(layout.name == "stages" and key == self._only_stage)
-            action.setEnabled(key in self.route_columns)
+            self.actions_by_name[f"stage_{i + 1}"].setEnabled(key in self.route_columns)
         for name in LAYOUT_NAMES:
             self.actions_by_name[f"layout_{name}"].setChecked(name == layout.name)
 
@@ -329,15 +337,10 @@ class MainWindow(QMainWindow):
         return [name for name in self.columns if name not in self._hidden_stages]
 
     def visible_columns(self) -> tuple[str, ...]:
-        """The stages that are visible, large or as thumbnails, or in a presentation."""
+        """The stages that are visible, large or as cards, or in a presentation."""
         if self.presented_columns:
             return tuple(name for name in self.presented_columns if name in self.route_columns)
-        is_inspecting = self.current_layout.name == "inspect"
-        return tuple(
-            self.route_columns
-            if is_inspecting
-            else self.current_layout.list_columns(self.route_columns, self._only_stage)
-        )
+        return tuple(self.current_layout.list_stages(self.route_columns))
 
     @property
     def active_timeline(self) -> Timeline:
@@ -345,9 +348,13 @@ class MainWindow(QMainWindow):
         return self.task.ticks if self.current_layout.name == "task" else self.timeline
 
     @property
-    def shows_truth_column(self) -> bool:
-        """Whether the truth of the generated touch has a column or pane of its own."""
-        return bool(self.presented_columns) or self.current_layout.name in ("demo", "task")
+    def shows_true_touch(self) -> bool:
+        """Whether the generated touch is shown with the recorded one."""
+        return (
+            bool(self.presented_columns)
+            or self.current_layout.name == "task"
+            or self.columns["touch"].isVisible()
+        )
 
     def connect_command(self, name: str, function: Callable[[], object]) -> None:
         """Call `function` when a command is triggered."""

@@ -1,4 +1,4 @@
-"""Menus, tool bar, drawers with their icon rail, and the buttons of the timeline."""
+"""Menus, tool bar and drawers."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -6,32 +6,20 @@ from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import (
     QDockWidget,
-    QLabel,
     QMainWindow,
     QMenu,
+    QSizePolicy,
     QTabWidget,
-    QToolBar,
     QToolButton,
     QWidget,
 )
 
 from app.window.actions import MENUS, REFERENCE_COMMANDS, THEME_COMMANDS
-from widgets.shell.command_bar import ActionTabs, CommandBar, name_extension
+from widgets.shell.command_bar import CommandBar
 from widgets.style.icons import make_command_icon
-from widgets.timeline.timeline import Timeline
 
-REFERENCE = "Reference"  # title of the menu inside the File menu and of its button in the tool bar
 _TOOLS = (
-    "open_recording",
-    "open_folder",
-    "open_mesh",
-    REFERENCE,
-    "export",
     "",
-    "undo",
-    "redo",
-    "",
-    "link_cameras",
     "reset_view",
     "pin_probe",
     "section_line",
@@ -40,7 +28,10 @@ _TOOLS = (
     "show_difference",
     "show_wipe",
     "show_blink",
+    "",
+    "inspector",
 )
+_AT_RIGHT = ("palette", "full_screen", "export", "live")
 _AFTER_SEPARATOR = frozenset(
     (
         "open_mesh",
@@ -50,8 +41,7 @@ _AFTER_SEPARATOR = frozenset(
         "reset_all",
         "copy_image",
         "back_10",
-        "only_1",
-        "toggle_inspect",
+        "stage_1",
         "set_variant_settings",
         "edit_alignment",
         "step_through",
@@ -59,22 +49,7 @@ _AFTER_SEPARATOR = frozenset(
     )
 )
 # Buttons that get their text next to the icon while there is room, the first ones first.
-_TEXT_ORDER = (
-    "open_recording",
-    "open_mesh",
-    "pin_probe",
-    "export",
-    "section_line",
-    "show_difference",
-    "show_truth",
-    "show_wipe",
-    "show_blink",
-    "link_cameras",
-    "reset_view",
-    "open_folder",
-    "undo",
-    "redo",
-)
+_TEXT_ORDER = ("full_screen", "export", "live", "show_wipe", "show_difference", "pin_probe")
 _AREA = Qt.DockWidgetArea
 _SIDE_PX = {_AREA.LeftDockWidgetArea: 360, _AREA.RightDockWidgetArea: 290}
 _MAX_SIDE_SHARE = 0.2  # of the window's width, for the frames table
@@ -90,21 +65,19 @@ def build_menus(
     drawers: Iterable[QDockWidget],
 ) -> dict[str, QMenu]:
     """Create the menus, with every command once; title -> menu."""
-    bar = window.menuBar()
     menus = dict[str, QMenu]()
-    assert bar is not None
-    name_extension(bar)
     for text, commands in MENUS.items():
         title = text.replace("&", "")
-        menu = menus[title] = QMenu(text, bar)
-        bar.addMenu(menu)
+        menu = menus[title] = QMenu(text, window)
         names = [command.name for command in commands]
-        names += [f"only_{i + 1}" for i in range(n_columns)] if title == "View" else []
+        names += [f"stage_{i + 1}" for i in range(n_columns)] if title == "View" else []
         for name in names:
             if name in _AFTER_SEPARATOR:
                 menu.addSeparator()
             if name == "open_calibration":
-                menus[REFERENCE] = _add_reference_menu(menu, actions)
+                references = menus["Reference"] = QMenu("Reference", menu)
+                references.addActions([actions[command.name] for command in REFERENCE_COMMANDS])
+                menu.addMenu(references)
             menu.addAction(actions[name])
         if title == "View":
             menu.addSeparator()
@@ -115,93 +88,72 @@ def build_menus(
     return menus
 
 
-def _add_reference_menu(menu: QMenu, actions: Mapping[str, QAction]) -> QMenu:
-    references = QMenu(REFERENCE, menu)
-    references.addActions([actions[command.name] for command in REFERENCE_COMMANDS])
-    entry = menu.addMenu(references)
-    assert entry is not None
-    entry.setIcon(make_command_icon("file"))
-    entry.setToolTip("Choose the reference of the source sensor")
-    return references
-
-
-def add_layout_tabs(window: QMainWindow, layouts: Sequence[QAction]) -> ActionTabs:
-    """Add one tab per layout at the right of the menu bar, where they take no height."""
-    bar = window.menuBar()
-    assert bar is not None
-    bar.setNativeMenuBar(False)
-    tabs = ActionTabs(layouts, "layout")
-    bar.setCornerWidget(tabs, Qt.Corner.TopRightCorner)
-    return tabs
-
-
 def build_tool_bar(
     window: QMainWindow,
     actions: Mapping[str, QAction],
-    references: QMenu,
-    choosers: Sequence[tuple[str, QWidget]],
-    timeline: Timeline,
-) -> None:
-    """Create the tool bar with the Reference menu and `choosers` (label, widget), and the
-    buttons of the timeline.
+    menus: Mapping[str, QMenu],
+    widgets: Sequence[QWidget],
+    drawers: Iterable[QDockWidget],
+) -> QToolButton:
+    """Create the tool bar: all menus in one button, which is returned, `widgets`, and the tools
+    used most.
     """
-    entry = references.menuAction()
-    assert entry is not None
     bar = CommandBar("Commands", window)
     bar.setObjectName("tool_bar")
     bar.setMovable(False)
     bar.setIconSize(QSize(20, 20))
     window.addToolBar(bar)
+    everything = QMenu(bar)
+    for title, menu in menus.items():
+        if title != "Reference":
+            everything.addMenu(menu)
+    button = QToolButton()
+    button.setObjectName("menu")
+    button.setAccessibleName("menu")
+    button.setToolTip("All commands (F10)")
+    button.setText("Menu")
+    button.setShortcut("F10")
+    button.setMenu(everything)
+    button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
+    bar.addWidget(button)
+    bar.addAction(actions["open_recording"])
+    for widget in widgets:
+        bar.addWidget(widget)
     for name in _TOOLS:
         if name:
-            bar.addAction(entry if name == REFERENCE else actions[name])
+            bar.addAction(actions[name])
         else:
             bar.addSeparator()
-    button = bar.widgetForAction(entry)
-    assert isinstance(button, QToolButton)
-    button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
-    bar.addSeparator()
-    for label, box in choosers:
-        word = QLabel(f"  {label} ")
-        word.setBuddy(box)
-        bar.addWidget(word)
-        bar.addWidget(box)
+    for drawer in drawers:
+        bar.addAction(drawer.toggleViewAction())
+    spring = QWidget()
+    spring.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
+    bar.addWidget(spring)
+    for name in _AT_RIGHT:
+        bar.addAction(actions[name])
     bar.set_text_order([actions[name] for name in _TEXT_ORDER])
-    for name in ("first", "previous", "play", "next", "last"):
-        timeline.add_command(actions[name])
-    timeline.add_command(actions["loop"])
+    return button
 
 
 class Drawers:
-    """Frames at the left, parameters and alignment at the right, diagnostics at the bottom."""
+    """Frames at the left, alignment at the right, diagnostics at the bottom."""
 
     def __init__(
         self,
         window: QMainWindow,
         *,
         frames: QWidget,
-        parameters: QWidget,
         alignment: QWidget,
         diagnostics: QTabWidget,
     ) -> None:
         self._window = window
-        self.rail = QToolBar("Drawers", window)
-        self.rail.setObjectName("rail")
-        self.rail.setMovable(False)
-        name_extension(self.rail)
-        self.rail.setIconSize(QSize(20, 20))
-        window.addToolBar(Qt.ToolBarArea.LeftToolBarArea, self.rail)
         self.frames = self._add_drawer("Frames", frames, _AREA.LeftDockWidgetArea, "table", "F2")
-        self.parameters = self._add_drawer(
-            "Parameters", parameters, _AREA.RightDockWidgetArea, "sliders", "F3"
-        )
         self.alignment = self._add_drawer(
             "Alignment", alignment, _AREA.RightDockWidgetArea, "axes", "F4"
         )
         self.diagnostics = self._add_drawer(
             "Diagnostics", diagnostics, _AREA.BottomDockWidgetArea, "lines", "F5"
         )
-        window.tabifyDockWidget(self.parameters, self.alignment)
         window.setCorner(Qt.Corner.BottomLeftCorner, _AREA.LeftDockWidgetArea)
         window.setCorner(Qt.Corner.BottomRightCorner, _AREA.RightDockWidgetArea)
         for drawer in self.all_drawers:
@@ -209,8 +161,8 @@ class Drawers:
 
     @property
     def all_drawers(self) -> tuple[QDockWidget, ...]:
-        """Every drawer, in the order of the rail."""
-        return self.frames, self.parameters, self.alignment, self.diagnostics
+        """Every drawer."""
+        return self.frames, self.alignment, self.diagnostics
 
     def _add_drawer(
         self, title: str, widget: QWidget, area: Qt.DockWidgetArea, icon: str, key: str
@@ -226,11 +178,6 @@ class Drawers:
         action.setToolTip(f"{title} ({key})")
         action.triggered.connect(lambda: self._fit_drawer(drawer))
         self._window.addAction(action)
-        self.rail.addAction(action)
-        button = self.rail.widgetForAction(action)
-        if button is not None:
-            button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-            button.setAccessibleName(title)
         return drawer
 
     def _fit_drawer(self, drawer: QDockWidget) -> None:

@@ -84,7 +84,7 @@ def rich_session(folder: Path) -> Session:
         methods={"target_depth": "paper"},
         weights={"touch": folder / "w.safetensors"},
         params={"display": DisplayParams()},
-        layout=Layout(name="inspect", panes=(("depth", "2D"),)),
+        layout=Layout(name="look", panes=(("depth", "2D"),)),
         notes={1: "slipped"},
         comparison=ComparisonSettings(tab="grid"),
         cameras={"depth": (1.0,) * 10},

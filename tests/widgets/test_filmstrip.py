@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from PyQt6.QtCore import QSize
-from PyQt6.QtGui import QPalette
+from PyQt6.QtCore import QSize, Qt
+from PyQt6.QtGui import QAction, QPalette
 
 from pipeline.views.colours import ColourScale, apply_colour_map
 from pipeline.views.preview import Preview
-from widgets.timeline.filmstrip import Thumbnail, render_thumbnail
+from widgets.timeline.filmstrip import Filmstrip, Thumbnail, render_thumbnail
 
 SCALE = ColourScale(
     colour_map="viridis", low=0.0, high=1.0, unit="mm", quantity="indentation, + toward camera"
@@ -57,6 +57,49 @@ def test_a_folded_thumbnail_is_a_line_and_says_its_state(qtbot):
     qtbot.addWidget(one)
     whole = one.sizeHint().height()
     one.set_collapsed(True)
-    one.show_state("doubtful", ("seen aslant",))
+    one.show_state("warning", "target depth: warning\nseen aslant")
     assert one.sizeHint().height() < whole - 50
     assert "seen aslant" in one.toolTip()
+
+
+def test_a_click_chooses_a_stage_and_with_control_toggles_it(qtbot):
+    strip = Filmstrip({"depth": "2 Depth", "pose": "7 Pose"})
+    qtbot.addWidget(strip)
+    strip.show()
+    said = []
+    strip.stage_chosen.connect(lambda stage: said.append(("chosen", stage)))
+    strip.stage_toggled.connect(lambda stage: said.append(("toggled", stage)))
+    left = Qt.MouseButton.LeftButton
+    qtbot.mouseClick(strip.thumbnails["depth"], left)
+    qtbot.mouseClick(strip.thumbnails["pose"], left, Qt.KeyboardModifier.ControlModifier)
+    assert said == [("chosen", "depth"), ("toggled", "pose")]
+
+
+def test_a_stage_that_lacks_something_is_a_narrow_card_with_the_button_that_feeds_it(qtbot):
+    strip = Filmstrip({"depth": "2 Depth", "pose": "7 Object pose"})
+    qtbot.addWidget(strip)
+    card = strip.thumbnails["pose"]
+    opened = []
+    action = QAction("Open mesh…", strip)
+    action.triggered.connect(lambda: opened.append(True))
+    card.offer_remedy(action)
+    strip.resize(900, 120)
+    strip.show()
+    assert not card.remedy.isVisible()
+    card.show_feedable(feedable=True)
+    qtbot.waitUntil(lambda: card.width() < strip.thumbnails["depth"].width() / 2)
+    qtbot.mouseClick(card.remedy, Qt.MouseButton.LeftButton)
+    assert opened
+
+
+def test_only_trouble_has_a_sign(qtbot):
+    one = Thumbnail("2 Depth")
+    qtbot.addWidget(one)
+    one.resize(160, 110)
+    pictures = {}
+    for state in ("computed", "cached", "warning", "failed"):
+        one.show_state(state, "")
+        pictures[state] = one.grab().toImage()
+    assert pictures["computed"] == pictures["cached"]
+    assert pictures["warning"] != pictures["computed"]
+    assert pictures["warning"] != pictures["failed"]

@@ -1,27 +1,23 @@
-"""No letters are smaller than a caption, whatever the size of the desktop's letters."""
+"""Text has one size, and figures are larger."""
 
 from __future__ import annotations
 
-from hypothesis import given
-from hypothesis import strategies as st
-from PyQt6.QtGui import QFont
-from PyQt6.QtWidgets import QLabel
+from PyQt6.QtWidgets import QApplication, QLabel
 
-from widgets.style.base import MIN_FONT_PT, make_caption_font, resize_font
+from widgets.style.base import TEXT_PT, enlarge_font, set_text_size
 
 
-@given(base_pt=st.floats(5.0, 30.0))
-def test_a_caption_is_a_point_smaller_but_never_too_small(qapp, base_pt):
-    font = QFont()
-    font.setPointSizeF(base_pt)
-    caption = make_caption_font(font).pointSizeF()
-    assert caption == max(MIN_FONT_PT, font.pointSizeF() - 1.0)
-    assert make_caption_font(make_caption_font(font)).pointSizeF() >= MIN_FONT_PT
-
-
-def test_a_title_is_larger(qtbot):
-    label = QLabel("title")
-    qtbot.addWidget(label)
-    before_pt = label.font().pointSizeF()
-    resize_font(label, 9.0)
-    assert label.font().pointSizeF() == before_pt + 9.0
+def test_text_has_its_size_whatever_the_desktops_letters_are(qapp, qtbot):
+    before = QApplication.font()
+    larger = QApplication.font()
+    larger.setPointSizeF(13.5)
+    try:
+        QApplication.setFont(larger)
+        set_text_size()
+        label = QLabel("title")
+        qtbot.addWidget(label)
+        assert label.font().pointSizeF() == TEXT_PT
+        enlarge_font(label, 2.0)
+        assert label.font().pointSizeF() == TEXT_PT + 2.0
+    finally:
+        QApplication.setFont(before)

@@ -21,7 +21,6 @@ from PyQt6.QtWidgets import (
 
 from pipeline.views.colours import NO_VALUE_COLOUR, ColourScale, apply_colour_map, get_colour_table
 from pipeline.views.preview import Preview
-from widgets.stages.warning_line import WarningLine, fit_sentences
 from widgets.style.icons import DRAWINGS, make_command_icon
 from widgets.style.plain_text_style import PlainTextStyle
 from widgets.style.styling import ThemedLabel
@@ -238,34 +237,3 @@ def _near(canvas, at, colour):
     """Whether a pixel has a colour, but for what a screen of 16 bits rounds."""
     seen = canvas.grab().toImage().pixelColor(*at).getRgb()[:3]
     return max(abs(one - other) for one, other in zip(seen, colour, strict=True)) <= 8
-
-
-def test_no_doubt_is_cut_in_the_middle():
-    sentences = (
-        "Depth: sensor not calibrated: press a ball",
-        "View: the source saw 66%",
-        "Pose: 2 poses fit: turned",
-    )
-    assert fit_sentences(sentences, lambda words: len(words) < 1000) == "   ·   ".join(sentences)
-    assert fit_sentences(sentences, lambda words: len(words) < 80).startswith(
-        "Depth: sensor not calibrated   ·   View"
-    )
-    assert (
-        fit_sentences(sentences, lambda words: len(words) < 62)
-        == "Depth: sensor not calibrated: press a ball   ·   and 2 more"
-    )
-    assert fit_sentences((), lambda _: True) == ""
-
-
-def test_the_warning_line_never_ends_in_dots(qtbot):
-    line = WarningLine()
-    qtbot.addWidget(line)
-    line.show()
-    line.show_warnings(
-        [(f"Stage {n}", f"something is wrong with it: reason {n}") for n in range(6)]
-    )
-    for wide in (400, 700, 1100, 2000):
-        line.resize(wide, 20)
-        assert "…" not in line.label.text()
-        assert line.label.text().startswith("Stage 0: something is wrong")
-    assert "more" not in line.label.text()

@@ -13,7 +13,7 @@ from pipeline.translation.alignment.score import AlignmentScore, Sensitivity
 from widgets.align.refine_box import RefineBox
 from widgets.compare.sensitivity_bars import SensitivityBars
 from widgets.style.axis_row import AxisRow
-from widgets.style.base import VerticalScrollArea, resize_font
+from widgets.style.base import VerticalScrollArea
 from widgets.style.gauge import Gauge, GaugeScale
 from widgets.style.styling import (
     ThemedLabel,
@@ -130,7 +130,6 @@ class AlignmentPanel(VerticalScrollArea):
 
     def _foot(self) -> QHBoxLayout:
         self._pivot.setWordWrap(True)
-        resize_font(self._pivot)
         self.here = make_icon_button(
             "target",
             "alignment_pivot",

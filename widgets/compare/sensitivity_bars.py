@@ -8,7 +8,7 @@ from PyQt6.QtCore import QRectF, Qt
 from PyQt6.QtGui import QPainter
 
 from pipeline.translation.alignment.score import UNIT_STEP, ScoreChange, Sensitivity
-from widgets.style.base import FIXED, PaintedWidget, resize_font
+from widgets.style.base import FIXED, PaintedWidget
 from widgets.style.theme import ThemeColours, to_qcolor
 
 # title, unit, digits, whether larger is better
@@ -32,7 +32,6 @@ class SensitivityBars(PaintedWidget):
     def __init__(self) -> None:
         super().__init__("sensitivity", "sensitivity of the axes", down=FIXED)
         self.axes: tuple[Sensitivity, ...] = ()  # the axes on display
-        resize_font(self)
         self.preferred_px = 200, 7 * self._row_px()  # a header and six rows
         self._full = (UNIT_STEP, 1.0, _FULL_IOU)
         wide = self.fontMetrics().horizontalAdvance

@@ -16,7 +16,7 @@ from PyQt6.QtWidgets import (
 )
 
 from pipeline.views.preview import Tile
-from widgets.style.base import EventListener, resize_font
+from widgets.style.base import EventListener
 from widgets.style.styling import fill, make_bold, set_spacing
 from widgets.views.preview_view import SIDE_TEXT_PX, PreviewView
 
@@ -26,6 +26,7 @@ _NARROW_PX = 360
 _RIM_PX = 10
 _WORDS_PX = 72
 _LEVELS_PX = 48
+_SIDE_PX = 160  # height of title, colour bar and caption beside an image
 # gain in image width needed to place the text at the side: under an image it is read sooner
 _SIDE_TEXT_GAIN = 1.1
 _LEAST_PX = (320, 240)
@@ -43,7 +44,6 @@ class TileView(QFrame):
         self._subtitle = QLabel()
         self.view = PreviewView()
         make_bold(self._title)
-        resize_font(self._subtitle)
         for label in (self._title, self._subtitle):
             label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
@@ -74,7 +74,7 @@ class TileView(QFrame):
         line = self._subtitle.fontMetrics().lineSpacing()
         lines = 2 if self.width() < _NARROW_PX else 1
         if self._text_at_side:
-            lines = min(max(2, (self.height() - _WORDS_PX - 2 * _LEVELS_PX) // line), self._lines)
+            lines = min(max(2, (self.height() - _SIDE_PX) // line), self._lines)
         self._subtitle.setFixedHeight(lines * line + 2)
         self._title.setFixedHeight(
             (2 if self._text_at_side else 1) * self._title.fontMetrics().lineSpacing() + 2

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from PyQt6.QtCore import QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QMouseEvent, QPainter, QPalette
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QComboBox, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from pipeline.lab.tasks.task import Decision
 from widgets.style.base import ChoiceBox, PaintedWidget
@@ -13,10 +13,8 @@ from widgets.style.run_bar import StartBar
 from widgets.style.styling import fill, make_bold, set_spacing
 from widgets.style.theme import ThemeColours, to_qcolor
 
-_BAR_SHARE = 0.62  # of a row's height
-# of the width
-_TITLE_SHARE = 0.26
-_VALUE_SHARE = 0.12
+_BAR_PX = 8
+_BETWEEN_PX = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +54,7 @@ class Waterfall(PaintedWidget):
     row_clicked = pyqtSignal(int)
 
     def __init__(self) -> None:
-        super().__init__("waterfall", "shares of the error")
+        super().__init__("waterfall", "shares of the error", down=QSizePolicy.Policy.Minimum)
         self.bars: tuple[WaterfallBar, ...] = ()
         self._unit = ""
 
@@ -64,46 +62,42 @@ class Waterfall(PaintedWidget):
         """Show these rows."""
         self.bars = shown
         self._unit = unit
+        self.updateGeometry()
         self.update()
 
     def mouseReleaseEvent(self, a0: QMouseEvent | None) -> None:  # noqa: N802
         """Emit the row under the pointer."""
         if a0 is not None and self.bars and self.rect().contains(a0.position().toPoint()):
-            self.row_clicked.emit(int(a0.position().y() * len(self.bars) / max(1, self.height())))
+            self.row_clicked.emit(min(int(a0.position().y() / self._row_px), len(self.bars) - 1))
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """Return room for all rows."""
-        return QSize(420, 18 * max(5, len(self.bars)))
+        """Return room for all rows, of two lines each."""
+        return QSize(240, self._row_px * len(self.bars))
+
+    @property
+    def _row_px(self) -> int:
+        return self.fontMetrics().height() + _BAR_PX + _BETWEEN_PX
 
     def paint(self, painter: QPainter, ink: ThemeColours) -> None:
-        """Paint titles at the left, values at the right, bars between them on one axis."""
+        """Paint title and value of each row over its bar; all bars have one axis."""
         if not self.bars:
             return
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         low = min(0.0, *(min(bar.begin, bar.end) for bar in self.bars))
         high = max(1e-9, *(max(bar.begin, bar.end) for bar in self.bars))
-        left = _TITLE_SHARE * self.width()
-        right = (1.0 - _VALUE_SHARE) * self.width()
-        per_unit = (right - left) / (high - low)
-        tall = self.height() / len(self.bars)
+        per_unit = (self.width() - 8) / (high - low)
+        line_px = self.fontMetrics().height()
         for row, bar in enumerate(self.bars):
-            top = row * tall
+            top = row * self._row_px
             painter.setPen(self.palette().color(QPalette.ColorRole.WindowText))
-            align = Qt.AlignmentFlag.AlignVCenter
-            painter.drawText(
-                QRectF(4, top, left - 10, tall), align | Qt.AlignmentFlag.AlignRight, bar.title
-            )
+            line = QRectF(4, top, self.width() - 8, line_px)
+            painter.drawText(line, Qt.AlignmentFlag.AlignLeft, bar.title)
             value = f"{bar.end:.3f} {self._unit}" if bar.is_total else f"{bar.change:+.3f}"
-            painter.drawText(QRectF(right + 6, top, self.width() - right - 8, tall), align, value)
+            painter.drawText(line, Qt.AlignmentFlag.AlignRight, value)
             ends = sorted((bar.begin, bar.end))
             colour = ink.neutral if bar.is_total else ink.accent if bar.change <= 0 else ink.worse
+            wide = max(1.0, (ends[1] - ends[0]) * per_unit)
             painter.fillRect(
-                QRectF(
-                    left + (ends[0] - low) * per_unit,
-                    top + 0.5 * (1 - _BAR_SHARE) * tall,
-                    max(1.0, (ends[1] - ends[0]) * per_unit),
-                    _BAR_SHARE * tall,
-                ),
+                QRectF(4 + (ends[0] - low) * per_unit, top + line_px, wide, _BAR_PX),
                 to_qcolor(colour),
             )
 
@@ -111,15 +105,13 @@ class Waterfall(PaintedWidget):
 class WaterfallPanel(QWidget):
     """Controls and a sentence over the bars."""
 
-    def __init__(self, control: QWidget, *, at_left: bool = False) -> None:
+    def __init__(self, control: QWidget) -> None:
         super().__init__()
         self.sentence = QLabel()
         self.waterfall = Waterfall()
         self.sentence.setWordWrap(True)
         make_bold(self.sentence)
-        head = fill(set_spacing(QHBoxLayout(), 8), (self.sentence, 1))
-        head.insertWidget(0 if at_left else 1, control)
-        fill(set_spacing(QVBoxLayout(self), 4, (6, 4, 6, 4)), head, (self.waterfall, 1))
+        fill(set_spacing(QVBoxLayout(self), 4), self.sentence, control, (self.waterfall, 1))
 
 
 class ErrorAttributionPanel(WaterfallPanel):
@@ -132,7 +124,10 @@ class ErrorAttributionPanel(WaterfallPanel):
 
     def __init__(self) -> None:
         self.metric_box = ChoiceBox("attributed_metric", "metric to attribute")
-        super().__init__(self.metric_box, at_left=True)
+        self.metric_box.setSizeAdjustPolicy(
+            QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
+        )
+        super().__init__(self.metric_box)
         self.waterfall.setToolTip(
             "A click on a share pins the truth of its stage in the column's head, or releases it"
         )

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 from pipeline.core.arrays import Image
 
-THUMBNAIL_PX = 40, 30  # largest width and height
+THUMBNAIL_PX = 60, 42  # largest width and height
 # that every summary has
 FRAME_FIGURES = ("frame.n_warnings", "frame.contact_area_mm2", "frame.max_indentation_mm")
 

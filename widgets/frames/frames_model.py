@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 
 from PyQt6.QtCore import QModelIndex, QObject, Qt, pyqtSignal
-from PyQt6.QtGui import QGuiApplication, QImage, QPixmap
+from PyQt6.QtGui import QGuiApplication, QIcon, QImage, QPixmap
 
 from pipeline.core.arrays import Image
 from widgets.frames.frame_summary import FrameSummary
@@ -112,6 +112,12 @@ class FramesModel(RowsModel):
             if figure == _N_WARNINGS
             else known.get_metric(figure)
         )
+
+    @property
+    def thumbnails(self) -> dict[int, QPixmap]:
+        """Frame -> image of the source in the current theme, where it is known."""
+        theme = is_dark(QGuiApplication.palette())
+        return {frame: both[theme] for frame, both in self._thumbnails.items()}
 
     def reset_frames(self, n_frames: int) -> None:
         """Start over with this many unknown frames."""
@@ -226,8 +232,8 @@ class FramesModel(RowsModel):
         """
         summary = self._known.get(frame)
         if role == Qt.ItemDataRole.DecorationRole and column == FRAME:
-            thumbnails = self._thumbnails.get(frame)
-            return None if thumbnails is None else thumbnails[is_dark(QGuiApplication.palette())]
+            both = self._thumbnails.get(frame)
+            return None if both is None else QIcon(both[is_dark(QGuiApplication.palette())])
         if summary is None:
             return None
         if role == Qt.ItemDataRole.ToolTipRole:

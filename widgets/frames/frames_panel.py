@@ -15,7 +15,6 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from widgets.frames.frame_summary import THUMBNAIL_PX
 from widgets.frames.frames_model import (
     CAUSE,
     CONTACT,
@@ -27,7 +26,7 @@ from widgets.frames.frames_model import (
     FramesModel,
 )
 from widgets.frames.metric_histogram import MetricHistogram
-from widgets.style.base import ChoiceBox, EventListener, resize_font
+from widgets.style.base import ChoiceBox, EventListener
 from widgets.style.styling import fill, make_search_line, make_single_shot_timer, set_spacing
 from widgets.style.tables import (
     SORT_ROLE,
@@ -43,6 +42,7 @@ _FILTER_TIP = (
     "Frames that match all terms: a limit of the metric, contact, warned, noted, or a "
     "word of a note or a warning"
 )
+_ICON_PX = 40, 30
 _HISTOGRAM_DELAY_MS = 60  # values that arrive within it are drawn together
 
 
@@ -65,7 +65,6 @@ class FramesPanel(QWidget):
         self.metric_box.setSizeAdjustPolicy(
             QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
         )
-        resize_font(self._told)
         self.histogram = MetricHistogram()
         self.histogram.range_chosen.connect(self._choose_range)
         self.table = _table(self._sorted)
@@ -161,8 +160,8 @@ def _table(model: QSortFilterProxyModel) -> QTableView:
     table.setAlternatingRowColors(True)
     rows = table.verticalHeader()
     assert rows is not None
-    rows.setDefaultSectionSize(THUMBNAIL_PX[1] + 2)
-    table.setIconSize(QSize(*THUMBNAIL_PX))
+    rows.setDefaultSectionSize(_ICON_PX[1] + 2)
+    table.setIconSize(QSize(*_ICON_PX))
     columns.setMinimumSectionSize(30)
     columns.setSectionResizeMode(QHeaderView.ResizeMode.Interactive)
     widest = {
@@ -174,7 +173,7 @@ def _table(model: QSortFilterProxyModel) -> QTableView:
         WARNINGS: "warn",
     }
     for column, text in widest.items():
-        icon_px = {FRAME: THUMBNAIL_PX[0] + 6, WARNINGS: 8}.get(column, 0)
+        icon_px = {FRAME: _ICON_PX[0] + 6, WARNINGS: 8}.get(column, 0)
         table.setColumnWidth(column, table.fontMetrics().horizontalAdvance(text) + icon_px + 16)
     columns.setSectionResizeMode(NOTE, QHeaderView.ResizeMode.Stretch)
     columns.setSortIndicator(FRAME, Qt.SortOrder.AscendingOrder)

@@ -7,7 +7,7 @@ import numpy as np
 from PyQt6.QtCore import QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QMouseEvent, QPainter, QPalette
 
-from widgets.style.base import FIXED, YIELDS, PaintedWidget, resize_font
+from widgets.style.base import FIXED, YIELDS, PaintedWidget
 from widgets.style.theme import ThemeColours, to_qcolor
 
 N_BARS = 24
@@ -32,7 +32,6 @@ class MetricHistogram(PaintedWidget):
         self._high = 1.0
         self._range = WHOLE
         self._pressed_px: float | None = None
-        resize_font(self)
         # bars, and one line of numbers
         self.preferred_px = 120, _BARS_PX + self.fontMetrics().height() + 2
         self.setToolTip(

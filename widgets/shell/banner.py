@@ -73,7 +73,7 @@ class Banner(NotificationBar):
         self._details.setPlainText(details)
         self._more.setVisible(bool(details))
         self._more.setChecked(False)
-        self.show_notification(sentence, choices, stays=bool(choices))
+        self.show_notification(sentence, choices)
 
     def copy_report(self) -> None:
         """Copy sentence and details to the clipboard."""

@@ -19,7 +19,6 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from widgets.style.base import resize_font
 from widgets.style.styling import fill, make_search_line, set_spacing
 from widgets.style.tables import TableCopier, prepare_table
 
@@ -47,7 +46,6 @@ class CommandPalette(QDialog):
         self.results.setObjectName("palette_found")
         self.results.setAccessibleName("commands that match")
         self._tip.setWordWrap(True)
-        resize_font(self._tip)
         layout = set_spacing(QVBoxLayout(self), 4, (8, 8, 8, 8))
         for widget in (self.line, self.results, self._tip):
             layout.addWidget(widget)

@@ -1,14 +1,14 @@
-"""Two or three large panes under a filmstrip of all stages."""
+"""*Look*: all stages as cards, and up to three of them large beside the inspector."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
 from PyQt6.QtCore import QEvent, QObject, QSize, Qt, pyqtSignal
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QToolButton, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QToolButton, QVBoxLayout, QWidget
 
 from widgets.stages.stage_column import StageColumn
-from widgets.style.base import EventListener, resize_font
+from widgets.style.base import EventListener
 from widgets.style.styling import FittingSplitter, fill, set_spacing
 from widgets.timeline.filmstrip import Filmstrip
 from widgets.views.view_3d_panel import View3DPanel
@@ -22,10 +22,15 @@ _USUAL_TALL = 0.78  # rows over columns for the layout: all panes use the same o
 _WORTH = 1.15
 _STILL = 1.08
 _WAY = Qt.Orientation
+DIMS = ("2D", "3D", "both")
+MAX_PANES = 3
+_COLLAPSED_BELOW_PX = 550  # a lower page collapses the cards to names
 
 
 class PaneSplitter(FittingSplitter):
-    """Fits the image."""
+    """Image and 3D view of a stage, above each other or side by side: whatever makes the image
+    larger.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -94,11 +99,6 @@ def _around(column: StageColumn) -> QSize:
     return column.size() - column.view.canvas.size()
 
 
-MAX_PANES = 3
-DIMS = ("2D", "3D", "both")
-_FOLDED_BELOW_PX = 550  # a lower page collapses the filmstrip to names
-
-
 class Pane(QFrame):
     """A column and its 3D view, together or alone; `activated` by a click anywhere in it."""
 
@@ -108,18 +108,14 @@ class Pane(QFrame):
     def __init__(self, number: int) -> None:
         super().__init__()
         self.setObjectName(f"pane_{number}")
-        self.setFrameShape(QFrame.Shape.NoFrame)
         self._rim = QFrame()
-        self._rim.setFixedHeight(3)
+        self._rim.setFixedHeight(2)
         self._rim.setAutoFillBackground(True)
         self._buttons = {dims: QToolButton() for dims in DIMS}
-        word = QLabel(f"pane {number}")
-        resize_font(word)
         for dims, button in self._buttons.items():
             button.setText(dims)
             button.setCheckable(True)
             button.setAutoRaise(True)
-            resize_font(button)
             button.setObjectName(f"pane_{number}_{dims.lower()}")
             button.setToolTip(
                 f"Show {'the image and the 3D view' if dims == 'both' else dims} in this pane"
@@ -127,32 +123,35 @@ class Pane(QFrame):
             button.clicked.connect(partial(self.dims_chosen.emit, dims))
         self._both = PaneSplitter()
         self._both.setObjectName(f"split_pane_{number}")
-        head = fill(set_spacing(QHBoxLayout(), 1), word, 1, *self._buttons.values())
-        fill(set_spacing(QVBoxLayout(self), 0), self._rim, head, (self._both, 1))
-        self._held: tuple[QWidget, ...] = ()
+        self._head = fill(set_spacing(QHBoxLayout(), 0), *self._buttons.values())
+        fill(set_spacing(QVBoxLayout(self), 0), self._rim, self._head, (self._both, 1))
+        self._held: tuple[StageColumn, View3DPanel] | None = None
 
     def set_contents(self, column: StageColumn, cell: View3DPanel, dims: str) -> None:
         """Show these widgets; the previous ones must have been released."""
         if self._held != (column, cell):
             self._both.release_contents()
             self._both.set_contents(column, cell)
-            for widget in (column, cell):
+            self._head.insertWidget(0, column.head, 1)
+            for widget in (column, column.head, cell):
                 _watch(widget, self)
-            self._held = (column, cell)
-        column.set_wide(True)
-        column.view.colour_bar.show()
+            self._held = column, cell
+        column.head.show()
         column.setVisible(dims != "3D")
         cell.setVisible(dims != "2D")
         for name, button in self._buttons.items():
             button.setChecked(name == dims)
 
     def release_contents(self) -> None:
-        """Release the widgets before they move to another parent."""
+        """Hide and release the widgets before they move to another pane."""
+        if self._held is not None:
+            for widget in (*self._held, self._held[0].head):
+                widget.setParent(self)  # out of splitter and head, which hides it
         self._both.release_contents()
-        self._held = ()
+        self._held = None
 
     def set_active(self, active: bool) -> None:
-        """Set whether a click in the filmstrip fills this pane."""
+        """Set whether a click on a card fills this pane."""
         palette = self.palette()
         self._rim.setPalette(palette)
         role = palette.ColorRole.Highlight if active else palette.ColorRole.Midlight
@@ -160,7 +159,7 @@ class Pane(QFrame):
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
         """Activate the pane on a press in any child."""
-        if a1 is not None and a1.type() == QEvent.Type.MouseButtonPress and self._held:
+        if a1 is not None and a1.type() == QEvent.Type.MouseButtonPress and self._held is not None:
             self.activated.emit()
         return super().eventFilter(a0, a1)
 
@@ -170,79 +169,75 @@ class Pane(QFrame):
         self.activated.emit()
 
 
-class PanesPage(QWidget):
-    """Filmstrip over panes; emits `stage_chosen(pane, stage)`, `dims_chosen(pane, dims)` and
-    `count_chosen(n)`.
+class LookPage(QWidget):
+    """Cards over panes with the inspector at their right.
+
+    Emits `stage_chosen(pane, stage)`, `stage_toggled(stage)` and `dims_chosen(pane, dims)`.
     """
 
     stage_chosen = pyqtSignal(int, str)
+    stage_toggled = pyqtSignal(str)
     dims_chosen = pyqtSignal(int, str)
-    count_chosen = pyqtSignal(int)
+    active_changed = pyqtSignal(str)  # the stage in the active pane
 
-    def __init__(self, titles: Mapping[str, str]) -> None:
+    def __init__(self, titles: Mapping[str, str], inspector: QWidget) -> None:
         super().__init__()
         self.filmstrip = Filmstrip(titles)
+        self.inspector = inspector
         self.panes = tuple(Pane(number + 1) for number in range(MAX_PANES))
-        self.active_pane = 0
+        self.active_pane = 1
         self._stages: tuple[str, ...] = ()
-        self._count = QToolButton()
-        self._count.setObjectName("pane_count")
-        self._count.setAccessibleName("third pane")
-        self._count.setAutoRaise(True)
-        self._count.clicked.connect(
-            lambda: self.count_chosen.emit(2 if len(self._stages) == MAX_PANES else MAX_PANES)
-        )
-        self.filmstrip.row.addWidget(self._count)
-        row = fill(set_spacing(QHBoxLayout(), 3), *((pane, 1) for pane in self.panes))
-        fill(set_spacing(QVBoxLayout(self), 2), self.filmstrip, (row, 1))
+        row = fill(set_spacing(QHBoxLayout(), 4), *((pane, 1) for pane in self.panes), inspector)
+        fill(set_spacing(QVBoxLayout(self), 4), self.filmstrip, (row, 1))
         for number, pane in enumerate(self.panes):
             pane.activated.connect(partial(self.activate_pane, number))
             pane.dims_chosen.connect(partial(self.dims_chosen.emit, number))
-        self.filmstrip.stage_chosen.connect(self._choose)
-        EventListener(self, self._fold_filmstrip, QEvent.Type.Resize)
+        self.filmstrip.stage_chosen.connect(self.choose_stage)
+        self.filmstrip.stage_toggled.connect(self.stage_toggled)
+        EventListener(self, self._collapse_cards, QEvent.Type.Resize)
 
     @property
     def active_stage(self) -> str:
         """The stage in the active pane; "" where there is none."""
         return self._stages[self.active_pane] if self._stages else ""
 
+    def choose_stage(self, stage: str) -> None:
+        """Activate the pane that shows a stage, else ask for it in the active one."""
+        if stage in self._stages:
+            self.activate_pane(self._stages.index(stage))
+        else:
+            self.stage_chosen.emit(self.active_pane, stage)
+
     def activate_pane(self, number: int) -> None:
-        """Make this pane the one that a click in the filmstrip fills."""
+        """Make this pane the one that a click on a card fills."""
         self.active_pane = min(number, max(0, len(self._stages) - 1))
         for other, pane in enumerate(self.panes):
             pane.set_active(other == self.active_pane)
         self.filmstrip.show_pane_stages(self._stages, self.active_stage)
+        self.active_changed.emit(self.active_stage)
 
     def show_panes(self, held: Sequence[tuple[str, StageColumn, View3DPanel, str]]) -> None:
         """Show (stage, column, cell, dims) in one pane each."""
-        self._stages = tuple(stage for stage, *_ in held)
+        stages = tuple(stage for stage, *_ in held)
+        if stages != self._stages:
+            for pane in self.panes:
+                pane.release_contents()
+        self._stages = stages
         for number, pane in enumerate(self.panes):
             pane.setVisible(number < len(held))
             if number < len(held):
-                _, column, cell, dims = held[number]
-                pane.set_contents(column, cell, dims)
-        more = len(held) < MAX_PANES
-        self._count.setText("+" if more else "\N{MINUS SIGN}")
-        self._count.setToolTip("Add a third pane" if more else "Remove the third pane")
+                pane.set_contents(*held[number][1:])
         self.activate_pane(self.active_pane)
 
     def minimumSizeHint(self) -> QSize:  # noqa: N802
-        """Return the height with collapsed thumbnails: a hidden page must not keep the window
-        from being low.
+        """Return the height with collapsed cards: a hidden page must not keep the window from
+        being low.
         """
         hint = super().minimumSizeHint()
         return QSize(hint.width(), hint.height() - self.filmstrip.collapsible_px)
 
-    def _fold_filmstrip(self) -> None:
-        self.filmstrip.set_collapsed(self.height() < _FOLDED_BELOW_PX)
-
-    def _choose(self, stage: str) -> None:
-        self.stage_chosen.emit(self.active_pane, stage)
-
-    def release_contents(self) -> None:
-        """Release the columns before they move to another parent."""
-        for pane in self.panes:
-            pane.release_contents()
+    def _collapse_cards(self) -> None:
+        self.filmstrip.set_collapsed(self.height() < _COLLAPSED_BELOW_PX)
 
 
 def _watch(widget: QWidget, by: QObject) -> None:

@@ -16,7 +16,7 @@ from PyQt6.QtWidgets import (
 )
 
 from pipeline.core.errors import escape_text
-from widgets.style.base import EventListener, resize_font
+from widgets.style.base import EventListener, enlarge_font
 from widgets.style.styling import ThemedLabel, fill, make_bold, set_spacing
 from widgets.style.theme import get_theme_colours, to_qcolor
 
@@ -68,7 +68,7 @@ class WelcomePage(QWidget):
         drop = DropArea(f"Drop a recording here: {formats}")
         known = ThemedLabel(lambda colours: colours.secondary_text, f"Sensors: {sensors}")
         make_bold(title)
-        resize_font(title, 9.0)
+        enlarge_font(title, 9.0)
         for label in (purpose, drop, known):
             label.setWordWrap(True)
         drop.setAlignment(Qt.AlignmentFlag.AlignCenter)

@@ -7,7 +7,6 @@ from typing import Any
 
 from PyQt6.QtCore import QSignalBlocker, Qt
 from PyQt6.QtWidgets import (
-    QAbstractSpinBox,
     QCheckBox,
     QComboBox,
     QDoubleSpinBox,
@@ -24,7 +23,6 @@ from widgets.style.base import ChoiceBox, NumberBox
 
 _SLIDER_STEPS = 400
 _SLIDER_PX = 40
-_NARROW_PX = 24
 # integer ranges up to the first have a linear slider, up to the second one that favours small
 # values
 _MANY = 200
@@ -32,7 +30,6 @@ _TOO_MANY = 10_000
 _BEND = 3.0
 _TIP = "tip"  # property that keeps the tooltip while a reason is shown
 _USED_TIP = "used_tip"  # property: tooltip of a widget that is marked as unused
-_NARROW_DECIMALS = 2  # of a number with little room
 _WIDEST = 1e9  # stands for "no limit" in a spin box
 
 
@@ -74,24 +71,6 @@ class ParameterControl:
             for box in (self.widget, *self.widget.findChildren(QWidget))
             if isinstance(box, QSpinBox | QDoubleSpinBox)
         ]
-
-    def set_narrow(self) -> None:
-        """Take little room: the spin box has no buttons, and the slider may be short."""
-        for box in self._spin_boxes:
-            box.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)
-            if isinstance(box, QDoubleSpinBox):
-                box.setDecimals(min(_NARROW_DECIMALS, box.decimals()))
-        for slider in self.sliders:
-            slider.setMinimumWidth(_NARROW_PX)
-
-    def set_compact(self, compact: bool, prefix: str) -> None:
-        """Show the number without its slider, after `prefix`."""
-        for slider in self.sliders:
-            slider.setHidden(compact)
-        across = QSizePolicy.Policy.Ignored if compact else QSizePolicy.Policy.Minimum
-        for box in self._spin_boxes:
-            box.setSizePolicy(across, QSizePolicy.Policy.Fixed)
-            box.setPrefix(prefix if compact else "")
 
 
 def mark_unused(widget: QWidget, reason: str) -> None:

@@ -19,10 +19,15 @@ from widgets.style.styling import fill, make_bold, make_icon_button, set_spacing
 
 # width of all labels, which wrap: a form takes the room of wider ones from the values
 _LABEL_PX = 112
+ALL_STAGES = "*"
 
 
 class ParametersPanel(VerticalScrollArea):
-    """One group per method; `params_edited(key, params)` carries the complete new parameters."""
+    """One group per method of one stage or of all, and the parameters that stay in sight of the
+    others.
+
+    `params_edited(key, params)` carries the complete new parameters.
+    """
 
     params_edited = pyqtSignal(str, object)
     # key of the slider that is held: its values are drafts; "" = let go
@@ -41,8 +46,9 @@ class ParametersPanel(VerticalScrollArea):
         self._groups: dict[str, QWidget] = {}
         self._titles: dict[str, str] = {}
         self._heads: dict[str, QWidget] = {}
-        # rows of one kind of sensor only
-        self._only: list[tuple[str, QFormLayout, QWidget, Setting]] = []
+        self._rows: list[tuple[str, QFormLayout, QWidget, Setting]] = []
+        self._kinds: Mapping[str, str] = {}  # method key -> kind of its sensor, of the route
+        self._stage = ALL_STAGES
 
     def add_group(self, key: str, title: str, params: object, tip: str = "") -> None:
         """Add the controls of a method with a tooltip; nothing for a method without parameters."""
@@ -64,8 +70,7 @@ class ParametersPanel(VerticalScrollArea):
                 slider.sliderReleased.connect(partial(self.slider_held.emit, ""))
             control.set_names(f"{key}.{name}", format_label(setting))
             form.addRow(label, control.widget)
-            if setting.sensor_kind:
-                self._only.append((key, form, control.widget, setting))
+            self._rows.append((key, form, control.widget, setting))
         group.setVisible(bool(self._controls[key]))
         self._groups[key] = group
         self._layout.insertWidget(self._layout.count() - 1, group)
@@ -79,16 +84,34 @@ class ParametersPanel(VerticalScrollArea):
             self._controls[key][name].show(value)
 
     def show_groups(self, kinds: Mapping[str, str]) -> None:
-        """Show the groups of the methods of the route only.
+        """Offer the groups of the methods of the route only.
 
         `kinds` maps a method's key to the kind of its sensor ("" = unknown); settings of other
         kinds are hidden.
         """
-        for key, form, control, setting in self._only:
-            form.setRowVisible(control, setting.applies_to(kinds.get(key, "")))
+        if kinds != self._kinds:
+            self._kinds = kinds
+            self._arrange()
+
+    def show_stage(self, stage: str) -> None:
+        """Show the parameters of one stage, or of `ALL_STAGES`."""
+        if stage != self._stage:
+            self._stage = stage
+            self._arrange()
+
+    def _arrange(self) -> None:
+        shown: set[str] = set()
+        for key, form, control, setting in self._rows:
+            is_chosen = self._stage in (ALL_STAGES, key.partition("/")[0])
+            is_shown = (is_chosen or bool(setting.pinned)) and self._applies(key, setting)
+            form.setRowVisible(control, is_shown)
+            shown |= {key} if is_shown else set()
         for key, group in self._groups.items():
-            group.setVisible(key in kinds and bool(self._controls[key]))
+            group.setVisible(key in shown)
         self.updateGeometry()
+
+    def _applies(self, key: str, setting: Setting) -> bool:
+        return key in self._kinds and setting.applies_to(self._kinds[key])
 
     def show_unavailable(self, key: str, reasons: Mapping[str, str]) -> None:
         """Grey out the parameters of a method that cannot act; `reasons` is name -> why."""
@@ -100,15 +123,20 @@ class ParametersPanel(VerticalScrollArea):
         if key in self._heads:
             mark_unused(self._heads[key], reason)
 
-    def list_shown(self) -> list[tuple[str, Setting, QWidget]]:
+    def list_offered(self) -> list[tuple[str, Setting, QWidget]]:
         """List (group title, setting, control) of every parameter of the route."""
         return [
-            (self._titles[key], setting, self._controls[key][name].widget)
-            for key, group in self._groups.items()
-            if not group.isHidden()
-            for name, (_, setting) in list_settings(self._params[key]).items()
-            if not self._controls[key][name].widget.isHidden()
+            (self._titles[key], setting, control)
+            for key, _, control, setting in self._rows
+            if self._applies(key, setting)
         ]
+
+    def reveal(self, control: QWidget) -> None:
+        """Show a control, with the parameters of its stage."""
+        if control.isHidden() or not control.isVisible():
+            key = next(key for key, _, other, _ in self._rows if other is control)
+            self.show_stage(key.partition("/")[0])
+        self.ensureWidgetVisible(control)
 
     def reset(self, key: str) -> None:
         """Reset a method to its defaults."""

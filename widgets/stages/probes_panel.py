@@ -28,9 +28,9 @@ _HINT = "A click on an image pins a pixel, up to five; a click on its mark relea
 _ICON_PX = 10
 _INVITATION = (
     "Move the mouse over an image to follow that pixel through every stage. "
-    "A click pins it, up to five (again, or <b>F</b>, to release); <b>Esc</b> clears all."
+    "A click pins it; <b>Esc</b> clears all."
 )
-_LINES = 2  # more lines scroll
+_LINES = 1  # more lines scroll
 
 
 class TracePanel(QScrollArea):
@@ -55,11 +55,7 @@ class TracePanel(QScrollArea):
         self.setFixedHeight(_LINES * self.fontMetrics().lineSpacing() + 3)
         self.text = ""
         self._shown: tuple[Sequence[tuple[str, str]], bool, str, bool] = ((), False, "", False)
-        EventListener(self, self._show_again, QEvent.Type.PaletteChange)
-
-    def _show_again(self) -> None:
-        steps, pinned, ending, waits = self._shown
-        self.show_steps(steps, pinned=pinned, ending=ending, is_waiting=waits)
+        EventListener(self, self._show, QEvent.Type.PaletteChange)
 
     def show_steps(
         self,
@@ -75,9 +71,10 @@ class TracePanel(QScrollArea):
         """
         self._shown = steps, pinned, ending, is_waiting
         self.text = " → ".join(text for _, text in steps)
-        if not steps:
-            self._label.setText(_INVITATION)
-            return
+        self._show()
+
+    def _show(self) -> None:
+        steps, pinned, ending, is_waiting = self._shown
         soft = to_hex(get_theme_colours(self.palette()).secondary_text)
         alarm = to_hex(get_theme_colours(self.palette()).warning_text)
         parts = [
@@ -85,12 +82,13 @@ class TracePanel(QScrollArea):
             for title, text in steps
         ]
         sentence = " &nbsp;→&nbsp; ".join(parts)
-        if ending:
+        if ending and steps:
             sentence += (
                 " &nbsp; <span "
                 f"style='color:{soft if is_waiting else alarm}'>{escape(ending)}</span>"
             )
-        self._label.setText(sentence + (" &nbsp; <i>pinned</i>" if pinned else ""))
+        sentence += " &nbsp; <i>pinned</i>" if pinned and steps else ""
+        self._label.setText(sentence or _INVITATION)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,8 +6,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from PyQt6.QtCore import QEvent, QObject, QSignalBlocker, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QFont, QPainter, QValidator
+from PyQt6.QtGui import QPainter, QValidator
 from PyQt6.QtWidgets import (
+    QApplication,
     QComboBox,
     QDoubleSpinBox,
     QFrame,
@@ -27,7 +28,6 @@ _Policy = QSizePolicy.Policy
 GROWS = _Policy.Expanding
 FIXED = _Policy.Fixed
 YIELDS = _Policy.Ignored
-MIN_FONT_PT = 8.5  # smallest letters of the window
 _UNDER_PX = 2
 
 
@@ -82,20 +82,22 @@ class PaintedWidget(QWidget):
         self.paint(QPainter(self), get_theme_colours(self.palette()))
 
 
-def make_caption_font(font: QFont) -> QFont:
-    """Return a font a point smaller than `font`, but at least `MIN_FONT_PT`."""
-    return _resize(font, -1.0)
+TEXT_PT = 10.0  # size of all text but figures and the title of the welcome page
 
 
-def resize_font(widget: QWidget, by_pt: float = -1.0) -> None:
-    """Make a widget's font larger or smaller than the window's, by default that of captions."""
-    widget.setFont(_resize(widget.font(), by_pt))
+def set_text_size() -> None:
+    """Set the size of the letters of the application, unless it is set already."""
+    font = QApplication.font()
+    if font.pointSizeF() != TEXT_PT:
+        font.setPointSizeF(TEXT_PT)
+        QApplication.setFont(font)
 
 
-def _resize(font: QFont, by_pt: float) -> QFont:
-    resized = QFont(font)
-    resized.setPointSizeF(max(MIN_FONT_PT, font.pointSizeF() + by_pt))
-    return resized
+def enlarge_font(widget: QWidget, by_pt: float) -> None:
+    """Make a widget's font larger than the window's."""
+    font = widget.font()
+    font.setPointSizeF(font.pointSizeF() + by_pt)
+    widget.setFont(font)
 
 
 class VerticalScrollArea(QScrollArea):

@@ -33,6 +33,11 @@ def paint_state(painter: QPainter, room: QRectF, state: str, palette: QPalette) 
     _load_drawing(f"state_{state}", get_theme_colours(palette).states[state]).render(painter, room)
 
 
+def is_trouble(state: str) -> bool:
+    """Return whether a state needs attention, and so a sign."""
+    return state in ("warning", "failed")
+
+
 class StateIcon(QWidget):
     """The sign of a state; keeps its room while there is none."""
 

@@ -9,7 +9,6 @@ from PyQt6.QtCore import QModelIndex, QObject, Qt, pyqtSignal
 from PyQt6.QtWidgets import QHeaderView, QLabel, QTableView, QVBoxLayout, QWidget
 
 from pipeline.lab.tasks.trial_rows import TrialRow
-from widgets.style.base import resize_font
 from widgets.style.icons import make_state_icon
 from widgets.style.styling import fill, make_search_line, set_spacing
 from widgets.style.tables import (
@@ -157,8 +156,6 @@ class TrialsPanel(QWidget):
         self.table = QTableView()
         self._count = QLabel()
         self.filter_line.textChanged.connect(self._filter)
-        resize_font(self._count)
-        resize_font(self.table)
         self._prepare_table()
         fill(
             set_spacing(QVBoxLayout(self), 3, (2, 2, 2, 2)),

@@ -1,6 +1,5 @@
-"""A value of every frame under the timeline slider: errors as bars, quantities as a curve.
-
-And frames with warnings.
+"""Every frame as a thumbnail under its value: errors as bars, quantities as a curve; and marks for
+warnings.
 """
 
 import math
@@ -8,15 +7,16 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QHelpEvent, QPainter, QPalette, QPen, QPolygonF
+from PyQt6.QtGui import QHelpEvent, QPainter, QPalette, QPen, QPixmap, QPolygonF
 from PyQt6.QtWidgets import QSizePolicy, QToolTip
 
-from widgets.style.base import YIELDS, PaintedWidget, resize_font
+from widgets.style.base import YIELDS, PaintedWidget
 from widgets.style.theme import ThemeColours, get_theme_colours, to_qcolor
 
-_INSET_PX = 6  # half the slider's handle
 _MARK_PX = 7.0
-_WIDEST_PX = 26.0
+_WIDEST_PX = 48.0
+_IMAGE_PX = 42
+_HEIGHT_PX = 78
 _LEAST_PX = 24  # minimum height
 _CURVE_PX = 1.8
 # of the highest bar, from the top; of all bars, from the bottom
@@ -26,7 +26,9 @@ _TICK_PX = 3.0  # length of a tick
 
 
 class ErrorStrip(PaintedWidget):
-    """One bar per frame or a curve, a mark for warnings; `frame_chosen` by click and drag."""
+    """One thumbnail and bar per frame or a curve, a mark for warnings; `frame_chosen` by click and
+    drag.
+    """
 
     frame_chosen = pyqtSignal(int)
 
@@ -38,7 +40,7 @@ class ErrorStrip(PaintedWidget):
         self.loop_range: tuple[int, int] | None = None  # range of a looped playback
         self.frame = 0
         self._unit = ""
-        self.height_px = 28
+        self.thumbnails: Mapping[int, QPixmap] = {}
 
     @property
     def worst_frame(self) -> int:
@@ -80,19 +82,18 @@ class ErrorStrip(PaintedWidget):
             self.loop_range = span
             self.update()
 
-    def set_height_px(self, high_px: int) -> None:
-        """Set the height."""
-        if high_px != self.height_px:
-            self.height_px = high_px
-            self.updateGeometry()
+    def show_thumbnails(self, thumbnails: Mapping[int, QPixmap]) -> None:
+        """Show frame -> image of the frames that have one."""
+        self.thumbnails = thumbnails
+        self.update()
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """Return the width of the slider above."""
-        return QSize(200, self.height_px)
+        """Return room for bars over thumbnails."""
+        return QSize(200, _HEIGHT_PX)
 
     def minimumSizeHint(self) -> QSize:  # noqa: N802
         """Return a height that fits small screens."""
-        return QSize(60, min(self.height_px, _LEAST_PX))
+        return QSize(60, _LEAST_PX)
 
     def describe_frame(self, frame: int) -> str:
         """Return what is known of a frame as a sentence."""
@@ -109,8 +110,7 @@ class ErrorStrip(PaintedWidget):
         n = len(self.values)
         if n < 2:
             return 0
-        share = (x - _INSET_PX) / max(1, self.width() - 2 * _INSET_PX)
-        return min(max(round(share * (n - 1)), 0), n - 1)
+        return min(max(int(x / self.width() * n), 0), n - 1)
 
     def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint bars on one line and marks above them."""
@@ -118,14 +118,19 @@ class ErrorStrip(PaintedWidget):
         if not n:
             return
         painter.setRenderHint(QPainter.RenderHint.Antialiasing, n < 200)
-        base = self.height() - _BASE_PX
+        has_images = bool(self.thumbnails) and self.height() >= _IMAGE_PX + _LEAST_PX
+        base = self.height() - _BASE_PX - (_IMAGE_PX if has_images else 0)
         top = _TOP_PX
-        painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Mid), 1))
-        painter.drawLine(QPointF(_INSET_PX, base), QPointF(self.width() - _INSET_PX, base))
-        step = (self.width() - 2 * _INSET_PX) / max(1, n - 1)
+        step = self.width() / n
         wide = max(1.5, min(0.7 * step, _WIDEST_PX))
+        here = QRectF(self.frame * step, 0, step, self.height())
+        painter.fillRect(here, self.palette().color(QPalette.ColorRole.Midlight))
+        if has_images:
+            self._draw_images(painter, step, base)
+        painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Mid), 1))
+        painter.drawLine(QPointF(0, base), QPointF(self.width(), base))
         if self.loop_range is not None:
-            first, last = (_INSET_PX + frame * step for frame in self.loop_range)
+            first, last = ((frame + 0.5) * step for frame in self.loop_range)
             painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Highlight), 2.5))
             painter.drawLine(QPointF(first, base), QPointF(last, base))
             for x in (first, last):
@@ -133,10 +138,7 @@ class ErrorStrip(PaintedWidget):
         most = self.max_value
         worst = self.worst_frame
         for frame, value in enumerate(self.values):
-            x = _INSET_PX + frame * step
-            if frame == self.frame:
-                here = QRectF(x - 0.5 * wide - 2, 0, wide + 4, self.height())
-                painter.fillRect(here, self.palette().color(QPalette.ColorRole.Midlight))
+            x = (frame + 0.5) * step
             if math.isfinite(value) and most > 0 and not self.is_curve:
                 tall = max(1.5, value / most * (base - top))
                 bar = QRectF(x - 0.5 * wide, base - tall, wide, tall)
@@ -147,10 +149,22 @@ class ErrorStrip(PaintedWidget):
             painter.setPen(QPen(to_qcolor(ink.accent), _CURVE_PX))
             for run in self._find_known_runs():
                 points = [
-                    QPointF(_INSET_PX + i * step, base - self.values[i] / most * (base - top))
+                    QPointF((i + 0.5) * step, base - self.values[i] / most * (base - top))
                     for i in run
                 ]
                 painter.drawPolyline(QPolygonF(points if len(points) > 1 else 2 * points))
+
+    def _draw_images(self, painter: QPainter, step: float, base: float) -> None:
+        """Paint the thumbnails that fit beside each other, those of other frames not."""
+        end = 0.0
+        for frame in sorted(self.thumbnails):
+            image = self.thumbnails[frame]
+            wide = image.width() * min(1.0, (_IMAGE_PX - 2) / max(1, image.height()))
+            left = (frame + 0.5) * step - 0.5 * wide
+            if left >= end:
+                room = QRectF(left, base + 2, wide, _IMAGE_PX - 2)
+                painter.drawPixmap(room, image, QRectF(image.rect()))
+                end = left + wide + 1
 
     def _find_known_runs(self) -> list[list[int]]:
         """Return the frames with a value, neighbours together."""
@@ -201,7 +215,6 @@ class ErrorScale(PaintedWidget):
 
     def __init__(self) -> None:
         super().__init__("error_scale", down=YIELDS)
-        resize_font(self)
         self.setFixedWidth(self.fontMetrics().horizontalAdvance("0.0000") + round(_TICK_PX) + 2)
         self.max_text = ""  # label at the upper end
 

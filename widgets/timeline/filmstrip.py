@@ -1,4 +1,4 @@
-"""All stages as thumbnails with their state and warnings; a click selects one."""
+"""All stages as cards in their order; a click selects one."""
 
 import math
 from collections.abc import Collection, Mapping
@@ -8,17 +8,25 @@ from typing import Any
 
 import numpy as np
 from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QFont, QFontMetrics, QPainter, QPalette, QPen, QPixmap
-from PyQt6.QtWidgets import QAbstractButton, QHBoxLayout, QSizePolicy, QWidget
+from PyQt6.QtGui import QAction, QColor, QGuiApplication, QPainter, QPalette, QPen, QPixmap
+from PyQt6.QtWidgets import (
+    QAbstractButton,
+    QHBoxLayout,
+    QSizePolicy,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
 
 from pipeline.views.preview import Preview
-from widgets.style.base import EventListener, make_caption_font
-from widgets.style.icons import paint_state
-from widgets.style.styling import set_spacing
-from widgets.style.theme import get_theme_colours
+from widgets.stages.stage_column import PENDING
+from widgets.style.base import EventListener
+from widgets.style.icons import is_trouble, paint_state
+from widgets.style.styling import fill, make_command_button, set_spacing
+from widgets.style.theme import ThemeColours, get_theme_colours, to_qcolor
 from widgets.views.preview_renderer import MAX_ZOOM, PreviewRenderer
 
-_PICTURE_PX = QSize(132, 62)
+_PICTURE_PX = QSize(132, 82)
 _SIGN_PX = 16
 _EDGE_PX = 4
 # below this share of pixels with a value, only those are shown, with this margin
@@ -27,7 +35,10 @@ _AROUND = 1.25
 
 
 class Thumbnail(QAbstractButton):
-    """One stage: its preview, title, state and warning sign."""
+    """Card of one stage: its preview, title, method, share of the error, and what is wrong.
+
+    It is narrow, with the button that feeds it, while the stage cannot run.
+    """
 
     def __init__(self, title: str) -> None:
         super().__init__()
@@ -35,8 +46,10 @@ class Thumbnail(QAbstractButton):
         self.setAccessibleName(title)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.state = "waiting"
-        self.warnings = tuple[str, ...]()
+        self.method = ""
+        self.share: tuple[float, str] | None = None  # of the error (0 to 1), and its value
         self.is_in_pane = self.is_active = self.is_collapsed = False
+        self.remedy: QToolButton | None = None
         self._picture: Preview | None = None
         self._pixmap: QPixmap | None = None
         EventListener(self, self._drop_pixmap, QEvent.Type.Resize, QEvent.Type.PaletteChange)
@@ -48,13 +61,39 @@ class Thumbnail(QAbstractButton):
             self._pixmap = None
             self.update()
 
-    def show_state(self, state: str, warnings: tuple[str, ...]) -> None:
-        """Show the state and warnings of the stage."""
-        if (state, warnings) != (self.state, self.warnings):
-            self.state = state
-            self.warnings = warnings
-            self.setToolTip("\n".join((f"{self.text()}: {state}", *warnings)))
-            self.update()
+    def show_state(self, state: str, known: str) -> None:
+        """Show the state of the stage; all that is known of it is the tooltip."""
+        self.state = state
+        self.setToolTip(known)
+        self.update()
+
+    def show_method(self, title: str) -> None:
+        """Show the title of the method in use."""
+        self.method = title
+        self.update()
+
+    def show_share(self, share: float | None, text: str = "") -> None:
+        """Show the share of the error that comes from here; None where it is not known."""
+        self.share = None if share is None else (share, text)
+        self.update()
+
+    def offer_remedy(self, action: QAction) -> None:
+        """Show the command that feeds the stage, in place of its image."""
+        self.remedy = make_command_button(action)
+        layout = set_spacing(QVBoxLayout(self), 0, (_EDGE_PX, self._line_px() + _EDGE_PX, 2, 2))
+        fill(layout, self.remedy, 1)
+        self.show_feedable(feedable=False)
+
+    def show_feedable(self, *, feedable: bool) -> None:
+        """Set whether the stage lacks what its remedy gives it."""
+        if self.remedy is not None:
+            self.remedy.setVisible(feedable)
+            across = QSizePolicy.Policy.Fixed if feedable else QSizePolicy.Policy.Expanding
+            self.setSizePolicy(across, QSizePolicy.Policy.Fixed)
+
+    @property
+    def _is_narrow(self) -> bool:
+        return self.remedy is not None and not self.remedy.isHidden()
 
     def set_collapsed(self, folded: bool) -> None:
         """Show sign and title only."""
@@ -69,58 +108,79 @@ class Thumbnail(QAbstractButton):
 
     def sizeHint(self) -> QSize:  # noqa: N802
         """Return room for the thumbnail under a line of text, or the line alone."""
-        high = 0 if self.is_collapsed else _PICTURE_PX.height()
-        return QSize(_PICTURE_PX.width() + 2 * _EDGE_PX, high + self._line_px() + 2 * _EDGE_PX)
+        high = 0 if self.is_collapsed else _PICTURE_PX.height() + _EDGE_PX
+        return QSize(_PICTURE_PX.width() + 2 * _EDGE_PX, high + self._line_px() + _EDGE_PX)
 
     def minimumSizeHint(self) -> QSize:  # noqa: N802
         """Return a narrower width where there are many."""
         return QSize(74, self.sizeHint().height())
 
     def paintEvent(self, e: Any) -> None:  # noqa: N802
-        """Paint sign and title over the thumbnail, with a frame if it is in a pane."""
+        """Paint title, method and image, framed if the stage is in a pane, with a line at the top
+        while it is computed again.
+        """
         del e
         painter = QPainter(self)
         palette = self.palette()
+        ink = get_theme_colours(palette)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        room = QRectF(self.rect()).adjusted(1, 1, -1, -1)
-        painter.setBrush(
-            palette.color(QPalette.ColorRole.Base if self.is_in_pane else QPalette.ColorRole.Window)
-        )
+        painter.setBrush(palette.color(QPalette.ColorRole.Base))
         rim = palette.color(
-            QPalette.ColorRole.Highlight if self.is_in_pane else QPalette.ColorRole.Mid
+            QPalette.ColorRole.Highlight if self.is_in_pane else QPalette.ColorRole.Midlight
         )
-        painter.setPen(QPen(rim, 2.4 if self.is_active or self.hasFocus() else 1.0))
-        painter.drawRoundedRect(room, 4, 4)
+        painter.setPen(QPen(rim, 2.4 if self.is_active or self.hasFocus() else 1.2))
+        painter.drawRoundedRect(QRectF(self.rect()).adjusted(1, 1, -1, -1), 4, 4)
+        if self.state in PENDING:
+            painter.fillRect(2, 1, self.width() - 4, 2, to_qcolor(ink.states["running"]))
         line = self._line_px()
-        paint_state(painter, QRectF(_EDGE_PX, _EDGE_PX, _SIGN_PX, _SIGN_PX), self.state, palette)
-        font = self._font()
-        painter.setFont(font)
-        painter.setPen(palette.color(QPalette.ColorRole.WindowText))
-        wide = self.width() - _SIGN_PX - 3 * _EDGE_PX
-        title = QFontMetrics(font).elidedText(self.text(), Qt.TextElideMode.ElideRight, wide)
-        painter.drawText(
-            QRectF(_SIGN_PX + 2 * _EDGE_PX, _EDGE_PX, wide, line),
-            Qt.AlignmentFlag.AlignVCenter,
-            title,
-        )
-        if self._picture is None or self.is_collapsed:
+        left = _EDGE_PX + 2
+        if is_trouble(self.state):
+            side = _SIGN_PX
+            paint_state(painter, QRectF(left, _EDGE_PX, side, side), self.state, palette)
+            left += side + _EDGE_PX
+        metrics = self.fontMetrics()
+        end = Qt.TextElideMode.ElideRight
+        for text, colour in (
+            (self.text(), palette.color(QPalette.ColorRole.WindowText)),
+            (self.method, to_qcolor(ink.secondary_text)),
+        ):
+            room = QRectF(left, _EDGE_PX, self.width() - left - _EDGE_PX, line)
+            painter.setPen(colour)
+            said = metrics.elidedText(text, end, int(room.width()))
+            painter.drawText(room, Qt.AlignmentFlag.AlignVCenter, said)
+            left += metrics.horizontalAdvance(text) + 2 * _EDGE_PX
+            if self.width() - left < 4 * _SIGN_PX or self._is_narrow:
+                break
+        if self.is_collapsed or self._is_narrow:
             return
-        size = QSize(self.width() - 2 * _EDGE_PX, _PICTURE_PX.height())
-        if self._pixmap is None:
-            self._pixmap = render_thumbnail(self._picture, size, self.devicePixelRatioF(), palette)
-        painter.setOpacity(0.5 if self.state in ("stale", "running", "waiting") else 1.0)
-        painter.drawPixmap(_EDGE_PX, _EDGE_PX + line, self._pixmap)
+        if self._picture is not None:
+            size = QSize(self.width() - 2 * _EDGE_PX, _PICTURE_PX.height())
+            if self._pixmap is None:
+                self._pixmap = render_thumbnail(
+                    self._picture, size, self.devicePixelRatioF(), palette
+                )
+            painter.drawPixmap(_EDGE_PX, _EDGE_PX + line, self._pixmap)
+        if self.share is not None:
+            self._paint_share(painter, ink, *self.share)
+
+    def _paint_share(self, painter: QPainter, ink: ThemeColours, share: float, text: str) -> None:
+        """Paint the share of the error as a bar along the lower edge, and its value over it."""
+        most = self.width() - 2 * _EDGE_PX
+        wide = max(2.0, min(1.0, abs(share)) * most)
+        colour = to_qcolor(ink.worse if share > 0.5 else ink.accent)
+        painter.fillRect(QRectF(_EDGE_PX, self.height() - 2 * _EDGE_PX, wide, _EDGE_PX), colour)
+        metrics = self.fontMetrics()
+        box = QRectF(0, 0, metrics.horizontalAdvance(text) + 8, metrics.height())
+        box.moveBottomLeft(QPointF(_EDGE_PX, self.height() - 2.5 * _EDGE_PX))
+        painter.fillRect(box, QColor(20, 24, 30, 190))
+        painter.setPen(QColor(255, 255, 255))
+        painter.drawText(box, Qt.AlignmentFlag.AlignCenter, text)
 
     def _drop_pixmap(self) -> None:
         self._pixmap = None
 
-    def _font(self) -> QFont:
-        font = make_caption_font(self.font())
-        font.setBold(self.is_active)
-        return font
-
     def _line_px(self) -> int:
-        return max(_SIGN_PX, QFontMetrics(self._font()).height()) + 2
+        return max(_SIGN_PX, self.fontMetrics().height()) + 4
 
 
 def render_thumbnail(picture: Preview, size: QSize, dense: float, palette: QPalette) -> QPixmap:
@@ -142,22 +202,32 @@ def render_thumbnail(picture: Preview, size: QSize, dense: float, palette: QPale
             0.5 * float(cols[0] + cols[-1] + 1), 0.5 * float(rows[0] + rows[-1] + 1)
         )
         plate.scale = min(max(scale, plate.scale), MAX_ZOOM)
-    return plate.render(dense, palette.color(QPalette.ColorRole.Window), QFont())
+    return plate.render(dense, palette.color(QPalette.ColorRole.Window), QGuiApplication.font())
 
 
 class Filmstrip(QWidget):
-    """Thumbnails in the order of the stages; `chosen` carries a stage's name."""
+    """One card per stage; a click chooses it, Ctrl+click adds or removes it."""
 
     stage_chosen = pyqtSignal(str)
+    stage_toggled = pyqtSignal(str)
 
     def __init__(self, titles: Mapping[str, str]) -> None:
         super().__init__()
         self.setObjectName("filmstrip")
         self.thumbnails = {name: Thumbnail(title) for name, title in titles.items()}
-        self.row = set_spacing(QHBoxLayout(self), 3, (2, 2, 2, 2))
+        row = set_spacing(QHBoxLayout(self), 4)
         for name, thumbnail in self.thumbnails.items():
-            thumbnail.clicked.connect(partial(self.stage_chosen.emit, name))
-            self.row.addWidget(thumbnail, 1)
+            thumbnail.clicked.connect(partial(self._choose, name))
+            row.addWidget(thumbnail, 1)
+
+    def _choose(self, name: str) -> None:
+        adds = QGuiApplication.keyboardModifiers() & Qt.KeyboardModifier.ControlModifier
+        (self.stage_toggled if adds else self.stage_chosen).emit(name)
+
+    def show_shares(self, shares: Mapping[str, tuple[float, str]]) -> None:
+        """Show stage -> share of the error (0 to 1) and its value; the others show none."""
+        for name, thumbnail in self.thumbnails.items():
+            thumbnail.show_share(*shares.get(name, (None, "")))
 
     def set_collapsed(self, folded: bool) -> None:
         """Hide or show the thumbnails."""

@@ -9,7 +9,6 @@ from PyQt6.QtCore import QSignalBlocker, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QComboBox, QGridLayout, QHBoxLayout, QLabel, QSlider, QSpinBox, QWidget
 
-from widgets.style.base import resize_font
 from widgets.style.styling import fill, make_command_button, set_spacing
 from widgets.timeline.error_strip import ErrorScale, ErrorStrip
 
@@ -87,20 +86,19 @@ class Timeline(QWidget):
         layout.setVerticalSpacing(0)
         layout.setColumnStretch(1, 1)
         self._buttons.setSpacing(1)
-        layout.addLayout(self._buttons, 0, 0)
-        layout.addWidget(self.slider, 0, 1)
         words = QLabel(self._unit)
         speed = QLabel("speed")
         right = (words, self.number, self._of, self._time, self._left_out, speed, self.speed)
+        layout.addLayout(self._buttons, 0, 0)
         layout.addLayout(fill(set_spacing(QHBoxLayout(), 6), *right), 0, 2)
+        if self._unit != "frame":
+            layout.addWidget(self.slider, 0, 1)
+            return
         layout.addLayout(fill(set_spacing(QHBoxLayout(), 4), (self._figure, 1), self.scale), 1, 0)
-        for column, widget in ((1, self.errors), (2, self._worst)):
-            layout.addWidget(widget, 1, column)
-        for widget in (self.errors, self._worst, self._figure, self.scale):
-            widget.setVisible(self._unit == "frame")
+        layout.addWidget(self.errors, 0, 1, 2, 1)  # its frames are chosen by a click or drag
+        layout.addWidget(self._worst, 1, 2)
         for label in (self._figure, self._worst):
-            resize_font(label)
-            # at the upper end of the bars
+            label.setWordWrap(True)
             label.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
 
     def add_command(self, action: QAction) -> None:

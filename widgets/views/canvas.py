@@ -13,7 +13,6 @@ from PyQt6.QtWidgets import QSizePolicy, QWidget
 from pipeline.core.arrays import Image
 from pipeline.views.drawing import CASING_COLOUR
 from pipeline.views.preview import Preview
-from widgets.style.base import make_caption_font
 from widgets.style.theme import (
     CROSSHAIR_COLOUR,
     SECTION_COLOUR,
@@ -58,6 +57,7 @@ class Canvas(QWidget):
         self.line: tuple[QPointF, QPointF] | None = None  # section line, in image pixels
         # share of the width where the overlay begins, None = no handle
         self.handle_share: float | None = None
+        self.handle_words = "", ""  # what is at its left and right
         self._pressed: QPointF | None = None
         self._dragged: QPointF | None = None
         self.n_renders = 0  # number of times the image was rendered
@@ -84,12 +84,6 @@ class Canvas(QWidget):
         """Set the share of the width where the overlay begins."""
         if self._plate.overlay is not None:
             self._plate.overlay = (self._plate.overlay[0], share)
-            self.invalidate()
-
-    def set_dimmed(self, dimmed: bool) -> None:
-        """Fade the image, or restore it."""
-        if dimmed != self._plate.is_dimmed:
-            self._plate.is_dimmed = dimmed
             self.invalidate()
 
     def show_crosshair(self, pixel: tuple[int, int] | None, tag: str = "") -> None:
@@ -187,6 +181,10 @@ class Canvas(QWidget):
             x = self._handle_x()
             painter.setPen(QPen(to_qcolor(CROSSHAIR_COLOUR), 2))
             painter.drawLine(QPointF(x, 0), QPointF(x, self.height()))
+            for word, side in zip(self.handle_words, (-1, 1), strict=True):
+                box = QRectF(painter.fontMetrics().boundingRect(word)).adjusted(-4, -1, 4, 2)
+                box.moveTo(x + 2 if side > 0 else x - 2 - box.width(), 2)
+                self._draw_tag(painter, box, word)
         if self.line is not None:
             self._draw_line(painter, *self.line)
         if self.crosshair is not None:
@@ -224,19 +222,22 @@ class Canvas(QWidget):
         painter.drawLine(QPointF(0, at.y()), QPointF(self.width(), at.y()))
         if not self.crosshair_text:
             return
-        painter.setFont(make_caption_font(self.font()))
+        painter.setFont(self.font())
         box = QRectF(painter.fontMetrics().boundingRect(self.crosshair_text)).adjusted(-4, -1, 4, 2)
         left = at.x() + 6 if at.x() + 8 + box.width() < self.width() else at.x() - 6 - box.width()
         top = at.y() + 5 if at.y() + 8 + box.height() < self.height() else at.y() - 5 - box.height()
         box.moveTo(max(1.0, min(left, self.width() - box.width() - 1)), max(1.0, top))
+        self._draw_tag(painter, box, self.crosshair_text)
+
+    def _draw_tag(self, painter: QPainter, box: QRectF, text: str) -> None:
         painter.setPen(Qt.PenStyle.NoPen)
         painter.setBrush(QColor(20, 24, 30, 205))
         painter.drawRoundedRect(box, 3, 3)
         painter.setPen(QColor(255, 255, 255))
-        painter.drawText(box, Qt.AlignmentFlag.AlignCenter, self.crosshair_text)
+        painter.drawText(box, Qt.AlignmentFlag.AlignCenter, text)
 
     def _draw_mark(self, painter: QPainter, number: int, at: QPointF) -> None:
-        font = make_caption_font(self.font())
+        font = self.font()
         radius = min(max(_MARK_SHARE * self.height(), _MARK_PX[0]), _MARK_PX[1])
         font.setBold(True)
         painter.setFont(font)

@@ -11,7 +11,7 @@ from PyQt6.QtGui import QImage, QPainter
 
 from pipeline.core.arrays import Doubles, Floats
 from pipeline.views.colours import ColourMapName, ColourScale, get_colour_table
-from widgets.style.base import FIXED, YIELDS, PaintedWidget, resize_font
+from widgets.style.base import FIXED, YIELDS, PaintedWidget
 from widgets.style.styling import make_single_shot_timer
 from widgets.style.theme import ThemeColours, get_colour_map, to_qcolor
 
@@ -88,22 +88,12 @@ class ColourBar(PaintedWidget):
         # setting, scale and side of the drag
         self._held: tuple[str, ColourScale, float] | None = None
         self._wanted = math.nan
-        self._bars_px = _BARS_PX
         self._soon = make_single_shot_timer(self, _THROTTLE_MS, self._tell)
-        resize_font(self)
         self.setMouseTracking(True)
 
     def sizeHint(self) -> QSize:  # noqa: N802
         """Return room for the bars, the strip and one line of numbers."""
-        return QSize(120, self._bars_px + _STRIP_PX + self.fontMetrics().height() + 3)
-
-    def set_compact(self, compact: bool) -> None:
-        """Leave out the histogram; its figures stay in the tooltip."""
-        bars_px = 0 if compact else _BARS_PX
-        if bars_px != self._bars_px:
-            self._bars_px = bars_px
-            self.updateGeometry()
-            self.update()
+        return QSize(120, _BARS_PX + _STRIP_PX + self.fontMetrics().height() + 3)
 
     def show_scale(self, scale: ColourScale | None, values: Floats | None = None) -> None:
         """Show the colours and limits of `scale` and the histogram of `values`.
@@ -150,7 +140,7 @@ class ColourBar(PaintedWidget):
         scale = self._scale
         palette = self.palette()
         strip = self._room
-        if self.histogram is not None and self._bars_px:
+        if self.histogram is not None:
             self._draw_bars(painter, ink, strip, self.histogram)
         painter.drawImage(strip, _make_strip(get_colour_map(ink, scale)))
         painter.setPen(palette.mid().color())
@@ -169,14 +159,14 @@ class ColourBar(PaintedWidget):
 
     @property
     def _room(self) -> QRectF:
-        return QRectF(_EDGE_PX, self._bars_px, self.width() - 2 * _EDGE_PX, _STRIP_PX)
+        return QRectF(_EDGE_PX, _BARS_PX, self.width() - 2 * _EDGE_PX, _STRIP_PX)
 
     def _draw_bars(
         self, painter: QPainter, ink: ThemeColours, strip: QRectF, spread: ValueHistogram
     ) -> None:
         """Paint bars with logarithmic heights: the contact is a small part of an image."""
         tall = np.log1p(spread.counts) * (
-            (self._bars_px - 2) / max(1e-9, float(np.log1p(spread.counts).max(initial=0.0)))
+            (_BARS_PX - 2) / max(1e-9, float(np.log1p(spread.counts).max(initial=0.0)))
         )
         wide = strip.width() / _N_BARS
         for i, high in enumerate(tall):

@@ -34,8 +34,9 @@ class ComparisonOverlay(QObject):
         self.blink_timer.stop()
         self._canvas.show_overlay(None)
 
-    def show_wipe(self, picture: Preview) -> None:
-        """Show the overlay right of the handle, which keeps its position."""
+    def show_wipe(self, picture: Preview, left: str = "result", right: str = "truth") -> None:
+        """Show the overlay right of the handle, which keeps its position, between two words."""
+        self._canvas.handle_words = left, right
         self.blink_timer.stop()
         if picture is not self._picture or not self.is_visible:
             self._picture = picture

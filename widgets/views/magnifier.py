@@ -10,7 +10,6 @@ from PyQt6.QtGui import QColor, QPainter, QPen
 from PyQt6.QtWidgets import QWidget
 
 from pipeline.views.preview import Preview
-from widgets.style.base import resize_font
 from widgets.style.theme import CROSSHAIR_COLOUR, to_qcolor
 from widgets.views.canvas import Canvas
 
@@ -29,7 +28,6 @@ class Magnifier(QWidget):
         super().__init__(parent)
         self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.setAccessibleName("values around the pixel")
-        resize_font(self)
         metrics = self.fontMetrics()
         self._cell_px = metrics.horizontalAdvance(_WIDEST_VALUE) + 2, metrics.height() + 2
         self.radius_px = MAX_RADIUS_PX

@@ -12,7 +12,6 @@ from pipeline.core.arrays import Image
 from pipeline.views.colours import NO_VALUE_COLOUR, ColourScale, darken_diverging
 from pipeline.views.drawing import Line, list_outlines, make_scale_bar
 from pipeline.views.preview import Preview
-from widgets.style.base import make_caption_font
 from widgets.style.theme import (
     LIGHT_COLOURS,
     ThemeColours,
@@ -26,7 +25,6 @@ MIN_ZOOM = 0.02
 # screen pixels: images without a scale bar; half the room for its text
 _NARROWEST_PX = 60.0
 _LABEL_PX = 100.0
-_DIMMED = 0.45
 
 
 class PreviewRenderer:
@@ -39,7 +37,6 @@ class PreviewRenderer:
         self.overlay: tuple[QImage, float] | None = None
         self._ink = LIGHT_COLOURS
         self._overlay_pixels: Image | None = None  # pixels of the overlay
-        self.is_dimmed = False
         # image pixel at the centre; screen pixels per image pixel
         self.centre = QPointF()
         self.scale = 0.0
@@ -130,11 +127,9 @@ class PreviewRenderer:
         """
         if self.image is None or self.preview is None:
             return
-        painter.setOpacity(_DIMMED if self.is_dimmed else 1.0)
         self._draw_image(painter, self.image, 0.0, dense)
         if self.overlay is not None:
             self._draw_image(painter, *self.overlay, dense)
-        painter.setOpacity(1.0)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         for line in list_outlines(self.preview):
             self._draw_line(painter, line)
@@ -193,7 +188,7 @@ class PreviewRenderer:
             return
         self._draw_line(painter, bar.line)
         # A font of a size in pixels belongs to the size of the whole image.
-        painter.setFont(make_caption_font(font) if font.pointSizeF() > 0 else font)
+        painter.setFont(font)
         x, y = bar.line.points_px.mean(axis=0)
         tall = painter.fontMetrics().height()
         room = QRectF(

@@ -7,13 +7,13 @@ from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, pyqtSignal
 from PyQt6.QtWidgets import QBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.views.preview import Preview
-from widgets.style.base import EventListener, FixedSizeLabel, resize_font
+from widgets.style.base import EventListener, FixedSizeLabel
 from widgets.style.styling import fill, set_spacing
 from widgets.views.canvas import Canvas
 from widgets.views.colour_bar import ColourBar
 from widgets.views.comparison_overlay import ComparisonOverlay
 
-SIDE_TEXT_PX = 170  # width of text next to an image
+SIDE_TEXT_PX = 180  # width of text next to an image
 _AROUND = 1.3  # margin around a fitted contact, as a factor
 _NO_LIMIT = 16_777_215  # Qt's maximum widget width
 
@@ -23,8 +23,7 @@ class PreviewView(QWidget):
 
     pixel_hovered = pyqtSignal(int, int)  # row, col; (-1, -1) after the mouse has left
     pixel_clicked = pyqtSignal(int, int)
-    shape_changed = pyqtSignal()  # an image of another size
-    scale_changed = pyqtSignal()  # a colour scale appeared or disappeared
+    shape_changed = pyqtSignal()  # an image of another size, or a colour scale comes or goes
     view_changed = pyqtSignal()  # panned or zoomed by the user
 
     def __init__(self) -> None:
@@ -43,10 +42,14 @@ class PreviewView(QWidget):
         self.message.setAutoFillBackground(True)
         self.message.hide()
         self.text_area = QWidget()  # all text about the image
-        fill(set_spacing(QVBoxLayout(self.text_area), 2), self.colour_bar, self.caption, 1)
+        self.remark = FixedSizeLabel()  # under the caption, where there is something to say
+        self.remark.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
+        self.remark.hide()
+        self.text_layout = QBoxLayout(QBoxLayout.Direction.TopToBottom, self.text_area)
+        words = fill(set_spacing(QVBoxLayout(), 0), self.caption, self.remark, 1)
+        fill(set_spacing(self.text_layout, 4), self.colour_bar, (words, 1))
         self._both = set_spacing(QBoxLayout(QBoxLayout.Direction.TopToBottom, self), 2)
         fill(self._both, (self.canvas, 1), self.text_area)
-        resize_font(self.caption)
         self.caption.set_lines(2)
         self.canvas.mouse_moved.connect(self._report_hover)
         self.canvas.mouse_left.connect(lambda: self.pixel_hovered.emit(-1, -1))
@@ -80,11 +83,9 @@ class PreviewView(QWidget):
         self.caption.setText(picture.caption)
         self.caption.setToolTip(picture.caption)
         shape = (picture.pixels.shape[0], picture.pixels.shape[1])
-        if shape != self._shape:
+        if shape != self._shape or other:
             self._shape = shape
             self.shape_changed.emit()
-        if other:
-            self.scale_changed.emit()
 
     def show_compared(
         self, preview: Preview, truth: Preview | None, difference: Preview | None, mode: str

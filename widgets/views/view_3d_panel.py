@@ -3,38 +3,38 @@
 from PyQt6.QtCore import QEvent, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QTextDocumentFragment
 from PyQt6.QtWidgets import (
+    QGridLayout,
     QHBoxLayout,
     QLabel,
     QSizePolicy,
     QSlider,
     QToolButton,
-    QVBoxLayout,
     QWidget,
 )
 
 from pipeline.core.values.results import PoseStep, TouchStep
-from widgets.style.base import EventListener, FixedSizeLabel, resize_font
+from widgets.style.base import EventListener, FixedSizeLabel
 from widgets.style.styling import fill, set_spacing
 from widgets.views.view_3d import View3D
 
 AnyStep = PoseStep | TouchStep
+_BELOW = Qt.AlignmentFlag.AlignBottom
 
 
 class View3DPanel(QWidget):
-    """`view` over `legend`, or over `under` in its place, over `caption`."""
+    """`view` with `legend`, or `under` in its place, and `caption` along its lower edge."""
 
     def __init__(self, under: QWidget | None = None) -> None:
         super().__init__()
         self.view = View3D()
         self.legend = FixedSizeLabel()
         self.caption = FittingLabel()
-        resize_font(self.legend)
-        self.legend.setAlignment(Qt.AlignmentFlag.AlignHCenter)
-        fill(set_spacing(QVBoxLayout(self), 0), (self.view, 1), under or self.legend, self.caption)
-
-    def compute_height_px(self, tall: float) -> int:
-        """Return the height with a view of `tall` widths."""
-        return self.height() - self.view.height() + round(tall * self.view.width())
+        for label in (self.legend, self.caption):
+            label.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+        line = set_spacing(QHBoxLayout(), 8, (4, 0, 4, 2))
+        layout = set_spacing(QGridLayout(self), 0)
+        layout.addWidget(self.view, 0, 0)
+        layout.addLayout(fill(line, (under or self.legend, 1), (self.caption, 1)), 0, 0, _BELOW)
 
 
 class FittingLabel(QLabel):
@@ -43,9 +43,8 @@ class FittingLabel(QLabel):
     def __init__(self) -> None:
         super().__init__()
         self.setTextFormat(Qt.TextFormat.RichText)
-        resize_font(self)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        self.setAlignment(Qt.AlignmentFlag.AlignHCenter)
+        self.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         self._tellings: tuple[str, ...] = ()
         self._widths: list[int] = []
         EventListener(self, self._fit, QEvent.Type.Resize)
@@ -101,7 +100,6 @@ class StepsSlider(QWidget):
         self._keeps = False
         self.slider.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         for widget in (self._text, self.keep_button):
-            resize_font(widget)
             # the height of the legends next to it
             widget.setFixedHeight(widget.fontMetrics().height() + 1)
         fill(set_spacing(QHBoxLayout(self), 4), (self.slider, 1), self._text, self.keep_button)

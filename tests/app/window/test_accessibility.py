@@ -28,7 +28,7 @@ from PyQt6.QtWidgets import (
 
 from app.session.layout import LAYOUT_NAMES
 from app.shell.tour import wait_until_shown
-from widgets.style.base import MIN_FONT_PT
+from widgets.style.base import TEXT_PT
 
 LIMIT_S = 240
 _CONTROLS = (
@@ -103,12 +103,10 @@ def test_every_control_has_a_name(opened):
 
 def test_no_letters_are_smaller_than_a_caption(opened):
     small = {
-        (type(w).__name__, w.objectName())
-        for w in _widgets()
-        if w.font().pointSizeF() < MIN_FONT_PT
+        (type(w).__name__, w.objectName()) for w in _widgets() if w.font().pointSizeF() < TEXT_PT
     }
     assert small == set()
-    assert min(w.font().pointSizeF() for w in _widgets()) == MIN_FONT_PT
+    assert min(w.font().pointSizeF() for w in _widgets()) == TEXT_PT
 
 
 def test_the_tab_key_reaches_every_button_of_tool_bar_and_rail(opened):
@@ -136,7 +134,7 @@ def test_qt_has_no_complaint_through_a_tour_of_the_window(open_window, touch_fil
         for name in (
             *(f"layout_{layout}" for layout in LAYOUT_NAMES),
             "theme_dark",
-            "layout_stages",
+            "layout_look",
             "theme_light",
         ):
             window.actions_by_name[name].trigger()

@@ -85,7 +85,7 @@ def test_the_centre_translates_and_the_ring_rotates(grasped, qtbot):
 
 def test_the_gizmo_is_visible_in_align_only(grasped, qtbot):
     controller, _, gizmo = grasped
-    controller.window.actions_by_name["layout_stages"].trigger()
+    controller.window.actions_by_name["layout_look"].trigger()
     assert wait_until_shown(controller, LIMIT_S)
     assert gizmo.isHidden()
     canvas = gizmo.parent()

@@ -81,7 +81,7 @@ def test_leaving_the_page_releases_cached_results_and_networks(compared, qtbot):
     assert len(ready)
     comparing.release_memory()
     assert cache.n_bytes, "the page is visible"
-    instrument.window.actions_by_name["layout_stages"].trigger()
+    instrument.window.actions_by_name["layout_look"].trigger()
     instrument.choose_method("touch", "physics")  # the page alone has used the network
     assert wait_until_shown(instrument, LIMIT_S)
     qtbot.waitUntil(lambda: not comparing.is_busy, timeout=LIMIT_MS)
@@ -117,7 +117,7 @@ def test_another_frame_is_followed_and_a_hidden_page_computes_nothing(compared, 
     instrument.choose_frame(6)
     _settled(qtbot, instrument, comparing, tiles)
     assert "frame 6" in instrument.window.comparison.current_tab.message.text()
-    instrument.window.actions_by_name["layout_stages"].trigger()
+    instrument.window.actions_by_name["layout_look"].trigger()
     assert wait_until_shown(instrument, LIMIT_S)
     tiles = _tiles(instrument)
     instrument.choose_frame(5)

@@ -108,7 +108,7 @@ def test_an_export_and_its_command_leave_the_same_bytes(
     assert path.stat().st_size > 200
 
 
-@pytest.mark.parametrize("layout", ["stages", "demo"])
+@pytest.mark.parametrize("layout", ["look", "align"])
 def test_the_command_of_a_section_writes_the_table_that_is_copied(
     edited, tmp_path, monkeypatch, qtbot, layout
 ):
@@ -131,7 +131,9 @@ def test_the_command_of_a_section_writes_the_table_that_is_copied(
     assert run_app(build_app(), options[1:]) == 0
     assert (tmp_path / "section.csv").read_text() == copied
     assert copied.startswith("along_mm,true_source_mm,true_target_mm,")
-    assert ("touch_depth_mm" in copied) == (layout == "stages")
+    assert ("touch_depth_mm" in copied) == (layout == "look")
+    window.actions_by_name["layout_look"].trigger()
+    assert wait_until_shown(edited, LIMIT_S)
 
 
 @pytest.mark.parametrize(
@@ -162,7 +164,8 @@ def test_the_copied_command_runs_in_its_own_process(edited, tmp_path, monkeypatc
     script = Path(sys.executable).with_name("tactoscope")
     done = subprocess.run([script, *options[1:]], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert cv2.imread(str(tmp_path / "sheet.png")).shape[1] > 1500
+    shown = edited.window.look.active_stage
+    assert cv2.imread(str(tmp_path / f"{shown}.png")).shape[1] > 300
 
 
 def test_exported_arrays_are_those_on_screen(edited, tmp_path):

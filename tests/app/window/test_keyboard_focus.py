@@ -59,7 +59,7 @@ def test_the_palette_finds_commands_by_a_few_letters(bubble_window):
 
 def test_a_wheel_over_an_unfocused_control_changes_nothing(bubble_window):
     window = bubble_window.window
-    window.drawers.parameters.show()
+    window.show_inspector()
     before = bubble_window.session
     boxes = window.findChildren(QComboBox)
     assert len(boxes) > 3

@@ -26,29 +26,29 @@ def _checkable(window, *names):
 def test_a_tab_runs_its_command_and_a_checked_command_selects_its_tab(qtbot):
     window = QMainWindow()
     qtbot.addWidget(window)
-    actions = _checkable(window, "Stages", "Inspect", "Task")
+    actions = _checkable(window, "Look", "Align", "Task")
     runs = []
     actions[0].setChecked(True)
     tabs = ActionTabs(actions, "layout")
     qtbot.addWidget(tabs)
-    actions[1].triggered.connect(lambda: runs.append("Inspect"))
-    assert [tabs.tabText(i) for i in range(tabs.count())] == ["Stages", "Inspect", "Task"]
+    actions[1].triggered.connect(lambda: runs.append("Align"))
+    assert [tabs.tabText(i) for i in range(tabs.count())] == ["Look", "Align", "Task"]
     tabs.setCurrentIndex(1)
-    assert runs == ["Inspect"]
+    assert runs == ["Align"]
     actions[2].setChecked(True)
     actions[1].setChecked(False)
     assert tabs.currentIndex() == 2
-    assert runs == ["Inspect"]
+    assert runs == ["Align"]
 
 
 def test_every_layout_is_a_tab_of_the_window(bubble_window):
     window = bubble_window.window
     shown = [window.layout_tabs.tabText(i) for i in range(window.layout_tabs.count())]
     assert shown == [window.actions_by_name[f"layout_{name}"].text() for name in LAYOUT_NAMES]
-    window.layout_tabs.setCurrentIndex(shown.index("Inspect"))
-    assert bubble_window.session.layout.name == "inspect"
-    window.actions_by_name["layout_stages"].trigger()
-    assert window.layout_tabs.currentIndex() == shown.index("Stages")
+    window.layout_tabs.setCurrentIndex(shown.index("Align"))
+    assert bubble_window.session.layout.name == "align"
+    window.actions_by_name["layout_look"].trigger()
+    assert window.layout_tabs.currentIndex() == shown.index("Look")
 
 
 @pytest.mark.parametrize(("width_px", "with_text"), [(900, ["first", "second", "third"]), (60, [])])

@@ -1,9 +1,8 @@
-"""The arrangements of the window: what each shows, what it needs to work out, and that a session
-keeps it.
-"""
+"""The layouts: what each shows, what it needs to work out, and that a session keeps it."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +16,12 @@ from app.shell.tour import wait_until_shown
 from pipeline.core.errors import FileProblem
 from pipeline.core.typed_data import convert
 from widgets.shell.panes import PaneSplitter
+from widgets.views.view_3d import View3D
 
 LIMIT_S = 240
-# Of picture in a pane of two, by the window's size, with any one drawer open: width and height in
-# pixels.
-PANE_PX = {(1366, 768): (215, 160), (1600, 950): (420, 315), (2560, 1440): (700, 525)}
+STAGES = ["source", "depth", "cloud", "target_depth", "touch", "touch_depth", "pose"]
+# least width in pixels of the largest image, and share of the window that shows touches, by size
+ROOM = {(1366, 768): (370, 0.5), (1600, 950): (420, 0.6), (2560, 1440): (700, 0.65)}
 
 
 @pytest.fixture
@@ -40,116 +40,188 @@ def _large(controller) -> list[str]:
     return [name for name, column in controller.window.columns.items() if column.isVisible()]
 
 
-def test_panes_have_room_with_any_drawer_open(bubble_window, qtbot):
-    window = bubble_window
-    _arrange(window, "inspect")
-    views = [window.window.columns[name].view for name, _ in window.session.layout.panes]
-    for size, (wide, high) in PANE_PX.items():
-        for drawer in window.window.drawers.all_drawers:
-            window.window.resize(*size)
-            drawer.toggleViewAction().trigger()
-
-            def roomy(size=size, wide=wide, high=high) -> bool:
-                shown = [
-                    min(v.canvas.size().width(), v.canvas.size().height() / v.height_over_width)
-                    for v in views
-                ]
-                return window.window.size() == QSize(*size) and all(
-                    s >= wide and s * v.height_over_width >= min(high, wide * v.height_over_width)
-                    for s, v in zip(shown, views, strict=True)
-                )
-
-            qtbot.waitUntil(roomy, timeout=240_000)
-            drawer.toggleViewAction().trigger()
+def _panes(controller) -> list[str]:
+    return [name for name, _ in controller.session.layout.panes]
 
 
-def test_a_low_page_folds_its_filmstrip_and_keeps_dragged_splitters(bubble_window, qtbot):
-    window = bubble_window
-    window.window.resize(1366, 768)
-    _arrange(window, "inspect")
-    page = window.window.panes
-    strip = page.filmstrip
+def _measure(window) -> tuple[float, float]:
+    """Width of the largest image, and the share of the window that images and 3D views have."""
+    views = [column.view for column in window.columns.values() if column.view.canvas.isVisible()]
+    images = [
+        (min(v.canvas.width(), v.canvas.height() / v.height_over_width), v.height_over_width)
+        for v in views
+    ]
+    area = sum(wide * wide * tall for wide, tall in images)
+    area += sum(v.width() * v.height() for v in window.findChildren(View3D) if v.isVisible())
+    area += sum(
+        (card.width() - 8) * 82
+        for card in window.look.filmstrip.thumbnails.values()
+        if card.isVisible()
+    )
+    area += sum(
+        image.width() * image.height() for image in window.timeline.errors.thumbnails.values()
+    )
+    return max(wide for wide, _ in images), area / (window.width() * window.height())
+
+
+@pytest.mark.parametrize("size", ROOM)
+def test_most_of_the_window_shows_touches(window, qtbot, size):
+    least_px, least_share = ROOM[size]
+    model = window.window.frames.model
+    qtbot.waitUntil(lambda: len(model.thumbnails) > 8, timeout=240_000)
+
+    def roomy() -> bool:
+        window.window.resize(*size)
+        largest_px, share = _measure(window.window)
+        return largest_px >= least_px and share >= least_share
+
+    qtbot.waitUntil(roomy, timeout=240_000)
+
+
+def test_the_inspector_folds_in_a_small_window_and_returns_in_a_large_one(bubble_window, qtbot):
+    window = bubble_window.window
+    for size, shown in (((1600, 950), True), ((1366, 768), False), ((1600, 950), True)):
+
+        def has_size(size=size) -> bool:
+            window.resize(*size)
+            return window.size() == QSize(*size)
+
+        qtbot.waitUntil(has_size, timeout=240_000)
+        qtbot.waitUntil(lambda shown=shown: window.inspector.isVisible() == shown, timeout=240_000)
+    window.actions_by_name["inspector"].trigger()
+    assert not window.inspector.isVisible()
+    _arrange(bubble_window, "align")
+    window.show_inspector()
+    assert window.inspector.isVisible()
+    assert bubble_window.session.layout.name == "look"
+
+
+def test_a_low_page_collapses_its_cards_and_keeps_dragged_splitters(bubble_window, qtbot):
+    window = bubble_window.window
+    window.resize(1366, 768)
+    strip = window.look.filmstrip
     qtbot.waitUntil(lambda: strip.height() > 70, timeout=240_000)
-    window.window.drawers.diagnostics.toggleViewAction().trigger()
+    window.drawers.diagnostics.toggleViewAction().trigger()
     qtbot.waitUntil(lambda: strip.height() < 40, timeout=240_000)
-    both = page.panes[0].findChild(PaneSplitter)
+    both = window.look.panes[0].findChild(PaneSplitter)
     assert both.orientation() == Qt.Orientation.Horizontal
     both.moveSplitter(both.sizes()[0] + 60, 1)
     kept = both.sizes()
     both.fit_sizes()
     assert both.sizes() == kept
-    window.window.drawers.diagnostics.toggleViewAction().trigger()
+    window.drawers.diagnostics.toggleViewAction().trigger()
     qtbot.waitUntil(lambda: strip.height() > 70, timeout=240_000)
 
 
-def test_a_click_shows_a_stage_in_the_active_pane_and_one_key_toggles(window, qtbot):
-    whole = _large(window)
-    window.window.actions_by_name["toggle_inspect"].trigger()
-    assert wait_until_shown(window, LIMIT_S)
-    page = window.window.panes
-    assert _large(window) == ["depth", "touch_depth"]
-    assert {n for n, t in page.filmstrip.thumbnails.items() if t.isVisible()} == set(whole)
-    qtbot.mouseClick(window.window.columns["touch_depth"].view.canvas, Qt.MouseButton.LeftButton)
+def test_a_card_shows_its_stage_large_and_keys_do_the_same(window, qtbot):
+    page = window.window.look
+    assert {n for n, t in page.filmstrip.thumbnails.items() if t.isVisible()} == set(STAGES)
+    assert _panes(window) == ["source", "touch_depth", "touch"]
     assert page.active_pane == 1
-    qtbot.mouseClick(page.filmstrip.thumbnails["touch"], Qt.MouseButton.LeftButton)
-    assert _large(window) == ["depth", "touch"]
-    window.window.actions_by_name["only_2"].trigger()  # a stage in another pane changes places
-    assert [stage for stage, _ in window.session.layout.panes] == ["touch", "depth"]
-    page.dims_chosen.emit(1, "2D")
-    assert not window.window.view_panels["depth"].isVisible()
-    assert window.window.columns["depth"].isVisible()
-    page.count_chosen.emit(3)
-    assert len(_large(window)) == 3
-    window.window.actions_by_name["toggle_inspect"].trigger()
-    assert _large(window) == whole
+    qtbot.mouseClick(page.filmstrip.thumbnails["depth"], Qt.MouseButton.LeftButton)
+    assert _panes(window) == ["source", "depth", "touch"]
+    assert _large(window) == ["source", "depth", "touch"]
+    window.window.actions_by_name["stage_5"].trigger()  # in a pane, which becomes the active one
+    assert page.active_stage == "touch"
+    window.window.actions_by_name["stage_7"].trigger()
+    assert _panes(window) == ["source", "depth", "pose"]
+    page.dims_chosen.emit(2, "2D")
+    assert not window.window.view_panels["pose"].isVisible()
+    assert window.window.columns["pose"].isVisible()
     window.undo_stack.undo()
-    assert len(_large(window)) == 3
+    assert _panes(window) == ["source", "touch_depth", "touch"], "consecutive changes are one step"
 
 
-def test_warnings_appear_in_header_line_and_strip(window):
-    column = window.window.columns["target_depth"]
-    assert column.state == "warning"
-    assert any("of the target's contact" in warning for warning in column.warnings)
-    assert "of the target's contact" in window.window.warning_line.text
-    assert window.window.panes.filmstrip.thumbnails["target_depth"].state == "warning"
+def test_control_and_a_click_add_a_pane_and_remove_it(window, qtbot):
+    card = window.window.look.filmstrip.thumbnails
+    control = Qt.KeyboardModifier.ControlModifier
+    for stage, panes in (
+        ("touch", ["source", "touch_depth"]),
+        ("depth", ["source", "touch_depth", "depth"]),
+        ("pose", ["source", "touch_depth", "pose"]),  # in place of the last of three
+    ):
+        qtbot.mouseClick(card[stage], Qt.MouseButton.LeftButton, control)
+        assert _panes(window) == panes
+    for stage in ("pose", "touch_depth", "source"):
+        qtbot.mouseClick(card[stage], Qt.MouseButton.LeftButton, control)
+    assert _panes(window) == ["source"], "the last one stays"
+
+
+def test_the_verdict_says_how_far_off_and_why_and_leads_there(window, qtbot):
+    verdict = window.window.verdict
+    assert verdict.sentence.startswith("Frame 5 is 0.36 mm off.")
+    assert any("of the target's contact" in finding.sentence for finding in verdict.findings)
+    qtbot.waitUntil(lambda: "of it: the source saw 66" in verdict.sentence, timeout=240_000)
+    assert "0.304 mm" in window.window.look.filmstrip.thumbnails["target_depth"].share[1]
+    show = next(button for button in verdict.buttons if button.text() == "Show where")
+    qtbot.mouseClick(show, Qt.MouseButton.LeftButton)
+    assert wait_until_shown(window, LIMIT_S)
+    assert "target_depth" in _large(window)
+    assert window.views.comparison_mode == "difference"
     window.choose_frame(0)
     assert wait_until_shown(window, LIMIT_S)
-    assert column.state == "skipped"
-    assert window.window.warning_line.text == ""
+    assert window.window.columns["target_depth"].state == "skipped"
+    assert verdict.sentence.startswith("Frame 0 has no contact.")
+    assert verdict.findings == ()
 
 
-def test_the_demo_layout_shows_touch_and_truth(window):
-    _arrange(window, "demo")
-    assert _large(window) == ["source", "touch"]
+def test_without_truth_the_verdict_is_the_first_warning(bubble_window):
+    bubble_window.change("move", offsets=bubble_window.session.offsets)
+    verdict = bubble_window.window.verdict
+    warnings = [
+        warning
+        for result in bubble_window.latest_frame.results.values()
+        for warning in result.warnings
+    ]
+    if warnings:
+        assert warnings[0] in verdict.sentence
+    else:
+        assert "no warning" in verdict.sentence
+
+
+def test_the_recorded_touch_lies_under_a_wipe_of_the_generated_one(window):
+    view = window.window.columns["touch"].view
     truth = window.views.translation.read_true_outputs(5)["touch"]
-    shown = window.window.truth_column.view.preview
-    assert window.window.truth_column.isVisible()
-    assert shown.caption.startswith("truth: ")
-    np.testing.assert_array_equal(shown.distance_mm, truth.image)
-    np.testing.assert_allclose(shown.values, truth.reference - truth.image, atol=1e-5)
-    # nothing that nobody sees
-    assert set(window.latest_frame.results) == {"depth", "cloud", "target_depth", "touch"}
-    known = window.window.frames.model.get_summary(5)
-    assert known.metrics  # what was known of the whole frame is not forgotten
-    _arrange(window, "stages")
-    assert not window.window.truth_column.isVisible()
+    assert view.overlay.is_visible
+    under = view.overlay._picture
+    np.testing.assert_allclose(under.values, truth.reference - truth.image, atol=1e-5)
+    assert under.scale == view.preview.scale, "one scale on both sides"
+    assert not window.window.columns["target_depth"].view.overlay.is_visible
+    assert set(window.latest_frame.results) == set(STAGES) - {"source"}
+
+
+def test_a_changed_parameter_marks_the_stages_from_it_on_and_dims_none(window, qtbot):
+    touch = window.window.columns["touch"]
+    before = touch.view.canvas.grab().toImage()
+    marked = set()
+    for name, column in window.window.columns.items():
+        column.state_shown.connect(
+            lambda state, _, name=name: marked.add(name) if state in ("stale", "running") else None
+        )
+    method = next(m for m in window.methods if m.stage == "touch")
+    window.choose_params(method.key, type(window.session.get_params(method))(seed=3))
+    window.views.mark_stale()
+    assert touch.view.canvas.grab().toImage() == before
+    assert wait_until_shown(window, LIMIT_S)
+    assert "touch" in marked
+    assert not marked & {"source", "depth", "cloud", "target_depth"}
 
 
 def test_align_shows_the_target_depth_minus_the_observation(window):
     _arrange(window, "align")
     assert _large(window) == ["target_depth"]
+    assert window.window.view_panels["target_depth"].isVisible()
     assert window.window.drawers.alignment.isVisible()
     assert wait_until_shown(window, LIMIT_S)
     shown = window.window.columns["target_depth"].view.preview
     assert shown.caption.startswith("reprojected")
-    _arrange(window, "demo")
+    _arrange(window, "look")
     assert window.views.comparison_mode == ""
     assert not any(drawer.isVisible() for drawer in window.window.drawers.all_drawers)
 
 
 def test_a_session_stores_the_layout(window, open_window, tmp_path):
-    _arrange(window, "inspect")
-    window.window.panes.stage_chosen.emit(0, "pose")
+    window.window.look.stage_chosen.emit(0, "pose")
     window.save_session(tmp_path / "s.touch.json")
     kept = load_session(tmp_path / "s.touch.json").layout
     assert kept == window.session.layout
@@ -157,16 +229,27 @@ def test_a_session_stores_the_layout(window, open_window, tmp_path):
     other = open_window()
     other.open_path(tmp_path / "s.touch.json")
     assert wait_until_shown(other, LIMIT_S)
-    assert _large(other) == ["touch_depth", "pose"]
+    assert [name for name, _ in other.session.layout.panes] == ["pose", "touch_depth", "touch"]
+
+
+@pytest.mark.parametrize("old", ["stages", "inspect", "demo"])
+def test_a_session_of_an_older_layout_opens_in_look(window, tmp_path, old):
+    path = tmp_path / "s.touch.json"
+    window.save_session(path)
+    data = json.loads(path.read_text())
+    data["layout"]["name"] = old
+    path.write_text(json.dumps(data))
+    assert load_session(path).layout.name == "look"
 
 
 @pytest.mark.parametrize(
     ("data", "field"),
     [
         ({"name": "mine", "panes": []}, "name"),
-        ({"name": "inspect", "panes": [["depth", "4D"]]}, "panes"),
-        ({"name": "inspect", "panes": []}, "panes"),
-        ({"name": "stages", "panes": "depth"}, "panes"),
+        ({"name": "look", "panes": [["depth", "4D"]]}, "panes"),
+        ({"name": "look", "panes": []}, "panes"),
+        ({"name": "look", "panes": "depth"}, "panes"),
+        ({"name": "demo"}, "name"),
     ],
 )
 def test_an_invalid_layout_names_the_key(data, field):

@@ -290,7 +290,7 @@ def test_a_translation_opened_for_a_dropped_request_is_delivered_to_the_next(
     assert not states & {"stale", "running", "waiting", "failed"}
 
 
-@pytest.mark.parametrize("layout", ["align", "stages"])
+@pytest.mark.parametrize("layout", ["align", "look"])
 def test_new_columns_of_a_route_are_filled(layout, open_window, touch_file):
     window = open_window(touch_file, target="gelslim", frame=2)
     window.change("choose route", route="t2t")
@@ -567,15 +567,6 @@ def test_a_session_file_restores_everything(bubble_window, open_window, tmp_path
     assert wait_until_shown(other, LIMIT_S)
     assert other.session.frame == bubble_window.session.frame
     assert other.session.target == bubble_window.session.target
-
-
-def test_one_stage_alone_computes_only_what_it_needs(bubble_window):
-    bubble_window.show_only("depth")
-    assert wait_until_shown(bubble_window, LIMIT_S)
-    assert set(bubble_window.latest_frame.results) == {"depth"}
-    bubble_window.show_only("depth")
-    assert wait_until_shown(bubble_window, LIMIT_S)
-    assert set(bubble_window.latest_frame.results) >= {"depth", "pose"}
 
 
 def test_playing_goes_on_to_the_last_frame_and_stops(bubble_window):

@@ -129,7 +129,7 @@ def test_a_touch_beyond_the_target_is_centred_by_one_click(bubble_window):
     assert wait_until_shown(bubble_window, LIMIT_S)
     view = bubble_window.latest_frame.results["target_depth"].output
     assert not view.contact.any()
-    find(bubble_window.window.warning_line.buttons, "Centre").click()
+    find(bubble_window.window.verdict.buttons, "Centre").click()
     assert wait_until_shown(bubble_window, LIMIT_S)
     view = bubble_window.latest_frame.results["target_depth"].output
     row, col = (float(index.mean()) for index in np.nonzero(view.contact))
@@ -208,7 +208,6 @@ def test_every_folder_of_real_data_opens_by_two_clicks(
 ):
     """After the file dialog: a button, and an entry of its menu or another dialog."""
     controller = bubble_window
-    controller.show_only("depth")
     controller.open_path(real_data / folder)
     wait_until_shown(controller, LIMIT_S)
     if mend is not None:
@@ -223,7 +222,6 @@ def test_every_folder_of_real_data_opens_by_two_clicks(
 def test_a_folder_of_meshes_opens_the_object_of_the_recording_before(
     bubble_window, real_data, touch_file
 ):
-    bubble_window.show_only("depth")
     bubble_window.open_path(real_data / "tools")
     wait_until_shown(bubble_window, LIMIT_S)
     banner = bubble_window.window.banner

@@ -4,8 +4,6 @@ no target of its own.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 from PyQt6.QtWidgets import QPushButton
 
@@ -17,6 +15,7 @@ from app.shell.mending import MendingController
 from app.shell.presentation_jobs import make_panes
 from app.shell.tour import wait_until_shown
 from pipeline.views.contrast import FittedContrast
+from tests.app.window.window_checks import find_control
 
 LIMIT_S = 240
 RECORDINGS = SAMPLE_RECORDING.parent
@@ -39,15 +38,8 @@ def notification(controller: SessionController):
     return controller.findChild(MendingController).notification
 
 
-def open_depth_only(open_window, recording: Path | None = None, **session) -> SessionController:
-    """A window that computes the depth alone."""
-    controller = open_window(recording, **session)
-    controller.show_only("depth")
-    return controller
-
-
 def test_an_alignment_of_other_sensors_is_dropped_and_can_be_used_again(open_window):
-    controller = open_depth_only(open_window, DIGIT, target="gelslim")
+    controller = open_window(DIGIT, target="gelslim")
     controller.open_path(OF_DIGIT)
     assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
     controller.open_path(GRASPS)
@@ -78,7 +70,7 @@ def test_an_alignment_of_other_sensors_is_dropped_and_can_be_used_again(open_win
 
 
 def test_another_target_drops_the_alignment_of_the_old_one(open_window):
-    controller = open_depth_only(open_window, GRASPS, target="soft_bubble", alignment=OF_GELSLIM)
+    controller = open_window(GRASPS, target="soft_bubble", alignment=OF_GELSLIM)
     assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
     controller.change("choose target", target="digit")
     assert wait_until_shown(controller, LIMIT_S)
@@ -92,7 +84,7 @@ def test_another_target_drops_the_alignment_of_the_old_one(open_window):
 
 
 def test_the_banner_goes_on_without_the_alignment_or_with_its_target(open_window):
-    controller = open_depth_only(open_window, GRASPS, target="digit", alignment=OF_GELSLIM)
+    controller = open_window(GRASPS, target="digit", alignment=OF_GELSLIM)
     assert not wait_until_shown(controller, LIMIT_S)
     banner = controller.window.banner
     assert list_texts(banner.buttons) == ["Target Soft Bubble", "Without this alignment"]
@@ -149,7 +141,7 @@ def test_undo_of_the_first_opening_leaves_the_window_as_at_the_start(
 )
 def test_a_new_recording_chooses_its_own_target(open_window, touch_file, before, target):
     """Its second sensor, or for one sensor alone another kind."""
-    controller = open_depth_only(open_window, SAMPLE_RECORDING, source="gelslim", target=before)
+    controller = open_window(SAMPLE_RECORDING, source="gelslim", target=before)
     assert wait_until_shown(controller, LIMIT_S)
     controller.open_path(touch_file)
     assert wait_until_shown(controller, LIMIT_S)
@@ -203,32 +195,32 @@ def test_a_pinned_truth_is_marked_wherever_its_results_are_shown(open_window):
     assert "with true depth" in window.windowTitle()
     assert depth.state == "warning", "not a green 'read'"
     assert "border" in depth.styleSheet()
-    assert "with true depth" in touch._note.text()
+    assert "with true depth" in touch.view.remark.text()
     shown = {name: controller.views.get_shown_stage(name) for name in ("source", "touch")}
     panes = make_panes(controller.views.translation, shown, FittedContrast())
     assert panes[1].title == "Soft Bubble, generated touch: Physical render, with true depth"
     click(depth.findChildren(QPushButton), "Unpin")
     assert wait_until_shown(controller, LIMIT_S)
     assert controller.session.methods == {"touch": "physics"}
-    assert "with true" not in window.windowTitle() + touch._note.text()
+    assert "with true" not in window.windowTitle() + touch.view.remark.text()
     assert not depth.styleSheet()
 
 
 def test_parameters_of_a_method_that_did_not_answer_are_struck_out(open_window):
     controller = open_window(GRASPS, source="gelslim", target="soft_bubble", frame=1)
     assert wait_until_shown(controller, LIMIT_S)
-    pinned = controller.window.columns["touch"].pinned
+    guidance = find_control(controller, "guidance")
     params = controller.session.get_params
     touch = next(method for method in controller.methods if method.stage == "touch")
 
     def is_struck_out() -> bool:
-        return pinned.get_control("guidance").font().strikeOut()
+        return guidance.font().strikeOut()
 
     assert not is_struck_out()
     controller.choose_params(touch.key, type(params(touch))(steps=0))
     assert wait_until_shown(controller, LIMIT_S)
     assert is_struck_out()
-    assert "no denoising step" in pinned.get_control("guidance").toolTip()
+    assert "no denoising step" in guidance.toolTip()
     controller.choose_params(touch.key, type(params(touch))(steps=1))
     assert wait_until_shown(controller, LIMIT_S)
     assert not is_struck_out()

@@ -34,6 +34,7 @@ def test_the_magnifier_reads_what_the_probe_reads_and_stays_clear_of_the_pixel(
     window = bubble_window.window
     magnifier = bubble_window.findChild(PresentationController).magnifier
     window.resize(1366, 768)
+    window.actions_by_name["stage_2"].trigger()
     depth = window.columns["depth"]
     qtbot.waitUntil(lambda: depth.view.canvas.height() > 120, timeout=240_000)
     depth.pixel_hovered.emit("depth", 60, 70)
@@ -59,7 +60,7 @@ def test_the_magnifier_reads_what_the_probe_reads_and_stays_clear_of_the_pixel(
     assert not magnifier.isVisible()
 
 
-@pytest.mark.parametrize("layout", ["stages", "inspect", "align"])
+@pytest.mark.parametrize("layout", ["look", "align", "compare"])
 def test_the_active_pane_is_copied(bubble_window, layout):
     window = bubble_window.window
     window.actions_by_name[f"layout_{layout}"].trigger()
@@ -67,9 +68,9 @@ def test_the_active_pane_is_copied(bubble_window, layout):
     window.actions_by_name["copy_image"].trigger()
     copied = QGuiApplication.clipboard().pixmap()
     whole = window.size()
-    assert (copied.width() == whole.width()) == (layout == "stages")
+    assert (copied.width() == whole.width()) == (layout == "compare")
     assert 100 < copied.width() <= whole.width()
-    assert f"{copied.width()} x {copied.height()}" in window.readout.text()
+    assert f"{copied.width()} x {copied.height()}" in window.said
 
 
 def present(controller) -> PresentationController:

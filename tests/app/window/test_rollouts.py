@@ -184,7 +184,7 @@ def test_video_has_one_image_per_tick_and_a_bundle_replays(opened, tmp_path, qtb
 
 def test_nothing_is_read_while_another_layout_is_shown(opened, rollout_folder, qtbot, monkeypatch):
     controller, rollouts = opened
-    controller.window.actions_by_name["layout_stages"].trigger()
+    controller.window.actions_by_name["layout_look"].trigger()
     monkeypatch.setattr(
         "app.task.rollouts.open_rollout", lambda *_: pytest.fail("read while hidden")
     )

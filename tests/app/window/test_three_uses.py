@@ -56,7 +56,7 @@ def test_a_new_user_inspects_corrects_saves_and_exports(hands, qtbot, tmp_path, 
     press(_KEY.Key_J, Qt.KeyboardModifier.ShiftModifier)
     worst = controller.session.frame
     press(_KEY.Key_W)
-    view = window.columns["touch_depth"].view
+    view = window.columns["touch"].view
     rows, cols = view.preview.pixels.shape[:2]
     at = view.canvas.to_screen(QPointF(0.5 * cols, 0.3 * rows)).toPoint()
     qtbot.mousePress(view.canvas, _LEFT, pos=at)
@@ -72,9 +72,6 @@ def test_a_new_user_inspects_corrects_saves_and_exports(hands, qtbot, tmp_path, 
     controller.probe.draw_pending()
     assert window.trace.text.count("→") == len(window.columns), "every stage, and truth at the end"
 
-    # A demonstration, and back.
-    press(_KEY.Key_5, Qt.KeyboardModifier.ControlModifier)
-    assert window.truth_column.isVisible()
     press(_KEY.Key_3, Qt.KeyboardModifier.ControlModifier)
 
     # The alignment: a number is typed.

@@ -106,7 +106,7 @@ def test_the_copied_command_makes_the_same_pictures_and_figures(held, qtbot, tmp
     instrument.undo_stack.undo()
     instrument.undo_stack.undo()
     assert instrument.session.variant is None
-    assert instrument.session.layout.name == "stages"
+    assert instrument.session.layout.name == "look"
     instrument.undo_stack.redo()
     assert instrument.session.variant is not None
     assert instrument.window.comparison.current_name == "two"

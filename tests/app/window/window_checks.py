@@ -49,6 +49,14 @@ def resize_window(window: QWidget, size: tuple[int, int], qtbot) -> None:
     qtbot.waitUntil(has_size, timeout=240_000)
 
 
+def find_control(controller: SessionController, name: str) -> QWidget:
+    """The control of a parameter of the generated touch's method."""
+    touch = next(method for method in controller.methods if method.stage == "touch")
+    control = controller.window.parameters.findChild(QWidget, f"{touch.key}.{name}")
+    assert control is not None
+    return control
+
+
 class Watched:
     """Checks one window; `complain` receives every problem."""
 

@@ -1,0 +1,169 @@
+"""The verdict: what is wrong with the frame on screen, its largest cause in words, and what mends
+it; beside it the figures of the frame and each stage's share of its error.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+from app.document.evaluator import EvaluatedFrame
+from app.document.feature import Feature
+from app.document.session_controller import SessionController
+from app.frames.error_attribution import ErrorAttributionController
+from app.session.layout import Dims
+from pipeline.core.graph import StageResult
+from pipeline.core.values.results import DepthMap
+from pipeline.stages.metrics.stage_metrics import METRICS
+from pipeline.translation.error_attribution import (
+    DEFAULT_METRIC,
+    OUTSIDE_VIEW,
+    ErrorAttribution,
+    ErrorShare,
+)
+from widgets.stages.verdict_line import Finding
+from widgets.style.notification_bar import Choice
+
+_NO_TRUTH = "The recording has no touch of the target to compare with."
+_LEAST_SHARE = 0.02  # of the error: a smaller share has no bar on its card
+_UNSEEN = "the source saw only a part of the object"
+_STAGE_CAUSES = {
+    "depth": "the measured depth of the source",
+    "cloud": "the alignment of the two sensors",
+    "target_depth": "the reprojection into the target",
+    "touch": "the generated touch itself",
+    "touch_depth": "the generated touch itself",
+    "pose": "the estimated pose itself",
+}
+
+
+class VerdictController(Feature):
+    """Connects verdict line, cards and inspector with the frame on screen."""
+
+    def __init__(
+        self, controller: SessionController, attribution: ErrorAttributionController
+    ) -> None:
+        super().__init__(controller)
+        self._attribution: ErrorAttribution | None = None
+        controller.frame_shown.connect(self._show_frame)
+        controller.remedies_changed.connect(self._show)
+        self._window.look.active_changed.connect(self._show_figures)
+        attribution.attributed.connect(self._show_attribution)
+
+    def _show_frame(self, _index: int) -> None:
+        self._attribution = None
+        self._show()
+
+    def _show_attribution(self, attribution: ErrorAttribution) -> None:
+        self._attribution = attribution
+        self._show()
+
+    def _show(self) -> None:
+        latest = self._controller.latest_frame
+        if latest is None:
+            return
+        self._show_figures()
+        self._window.look.filmstrip.show_shares(collect_shares(self._attribution))
+        findings = self._list_findings(latest.results)
+        state, sentence, cause = self._judge(latest, findings)
+        self._window.verdict.show_verdict(
+            state, sentence, cause, findings, (*self._offer_place(), *self._controller.remedies)
+        )
+
+    def _list_findings(self, results: Mapping[str, StageResult]) -> list[Finding]:
+        """List all warnings; those that every frame has come last."""
+        stage = self._controller.catalogue.stage
+        common = self._window.frames.model.common_warnings
+        found = [
+            (f"{stage(name).title.lower()}: {warning}" in common, name, warning)
+            for name, result in results.items()
+            for warning in result.warnings
+        ]
+        found.sort(key=lambda one: one[0])
+        return [
+            Finding(sentence=f"{stage(name).title}: {warning}", stage=name)
+            for _, name, warning in found
+        ]
+
+    def _judge(self, latest: EvaluatedFrame, findings: Sequence[Finding]) -> tuple[str, str, str]:
+        """Return a state, a sentence and its cause."""
+        which = f"Frame {latest.index}"
+        depth = latest.results["depth"].output if "depth" in latest.results else None
+        if isinstance(depth, DepthMap) and not depth.contact.any():
+            return "", f"{which} has no contact.", "The target's reference image is the answer."
+        error_mm = latest.metrics.get(DEFAULT_METRIC, math.nan)
+        if math.isfinite(error_mm):
+            is_wrong = bool(findings) or self._attribution is not None
+            return (
+                "warning" if is_wrong else "",
+                f"{which} is {error_mm:.2f} mm off.",
+                describe_cause(self._attribution, latest.results),
+            )
+        if findings:
+            return "warning", f"{which}:", f"{findings[0].sentence}."
+        return "", f"{which}: no warning.", _NO_TRUTH
+
+    def _offer_place(self) -> list[Choice]:
+        """Offer to show where the largest share of the error is."""
+        worst = None if self._attribution is None else find_largest_share(self._attribution)
+        return [] if worst is None else [("Show where", self._make_difference(worst.stage))]
+
+    def _make_difference(self, stage: str) -> Callable[[], None]:
+        def show() -> None:
+            look = self._window.look
+            look.choose_stage(stage)
+            both: Dims = "both"
+            look.dims_chosen.emit(look.active_pane, both)
+            self._controller.set_comparison_mode("difference")
+
+        return show
+
+    def _show_figures(self, *_: object) -> None:
+        """Show the error in contact, and what else is known of the chosen stage."""
+        latest = self._controller.latest_frame
+        metrics = {} if latest is None else latest.metrics
+        chosen = self._window.look.active_stage
+        shown: list[tuple[str, str, str]] = []
+        for name, value in sorted(metrics.items(), key=lambda pair: pair[0] != DEFAULT_METRIC):
+            stage, _, figure = name.partition(".")
+            if (name == DEFAULT_METRIC or stage == chosen) and math.isfinite(value):
+                metric = METRICS[figure]
+                text = f"{value:.3f} {metric.unit}".rstrip()
+                shown.append((metric.title, text, metric.meaning))
+        self._window.inspector.show_figures(shown)
+
+
+def find_largest_share(attribution: ErrorAttribution) -> ErrorShare | None:
+    """Return the largest share; None if more remains with the truth in every stage."""
+    worst = max(attribution.shares, key=lambda part: part.share, default=None)
+    return None if worst is None or worst.share <= max(0.0, attribution.remainder) else worst
+
+
+def describe_cause(attribution: ErrorAttribution | None, results: Mapping[str, StageResult]) -> str:
+    """Return the largest cause of an error in words, with what the truth there would save."""
+    if attribution is None:
+        return ""
+    worst = find_largest_share(attribution)
+    share = attribution.remainder if worst is None else worst.share
+    stage = attribution.metric.partition(".")[0] if worst is None else worst.stage
+    cause = _STAGE_CAUSES.get(stage, stage)
+    if worst is not None and worst.title == OUTSIDE_VIEW:
+        seen = (w for name, r in results.items() if name == stage for w in r.warnings)
+        cause = next((warning for warning in seen if "saw" in warning), _UNSEEN)
+    if share > attribution.total:  # shares cancel
+        return f"Without this it would be {share:.2f} mm less, but others cancel: {cause}."
+    return f"{share / attribution.total:.0%} of it: {cause}." if attribution.total > 0 else ""
+
+
+def collect_shares(attribution: ErrorAttribution | None) -> dict[str, tuple[float, str]]:
+    """Return stage -> share of the error (1 = all of it) and its value as a text."""
+    if attribution is None or attribution.total <= 0:
+        return {}
+    values: dict[str, float] = {}
+    for part in attribution.shares:
+        values[part.stage] = values.get(part.stage, 0.0) + part.share
+    own = attribution.metric.partition(".")[0]
+    values[own] = values.get(own, 0.0) + attribution.remainder
+    return {
+        stage: (value / attribution.total, f"{value:.3f} {attribution.unit}")
+        for stage, value in values.items()
+        if abs(value) >= _LEAST_SHARE * attribution.total
+    }

@@ -1,0 +1,90 @@
+"""What is wrong with the frame on screen in one sentence, and the list of all that is."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QMenu, QPushButton, QSizePolicy
+
+from widgets.style.icons import StateIcon
+from widgets.style.notification_bar import Choice, make_choice_button
+from widgets.style.styling import fill, make_button, set_spacing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """Something that is wrong: a sentence, and the stage it is about ("" = none)."""
+
+    sentence: str
+    stage: str = ""
+
+
+class VerdictLine(QFrame):
+    """One sentence with its buttons; a menu lists everything else.
+
+    `finding_chosen` carries the stage of an entry.
+    """
+
+    finding_chosen = pyqtSignal(str)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setObjectName("verdict")
+        self.setAccessibleName("verdict")
+        self.setFrameShape(QFrame.Shape.StyledPanel)
+        self.findings: tuple[Finding, ...] = ()
+        self._sign = StateIcon()
+        self._sentence = QLabel()
+        self._sentence.setWordWrap(True)
+        self._sentence.setTextFormat(Qt.TextFormat.RichText)
+        self._sentence.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
+        self.list_button = make_button("", "findings", "Everything that is wrong with this frame")
+        self._menu = QMenu(self.list_button)
+        self.list_button.setMenu(self._menu)
+        self._row = set_spacing(QHBoxLayout(self), 8, (8, 2, 2, 2))
+        fill(self._row, self._sign, (self._sentence, 1), self.list_button)
+        self.buttons: list[QPushButton] = []  # that mend what is wrong, or show where
+        self.show_verdict("", "")
+
+    @property
+    def text(self) -> str:
+        """The sentence, without markup, and all findings."""
+        return "\n".join((self.sentence, *(finding.sentence for finding in self.findings)))
+
+    def show_verdict(
+        self,
+        state: str,
+        sentence: str,
+        cause: str = "",
+        findings: Sequence[Finding] = (),
+        choices: Sequence[Choice] = (),
+    ) -> None:
+        """Show a state's sign, a sentence in bold letters and its cause, and all findings."""
+        self.sentence = " ".join(filter(None, (sentence, cause)))
+        self._sign.show_state(state)
+        self._sentence.setText(f"<b>{_escape(sentence)}</b> {_escape(cause)}")
+        self.findings = tuple(findings)
+        self._menu.clear()
+        for finding in self.findings:
+            action = self._menu.addAction(_escape_menu(finding.sentence))
+            assert action is not None
+            action.triggered.connect(self._make_chooser(finding.stage))
+        self.list_button.setText("1 finding" if len(findings) == 1 else f"{len(findings)} findings")
+        self.list_button.setVisible(bool(findings))
+        for button in self.buttons:
+            self._row.removeWidget(button)
+            button.deleteLater()
+        self.buttons = [make_choice_button(choice, lambda: None) for choice in choices]
+        for place, button in enumerate(self.buttons, start=2):
+            self._row.insertWidget(place, button)
+
+    def _make_chooser(self, stage: str) -> Callable[[], None]:
+        return lambda: self.finding_chosen.emit(stage)
+
+
+def _escape(text: str) -> str:
+    return text.replace("&", "&amp;").replace("<", "&lt;")
+
+
+def _escape_menu(text: str) -> str:
+    return text.replace("&", "&&")
