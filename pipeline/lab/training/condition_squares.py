@@ -85,7 +85,7 @@ class SquareRequest:
 
         pair = find_next_contact(find, index)
         pair = mirror_pair(pair, rng) if augmented else pair
-        gel, bubble = place_nominal_sensors(float(pair.deeper_mm[0]))
+        gel, bubble = place_nominal_sensors(pair.placement)
         if onto_bubble:
             noisy = pair.change_grey + rng.normal(0.0, 1.0, pair.change_grey.shape).astype(
                 np.float32

@@ -11,27 +11,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.core.arrays import Floats, Mask, freeze
+from pipeline.core.arrays import Doubles, Floats, Mask, freeze
 from pipeline.core.derived import derive_once
+from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import Camera
 from pipeline.lab.training.object_sampling import DATA_SPLITS, DataSplit, SampleCache, sample_object
 from pipeline.lab.training.target_touches import (
     CATALOGUE_SHARE,
-    DEEPER_MM,
     SMALL_SHARE,
     TRAINING_DEPTH_MM,
 )
 from pipeline.physics import optics
 from pipeline.physics.simulation import poses, variation
 from pipeline.physics.simulation.datasets import BUBBLE_DEEPER_MM
-from pipeline.physics.simulation.press import move_bubble_closer, simulate_press
+from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.stages.touch.depth_condition import make_working_sensor
 
-VERSION = 4  # part of the seeds: incremented when the same number gives another pair
+VERSION = 5  # part of the seeds: incremented when the same number gives another pair
 GEL = "gelslim"
 BUBBLE = "soft_bubble"
-_AS_RECORDED_SHARE = 0.5  # bubbles that come as close as in the data sets
+_AS_RECORDED_SHARE = 0.25  # bubbles that stand as in the data sets
+# ranges of all other bubbles' placements, about that of their description
+_CLOSER_MM = (-6.0, 10.0)  # its apex is 4 mm inside a gel's surface at 0
+_ASIDE_MM = 3.5
+_ROTATION_DEG = (2.0, 2.0, 22.0)
 # training presses that only a bubble feels: share, depth over the gel
 _ABOVE_SHARE = 0.06
 _ABOVE_MM = (-4.0, 0.0)
@@ -46,7 +50,7 @@ class TouchPair:
     gel_contact: Mask
     symmetric_bubble_mm: Floats  # (rows, cols) of the symmetric camera, without noise
     symmetric_bubble_contact: Mask
-    deeper_mm: Floats  # (1,) how much closer to the object the bubble came than described
+    placement: Doubles  # (4, 4) mm, what moves the bubble from its description
 
     @property
     def bubble_mm(self) -> Floats:
@@ -62,16 +66,21 @@ class TouchPair:
 _pairs = SampleCache(TouchPair)
 
 
-def place_nominal_sensors(deeper_mm: float) -> tuple[SensorSpec, SensorSpec]:
-    """Gel and bubble as described, on their working grids, the bubble `deeper_mm` closer to the
-    object.
-    """
-    gel, bubble = _load_working_sensors()
-    return gel, move_bubble_closer(bubble, deeper_mm)
+def place_nominal_sensors(placement: Doubles, gel: str = GEL) -> tuple[SensorSpec, SensorSpec]:
+    """Gel and bubble as described, on their working grids, the bubble moved by `placement`."""
+    nominal, bubble = _load_working_sensor(gel), _load_working_sensor(BUBBLE)
+    moved: Doubles = freeze(placement @ bubble.alignment_from_sensor)
+    return nominal, replace(bubble, alignment_from_sensor=moved)
 
 
 def simulate_touch_pair(
-    split: DataSplit, seed: int, index: int, folder: str = "", *, bubble_alone: bool = False
+    split: DataSplit,
+    seed: int,
+    index: int,
+    folder: str = "",
+    *,
+    gel: str = GEL,
+    bubble_alone: bool = False,
 ) -> TouchPair | None:
     """Pair `index` of a seed, the same on every call; None where the gel has no contact.
 
@@ -83,19 +92,24 @@ def simulate_touch_pair(
             split,
             np.random.default_rng([VERSION, 13, DATA_SPLITS.index(split), seed, index]),
             index,
+            gel,
         )
 
-    pair = _pairs.get(f"pair_{split}_{seed}_{index}", folder, make)
+    pair = _pairs.get(f"pair_{gel}_{split}_{seed}_{index}", folder, make)
     has_contact = pair.gel_contact.any() or (bubble_alone and pair.bubble_contact.any())
     return pair if has_contact else None
 
 
-def _simulate_pair(split: DataSplit, rng: np.random.Generator, index: int) -> TouchPair:
+def _simulate_pair(
+    split: DataSplit, rng: np.random.Generator, index: int, gel_name: str = GEL
+) -> TouchPair:
     as_recorded = split != "training" or rng.random() < _AS_RECORDED_SHARE
-    deeper = BUBBLE_DEEPER_MM if as_recorded else rng.uniform(*DEEPER_MM)
+    placement = (
+        rigid.translation(0.0, 0.0, BUBBLE_DEEPER_MM) if as_recorded else _sample_placement(rng)
+    )
     gel, bubble = (
         variation.vary_sensor(spec, int(rng.integers(1 << 31)), 1.0)
-        for spec in place_nominal_sensors(deeper)
+        for spec in place_nominal_sensors(placement, gel_name)
     )
     bubble = bubble.with_camera(make_symmetric_camera(bubble.camera))
     _, mesh = sample_object(
@@ -114,11 +128,17 @@ def _simulate_pair(split: DataSplit, rng: np.random.Generator, index: int) -> To
         gel_contact=on_gel.contact,
         symmetric_bubble_mm=on_bubble.indentation_mm,
         symmetric_bubble_contact=on_bubble.contact,
-        deeper_mm=np.array([deeper], np.float32),
+        placement=freeze(placement),
     )
 
 
-def mirror_pair(pair: TouchPair, rng: np.random.Generator) -> TouchPair:
+def _sample_placement(rng: np.random.Generator) -> Doubles:
+    motion = rigid.rotation(np.deg2rad(_ROTATION_DEG) * rng.uniform(-1.0, 1.0, 3))
+    motion[:3, 3] = *rng.uniform(-_ASIDE_MM, _ASIDE_MM, 2), rng.uniform(*_CLOSER_MM)
+    return motion
+
+
+def mirror_pair(pair: TouchPair, rng: np.random.Generator, gel_name: str = GEL) -> TouchPair:
     """The pair mirrored across x, y, both or neither.
 
     The gel's image is rendered by another sensor instance.
@@ -130,9 +150,10 @@ def mirror_pair(pair: TouchPair, rng: np.random.Generator) -> TouchPair:
         return freeze(np.ascontiguousarray(np.flip(field, axes)))
 
     gel_mm = flip_field(pair.gel_mm)
-    gel = variation.vary_sensor(_load_working_sensors()[0], int(rng.integers(1 << 31)), 1.0)
+    gel = variation.vary_sensor(_load_working_sensor(gel_name), int(rng.integers(1 << 31)), 1.0)
     image = optics.render(gel, gel_mm, seed=int(rng.integers(1 << 31)))
     change = image.astype(np.float32) - optics.render_reference(gel).astype(np.float32)
+    mirror = np.diag([-1.0 if which & 1 else 1.0, -1.0 if which & 2 else 1.0, 1.0, 1.0])
     return replace(
         pair,
         change_grey=freeze(change),
@@ -140,6 +161,7 @@ def mirror_pair(pair: TouchPair, rng: np.random.Generator) -> TouchPair:
         gel_contact=flip_field(pair.gel_contact),
         symmetric_bubble_mm=flip_field(pair.symmetric_bubble_mm),
         symmetric_bubble_contact=flip_field(pair.symmetric_bubble_contact),
+        placement=freeze(mirror @ pair.placement @ mirror),
     )
 
 
@@ -165,12 +187,12 @@ def _pad_axis(centre_px: float, n: int) -> tuple[int, int]:
 @derive_once
 def _crop_to_camera() -> tuple[slice, slice]:
     """The pixels of the bubble's own camera in the symmetric one."""
-    camera = _load_working_sensors()[1].camera
+    camera = _load_working_sensor(BUBBLE).camera
     x = _pad_axis(camera.cx_px, camera.cols)[0]
     y = _pad_axis(camera.cy_px, camera.rows)[0]
     return slice(y, y + camera.rows), slice(x, x + camera.cols)
 
 
 @derive_once
-def _load_working_sensors() -> tuple[SensorSpec, SensorSpec]:
-    return make_working_sensor(load_sensor(GEL)), make_working_sensor(load_sensor(BUBBLE))
+def _load_working_sensor(name: str) -> SensorSpec:
+    return make_working_sensor(load_sensor(name))

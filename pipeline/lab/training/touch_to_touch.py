@@ -5,7 +5,7 @@ pairs.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,6 +39,9 @@ _MAX_ROTATION_DEG = 5.0
 _MAX_SCALING = 0.05
 _MAX_TRANSLATION = 0.03
 _MAX_BRIGHTENING = 0.25
+GELS = (GEL, "gelsight_mini")  # sources of training pairs, and the share of the second
+_OTHER_GEL_SHARE = 0.25
+_DRIFT_GREY = 2.0  # standard deviation of a change of light since the reference image
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,8 +112,8 @@ def jitter_touch(touch: ConditionedTouch, rng: np.random.Generator) -> Condition
         )
 
     condition = np.stack([warp(channel) for channel in touch.condition])
-    # the last channel is a mask
-    condition[:-1] *= np.float32(1.0 + rng.uniform(-_MAX_BRIGHTENING, _MAX_BRIGHTENING))
+    # view and overlap are no colours
+    condition[:-2] *= np.float32(1.0 + rng.uniform(-_MAX_BRIGHTENING, _MAX_BRIGHTENING))
     return ConditionedTouch(
         condition=freeze(condition),
         indentation_mm=freeze(warp(touch.indentation_mm)),
@@ -132,14 +135,22 @@ class TouchToTouchTask(DenoisingTask):
         return "bubble"
 
     def sample(self, rng: np.random.Generator) -> Example:
-        """A pair, augmented in a share of the examples.
+        """A pair whose image is stronger or weaker and has drifted, mirrored in a share of the
+        examples.
 
-        A gel's image is rendered anew, as its LEDs are asymmetric.
+        A mirrored gel's image is rendered anew, as its LEDs are asymmetric.
         """
-        pair = self._get_pair("training", self.press_seed, int(rng.integers(self.n_presses)))
-        return self._make_example(
-            mirror_pair(pair, rng) if rng.random() < self.augmentation_share else pair, rng
-        )
+        import cv2
+
+        gel = GELS[int(rng.random() < _OTHER_GEL_SHARE)]
+        pair = self._get_pair("training", self.press_seed, int(rng.integers(self.n_presses)), gel)
+        if rng.random() < self.augmentation_share:
+            pair = mirror_pair(pair, rng, gel)
+        grey = pair.change_grey
+        drift = cv2.resize(rng.normal(0.0, _DRIFT_GREY, (2, 3, 3)), grey.shape[1::-1])
+        strength = 1.0 + rng.uniform(-_MAX_BRIGHTENING, _MAX_BRIGHTENING)
+        recorded = (strength * grey + drift).astype(np.float32)
+        return self._make_example(replace(pair, change_grey=recorded), rng, gel)
 
     def make_validation_example(self, split: Split, index: int) -> Example:
         """A training object in a new pose, or an unseen tool."""
@@ -166,16 +177,20 @@ class TouchToTouchTask(DenoisingTask):
             touch.condition, touch.indentation_mm, touch.contact, no_contact, self.kind
         )
 
-    def _get_pair(self, split: DataSplit, seed: int, index: int) -> TouchPair:
+    def _get_pair(
+        self, split: DataSplit, seed: int, index: int, gel: str = GEL
+    ) -> TouchPair:
         """Pair `index`, or the next one with contact on the gel."""
         return find_next_contact(
-            lambda k: simulate_touch_pair(split, seed, k, self.folder),
+            lambda k: simulate_touch_pair(split, seed, k, self.folder, gel=gel),
             index,
             "the gel has no contact in",
         )
 
-    def _make_example(self, pair: TouchPair, rng: np.random.Generator) -> Example:
-        gel, bubble = place_nominal_sensors(float(pair.deeper_mm[0]))
+    def _make_example(
+        self, pair: TouchPair, rng: np.random.Generator, gel_name: str = GEL
+    ) -> Example:
+        gel, bubble = place_nominal_sensors(pair.placement, gel_name)
         change = pair.change_grey + rng.normal(0.0, 1.0, pair.change_grey.shape).astype(np.float32)
         between = alignment.resolve_alignment(gel, bubble)
         condition = build_image_condition(change, gel.camera, gel, bubble, between)
