@@ -142,7 +142,7 @@ def open(  # noqa: A001 - `ts.open` reads as it should
     *,
     source: str = "",
     stream: str = "",
-    route: str = "t2d2",
+    route: str = "",
     methods: Mapping[str, str | Method] | None = None,
     weights: Mapping[str, PathLike] | None = None,
     reference: PathLike | ArrayLike | None = None,
@@ -161,7 +161,8 @@ def open(  # noqa: A001 - `ts.open` reads as it should
         source: Sensor that made the recording, by name or TOML file; "" = as the recording says.
             Images need it.
         stream: Name of the stream to read, where one sensor has several; "" = the first.
-        route: `t2d2` (touch to depth to touch) or `t2t` (touch to touch).
+        route: `object` (by the object's mesh), `t2d2` (touch to depth to touch) or `t2t` (touch to
+            touch); default: `object` where a mesh is known, else `t2d2`.
         methods: Stage -> name of its method, or a `Method` of your own; the route names those of
             other stages.
         weights: Stage -> weights file of its network; shipped ones otherwise.

@@ -37,6 +37,7 @@ class Route:
     name: str
     title: str
     methods: Mapping[str, str]  # stage -> method, in running order
+    needs_mesh: bool = False  # of the touched object
 
     @property
     def label(self) -> str:
@@ -60,8 +61,14 @@ class Catalogue:
         """The stage of that name; raises SettingProblem."""
         return _find_by_name(self.stages, name, f"stage {name!r}")
 
-    def route(self, name: str) -> Route:
-        """The route of that name; raises SettingProblem."""
+    def route(self, name: str, *, has_mesh: bool = False) -> Route:
+        """The route of that name; "" is the default, through the object where its mesh is known.
+
+        Raises SettingProblem.
+        """
+        if not name:
+            fitting = (route for route in self.routes if route.needs_mesh == has_mesh)
+            return next(fitting, self.routes[0])
         return _find_by_name(self.routes, name, f"route {name!r}")
 
     def method(self, stage: str, name: str) -> Method:
@@ -157,25 +164,32 @@ def _check_params(method: Method) -> None:
     list_settings(method.params())
 
 
+_T2D2 = Route(
+    name="t2d2",
+    title="T2D2: touch → depth → touch",
+    methods={
+        "depth": "network",
+        "cloud": "back_projection",
+        "target_depth": "surface",
+        "touch": "t2d2",
+        "touch_depth": "membrane",
+        "pose": "signed_distances",
+    },
+)
 BUILT_IN = Catalogue(
     stages=(DEPTH, CLOUD, TARGET_DEPTH, TOUCH, TOUCH_DEPTH, POSE),
     routes=(
-        Route(
-            name="t2d2",
-            title="T2D2: touch → depth → touch",
-            methods={
-                "depth": "network",
-                "cloud": "back_projection",
-                "target_depth": "surface",
-                "touch": "t2d2",
-                "touch_depth": "membrane",
-                "pose": "signed_distances",
-            },
-        ),
+        _T2D2,
         Route(
             name="t2t",
             title="T2T: touch → touch",
             methods={"touch": "t2t", "touch_depth": "membrane", "pose": "signed_distances"},
+        ),
+        Route(
+            name="object",
+            title="Object: touch → object → touch",
+            methods={**_T2D2.methods, "touch": "object"},
+            needs_mesh=True,
         ),
     ),
 ).add_methods(load_entry_points("tactoscope.methods", Method, _check_params))

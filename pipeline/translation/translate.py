@@ -45,7 +45,7 @@ from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.stages.networks.weights import NoWeights
 from pipeline.stages.stage import GroundTruth, SensorRole, Stage
 from pipeline.stages.truth_method import TRUTH, get_input_name
-from pipeline.translation.catalogue import BUILT_IN, Catalogue, with_settings
+from pipeline.translation.catalogue import BUILT_IN, Catalogue, Route, with_settings
 from pipeline.translation.frame_selection import select_context_frames
 from pipeline.translation.translated_frame import TranslatedFrame
 from pipeline.views.display_params import DisplayParams
@@ -65,7 +65,7 @@ class Request:
     target: str
     source: str = ""
     stream: str = ""
-    route: str = "t2d2"
+    route: str = ""
     methods: tuple[tuple[str, str], ...] = ()  # (stage, method) in place of the route's own
     reference: Path | None = None
     # of the recording to make the reference of: "median", "untouched" or a number
@@ -248,8 +248,13 @@ class Translation:
     def methods(self) -> tuple[Method, ...]:
         """The methods of the route, one per stage, in running order."""
         return self.catalogue.methods(
-            self.request.route, dict(self.request.methods), self.sensor_kinds
+            self.route.name, dict(self.request.methods), self.sensor_kinds
         )
+
+    @property
+    def route(self) -> Route:
+        """The route of the request, or the default for this object."""
+        return self.catalogue.route(self.request.route, has_mesh=self.mesh is not None)
 
     @property
     def sensor_kinds(self) -> dict[SensorRole, str]:

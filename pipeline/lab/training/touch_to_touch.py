@@ -177,9 +177,7 @@ class TouchToTouchTask(DenoisingTask):
             touch.condition, touch.indentation_mm, touch.contact, no_contact, self.kind
         )
 
-    def _get_pair(
-        self, split: DataSplit, seed: int, index: int, gel: str = GEL
-    ) -> TouchPair:
+    def _get_pair(self, split: DataSplit, seed: int, index: int, gel: str = GEL) -> TouchPair:
         """Pair `index`, or the next one with contact on the gel."""
         return find_next_contact(
             lambda k: simulate_touch_pair(split, seed, k, self.folder, gel=gel),

@@ -84,7 +84,11 @@ def generate_touch(
         return answer_by_physics(NO_STEPS)
     condition = build_condition(frame, source, alignment, target)
     sample = sample_residual(
-        network, condition[: int(network.inputs)], params, progress, draw_last_noise=target.sensor_kind.is_depth
+        network,
+        condition[: int(network.inputs)],
+        params,
+        progress,
+        draw_last_noise=target.sensor_kind.is_depth,
     )
     at_rest = replace(physical_render.make_reference_touch(target), notes=())
     touch = render_correction(at_rest, target, sample, params.seed if params.add_noise else None)
