@@ -171,8 +171,8 @@ def test_nothing_is_invented_where_nothing_can_reach(touched_frame, sampled):
     """
     reference = physical_render.make_reference_touch(BUBBLE)
     n_invented, n = 0, 0
+    graph = Graph(())
     for moved in draw_alignments_out_of_reach(29):
-        graph = Graph(())
         for name in METHODS:
             touch = evaluate(name, touched_frame, between=moved, graph=graph)["touch"]
             n += 1
