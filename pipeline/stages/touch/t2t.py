@@ -20,17 +20,22 @@ from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
 from pipeline.stages.networks import weights_registry
-from pipeline.stages.networks.first_pass import ResidualNetwork
 from pipeline.stages.networks.touch_formats import answer_for_known_kinds
 from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.stages.touch import frame_chain, physical_render, t2d2
 from pipeline.stages.touch.depth_condition import make_working_sensor
-from pipeline.stages.touch.image_condition import build_image_condition
+from pipeline.stages.touch.image_condition import IMAGE_CHANNELS, build_image_condition
+from pipeline.stages.touch.moved_touch import (
+    find_motion,
+    get_trained_alignment,
+    press_moved_touch,
+)
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual
 from pipeline.stages.touch.residual_render import NO_STEPS, render_correction
 from pipeline.stages.touch.touch_from_change import check_depth_limit
 
 SHIPPED_WEIGHTS = {("gelslim", "bubble"): "t2t_bubble"}
+TRAINED_PAIR = "gelslim", "soft_bubble"
 TASK = "touch_to_touch"
 
 
@@ -60,7 +65,7 @@ def generate_touch(
     alignment: Alignment,
     target: SensorSpec,
     view: TargetDepth,
-    network: ResidualNetwork,
+    network: Any,  # ResidualNetwork
     params: DiffusionParams,
     progress: Progress = SILENT,
 ) -> GeneratedTouch | Fallback[GeneratedTouch]:
@@ -71,18 +76,20 @@ def generate_touch(
     The frame is in contact (`frame_chain.guard_contact`). No denoising step gives the physical
     render, and so does a touch deeper than the source can be pressed.
     """
+    render_params = physical_render.PhysicalRenderParams(
+        add_noise=params.add_noise, seed=params.seed
+    )
 
     def answer_by_physics(reason: str) -> Fallback[GeneratedTouch]:
-        render_params = physical_render.PhysicalRenderParams(
-            add_noise=params.add_noise, seed=params.seed
-        )
         return Fallback(
             result=frame_chain.render_view(view, target, render_params, progress), reason=reason
         )
 
     if not params.steps:
         return answer_by_physics(NO_STEPS)
-    condition = build_condition(frame, source, alignment, target)
+    knows_placement = network.inputs == IMAGE_CHANNELS or network.trained_on_recordings
+    trained = alignment if knows_placement else get_trained_alignment(*TRAINED_PAIR)
+    condition = build_condition(frame, source, trained, target)
     sample = sample_residual(
         network,
         condition[: int(network.inputs)],
@@ -92,11 +99,14 @@ def generate_touch(
     )
     at_rest = replace(physical_render.make_reference_touch(target), notes=())
     touch = render_correction(at_rest, target, sample, params.seed if params.add_noise else None)
-    is_recorded = bool(getattr(network, "trained_on_recordings", False))
     warnings = depth.warn_of_mismatch(frame, source, calibration)
-    limits = () if is_recorded else check_depth_limit(touch, source, target, alignment)
+    is_recorded = network.trained_on_recordings
+    limits = () if is_recorded else check_depth_limit(touch, source, target, trained)
     if limits:
         return answer_by_physics(f"physics: {limits[0].partition(';')[0]}")
+    motion = find_motion(trained, alignment)
+    if motion is not None:
+        touch = press_moved_touch(touch, motion, view, target, render_params, progress)
     return replace(touch, notes=(*warnings, *touch.notes))
 
 
