@@ -10,12 +10,12 @@ import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pipeline.core.entry_points import load_entry_points
 from pipeline.core.errors import SettingProblem
 from pipeline.core.graph import Method
-from pipeline.core.params import list_settings, replace_value
+from pipeline.core.params import Value, list_settings, replace_value
 from pipeline.stages.cloud.stage import STAGE as CLOUD
 from pipeline.stages.depth.stage import STAGE as DEPTH
 from pipeline.stages.pose.stage import STAGE as POSE
@@ -212,7 +212,25 @@ def with_setting(params: Mapping[str, object], assignment: str) -> dict[str, obj
         raise SettingProblem(f"a setting is written stage.parameter=value, got {assignment!r}")
     if stage not in params:
         raise SettingProblem(f"no stage {stage!r} on this route; there are {', '.join(params)}")
-    return {**params, stage: replace_value(params[stage], name, value.strip())}
+    return {**params, stage: replace_parameter(params[stage], stage, name, value.strip())}
+
+
+def replace_parameter(params: Any, stage: str, name: str, value: Value) -> Any:
+    """The parameters of a stage's method with another value of one of them.
+
+    Raises SettingProblem, which names the methods that have such a parameter.
+    """
+    try:
+        return replace_value(params, name, value)
+    except SettingProblem as problem:
+        others = [
+            f"{stage}={method.name}"
+            for method in BUILT_IN.stage(stage).methods
+            if name in list_settings(method.params())
+        ]
+        if name in list_settings(params) or not others:
+            raise
+        raise SettingProblem(f"{problem}; choose a method with it: {', '.join(others)}") from None
 
 
 def with_settings(methods: tuple[Method, ...], assignments: Sequence[str]) -> dict[str, object]:

@@ -30,7 +30,7 @@ from pipeline.core.errors import (
 from pipeline.core.frame_lists import check_frame_index
 from pipeline.core.geometry.meshes import Mesh, load_mesh
 from pipeline.core.graph import Graph, Method, StageResult
-from pipeline.core.params import Value, replace_value
+from pipeline.core.params import Value
 from pipeline.core.progress import SILENT, Progress, reading_reported_to
 from pipeline.core.values.frames import Recording, Stream, TactileFrame, Truth
 from pipeline.core.values.pairing import follow, pair_frames
@@ -45,7 +45,13 @@ from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.stages.networks.weights import NoWeights
 from pipeline.stages.stage import GroundTruth, SensorRole, Stage
 from pipeline.stages.truth_method import TRUTH, get_input_name
-from pipeline.translation.catalogue import BUILT_IN, Catalogue, Route, with_settings
+from pipeline.translation.catalogue import (
+    BUILT_IN,
+    Catalogue,
+    Route,
+    replace_parameter,
+    with_settings,
+)
 from pipeline.translation.frame_selection import select_context_frames
 from pipeline.translation.translated_frame import TranslatedFrame
 from pipeline.views.display_params import DisplayParams
@@ -185,7 +191,7 @@ class Translation:
             params = changed.params.get(stage)
             params = params if isinstance(params, method_.params) else method_.params()
             for name, value in settings.items():
-                params = replace_value(params, name, value)
+                params = replace_parameter(params, stage, name, value)
             changed = replace(changed, params={**changed.params, stage: params})
         return changed
 

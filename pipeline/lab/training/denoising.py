@@ -91,7 +91,7 @@ def compute_denoising_loss(
 
     net = unwrap_network(network)
     clean = batch["residual"]
-    condition = batch["condition"]
+    condition = batch["condition"][:, : net.inputs]  # older weights know no placement
     n = len(clean)
     level = torch.exp(torch.empty(n).normal_(*_LOG_SIGMA)).clamp(
         net.sigma_min, 0.999 * net.sigma_max
@@ -137,7 +137,7 @@ def compute_uncertainty_loss(
     net.eval()  # normalisation statistics stay
     clean = batch["residual"]
     sigma = torch.full((len(clean),), float(net.sigma_max), device=clean.device)
-    prediction = network(torch.zeros_like(clean), sigma, batch["condition"])
+    prediction = network(torch.zeros_like(clean), sigma, batch["condition"][:, : net.inputs])
     spread = _compute_laplace_loss(prediction, prediction[:, 0] - clean[:, 0])
     return spread, {"spread": spread.detach()}
 
@@ -167,7 +167,7 @@ def evaluate_denoiser(
     net = unwrap_network(network)
     rows: list[list[float]] = []
     for k, example in enumerate(held_out):
-        condition = torch.from_numpy(np.array(example["condition"]))[None]
+        condition = torch.from_numpy(np.array(example["condition"]))[None, : net.inputs]
         rng = torch.Generator().manual_seed(k)
         noises = [
             correlate_noise(

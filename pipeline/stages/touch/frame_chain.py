@@ -27,8 +27,7 @@ from pipeline.stages.depth.stage import PHYSICS as DEPTH_BY_PHYSICS
 from pipeline.stages.target_depth.stage import SURFACE
 from pipeline.stages.touch import physical_render
 
-READS = ("frame", "source", "calibration", "alignment", "target", "target_depth")
-GUARDED_READS = ("frame", "depth", *READS[1:])
+READS = ("frame", "depth", "source", "calibration", "alignment", "target", "target_depth")
 DEFAULTS = (NETWORK, DEPTH_BY_PHYSICS, BACK_PROJECTION, SURFACE)  # of a route from touch to touch
 _Answer = GeneratedTouch | Skipped[GeneratedTouch] | Fallback[GeneratedTouch]
 Params = TypeVar("Params")
@@ -36,12 +35,12 @@ Reads = TypeVarTuple("Reads")
 
 
 def guard_contact(
-    run: Callable[[TactileFrame, Unpack[Reads], Params, Progress], _Answer],
+    run: Callable[[TactileFrame, DepthMap, Unpack[Reads], Params, Progress], _Answer],
 ) -> Callable[[TactileFrame, DepthMap, Unpack[Reads], Params, Progress], _Answer]:
-    """Return a function (*GUARDED_READS, weights, params, progress) that asks `run` only where
-    there is contact.
+    """Return a function (*READS, weights, params, progress) that asks `run` only where there is
+    contact.
 
-    `run` takes the same without the depth; its target depth begins with the warnings of the depth.
+    `run` takes the same; its target depth begins with the warnings of the depth.
     """
 
     def run_in_contact(
@@ -55,7 +54,7 @@ def guard_contact(
         if reference_touch is not None:
             return Skipped(output=reference_touch, reason=reference_touch.notes[0])
         ask: Callable[..., _Answer] = cast("Any", run)
-        return ask(frame, *values[:4], view, *values[5:])
+        return ask(frame, depth, *values[:4], view, *values[5:])
 
     return run_in_contact
 
@@ -73,6 +72,7 @@ def render_view(
 
 def _render_target_depth(
     _frame: TactileFrame,
+    _depth: DepthMap,
     _source: SensorSpec,
     _calibration: Calibration | None,
     _alignment: Alignment,

@@ -15,25 +15,29 @@ from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.derived import derive_once
 from pipeline.core.geometry import rigid
 from pipeline.core.progress import SILENT, Progress
+from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthMap, GeneratedTouch, TargetDepth
+from pipeline.physics.sensor_images import render_reference
 from pipeline.physics.simulation.datasets import BUBBLE_DEEPER_MM
 from pipeline.physics.simulation.press import move_bubble_closer
 from pipeline.sensors.alignment import Alignment, resolve_alignment
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.depth import photometric
+from pipeline.stages.depth.photometric import DepthParams
 from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
 from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch
 
+_BUBBLE = "soft_bubble"  # of the training
 _SAME_MM = 0.05  # over a contact
 _REACH_MM = 10.0
 _PRESSED = "what the network touches at the alignment of its training is pressed at this one"
 
 
 @derive_once
-def get_trained_alignment(source: str, target: str) -> Alignment:
+def get_trained_alignment(source: SensorSpec) -> Alignment:
     """That of the shipped weights: a bubble as close to the object as in the data sets."""
-    bubble = move_bubble_closer(load_sensor(target), BUBBLE_DEEPER_MM)
-    return resolve_alignment(load_sensor(source), bubble)
+    return resolve_alignment(source, move_bubble_closer(load_sensor(_BUBBLE), BUBBLE_DEEPER_MM))
 
 
 def find_motion(trained: Alignment, alignment: Alignment) -> Doubles | None:
@@ -55,12 +59,14 @@ def press_moved_touch(
 ) -> GeneratedTouch:
     """`touch` with its steps as the `target` at another alignment feels it, moved by `motion`.
 
-    `view` is the source's own target depth by that alignment.
+    `view` is the source's own target depth by that alignment. The contact of a touch without
+    membrane is estimated from its image.
     """
     pressed = [
-        _press(membrane, motion, view, target, params, progress)
+        _press(
+            membrane or _estimate_membrane(touch, target), motion, view, target, params, progress
+        )
         for membrane in (touch.membrane, *(step.membrane for step in touch.steps))
-        if membrane is not None
     ]
     steps = [
         replace(step, image=moved.image, membrane=moved.membrane)
@@ -74,6 +80,16 @@ def press_moved_touch(
         notes=(*touch.notes, *pressed[0].notes, _PRESSED),
         steps=tuple(steps),
     )
+
+
+def _estimate_membrane(touch: GeneratedTouch, target: SensorSpec) -> DepthMap:
+    frame = TactileFrame(
+        sensor=target.name,
+        image=touch.image,
+        reference=render_reference(target),
+        camera=touch.camera,
+    )
+    return photometric.estimate_depth(frame, target, None, DepthParams())
 
 
 def _press(

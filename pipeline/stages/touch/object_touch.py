@@ -137,7 +137,12 @@ def press_object(
     touch = _press_poses(
         posterior, alignment.target_from_source, target, mesh, bias_mm, params, progress
     )
-    return replace(touch, notes=(*touch.notes, *select_warnings(pose.notes)))
+    assert touch.membrane is not None
+    return replace(
+        touch,
+        membrane=replace(touch.membrane, error=depth.error),
+        notes=(*touch.notes, *select_warnings(pose.notes)),
+    )
 
 
 def _fit_membrane(

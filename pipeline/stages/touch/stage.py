@@ -17,7 +17,7 @@ from pipeline.stages.metrics.stage_metrics import compute_image_metrics
 from pipeline.stages.network_fallback import fall_back_without_weights
 from pipeline.stages.stage import GroundTruth, Stage
 from pipeline.stages.touch import latent_diffusion, object_touch, physical_render, t2d2, t2t, vqvae
-from pipeline.stages.touch.frame_chain import DEFAULTS, GUARDED_READS, RENDER, guard_contact
+from pipeline.stages.touch.frame_chain import DEFAULTS, READS, RENDER, guard_contact
 from pipeline.stages.touch.latent_diffusion import LatentParams
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, make_draft_params
 from pipeline.stages.touch.t2d2 import T2D2Params
@@ -93,7 +93,7 @@ T2T = Method(
     help="image-to-image diffusion trained on pairs of a gel and a bubble",
     run=guard_contact(fall_back_without_weights(t2t.generate_touch, fallback=RENDER)),
     params=DiffusionParams,
-    reads=(*GUARDED_READS, "touch_weights"),
+    reads=(*READS, "touch_weights"),
     defaults=DEFAULTS,
     weights=t2t.select_weights,
     draft=make_draft_params,
@@ -120,7 +120,7 @@ LATENT = Method(
     help="200 steps from noise, conditioned on the encoded source image",
     run=guard_contact(fall_back_without_weights(latent_diffusion.generate_touch, fallback=RENDER)),
     params=LatentParams,
-    reads=(*GUARDED_READS, "touch_weights"),
+    reads=(*READS, "touch_weights"),
     defaults=DEFAULTS,
     weights=latent_diffusion.select_weights,
     draft=latent_diffusion.make_draft_params,
@@ -133,7 +133,7 @@ VQVAE = Method(
     help="image-to-image at 128 x 128 through a codebook; uses no depth",
     run=guard_contact(fall_back_without_weights(vqvae.generate_touch, fallback=RENDER)),
     params=NoParams,
-    reads=(*GUARDED_READS, "touch_weights"),
+    reads=(*READS, "touch_weights"),
     defaults=DEFAULTS,
     weights=vqvae.select_weights,
     version=2,

@@ -8,16 +8,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.core.arrays import Floats
 from pipeline.core.errors import ShapeError
 from pipeline.core.graph import Fallback
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame
-from pipeline.core.values.results import GeneratedTouch, TargetDepth
+from pipeline.core.values.results import DepthMap, GeneratedTouch, TargetDepth
+from pipeline.physics import optics
 from pipeline.physics.sensor_images import render_reference
 from pipeline.sensors.alignment import Alignment
-from pipeline.sensors.spec import SensorSpec
+from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.stages.depth import photometric as depth
 from pipeline.stages.networks import weights_registry
 from pipeline.stages.networks.touch_formats import answer_for_known_kinds
@@ -34,8 +37,8 @@ from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_res
 from pipeline.stages.touch.residual_render import NO_STEPS, render_correction
 from pipeline.stages.touch.touch_from_change import check_depth_limit
 
-SHIPPED_WEIGHTS = {("gelslim", "bubble"): "t2t_bubble"}
-TRAINED_PAIR = "gelslim", "soft_bubble"
+SHIPPED_WEIGHTS = "t2t_bubble"
+TRAINED_SOURCE = "gelslim"
 TASK = "touch_to_touch"
 
 
@@ -43,23 +46,21 @@ TASK = "touch_to_touch"
 def select_weights(
     source: SensorSpec, target: SensorSpec, file: Path | None
 ) -> Weights | NoWeights:
-    """The weights of a source and a target sensor: only trained pairs."""
-    name = SHIPPED_WEIGHTS.get((source.name, target.kind))
-    if file is None and (name is None or not t2d2.has_trained_pixel_size(target)):
-        return NoWeights(
-            why=f"the shipped weights are not trained on pairs of {source.title} and {target.title}"
-        )
+    """The weights of a bubble, from any gel."""
     if source.sensor_kind.is_depth or not target.sensor_kind.is_depth:
         why = (
             f"T2T translates from a gel to a bubble, not from a {source.kind} to a "
             f"{target.kind}; choose another"
         )
         return NoWeights(why=why)
-    return weights_registry.load_for_task(TASK, name or "", file, target_kind=target.kind)
+    if file is None and not t2d2.has_trained_pixel_size(target):
+        return NoWeights(why=t2d2.explain_misfit(target))
+    return weights_registry.load_for_task(TASK, SHIPPED_WEIGHTS, file, target_kind=target.kind)
 
 
 def generate_touch(
     frame: TactileFrame,
+    source_depth: DepthMap,
     source: SensorSpec,
     calibration: Calibration | None,
     alignment: Alignment,
@@ -88,7 +89,9 @@ def generate_touch(
     if not params.steps:
         return answer_by_physics(NO_STEPS)
     knows_placement = network.inputs == IMAGE_CHANNELS or network.trained_on_recordings
-    trained = alignment if knows_placement else get_trained_alignment(*TRAINED_PAIR)
+    trained = alignment if knows_placement else get_trained_alignment(source)
+    if not knows_placement and source.name != TRAINED_SOURCE:
+        frame = render_as_trained(source_depth, source)
     condition = build_condition(frame, source, trained, target)
     sample = sample_residual(
         network,
@@ -108,6 +111,16 @@ def generate_touch(
     if motion is not None:
         touch = press_moved_touch(touch, motion, view, target, render_params, progress)
     return replace(touch, notes=(*warnings, *touch.notes))
+
+
+def render_as_trained(depth: DepthMap, source: SensorSpec) -> TactileFrame:
+    """What the gel that the network knows would show of the depth that another one measured."""
+    known = load_sensor(TRAINED_SOURCE)
+    lit = replace(source.with_camera(depth.camera), optics=known.optics, markers=known.markers)
+    image = optics.render(lit, np.nan_to_num(depth.indentation_mm), seed=None)
+    return TactileFrame(
+        sensor=source.name, image=image, reference=render_reference(lit), camera=depth.camera
+    )
 
 
 def build_condition(

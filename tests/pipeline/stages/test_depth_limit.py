@@ -74,8 +74,9 @@ def test_physics_answers_for_t2t_that_is_deeper_than_the_source_can_be_pressed()
     touched[120:200, 170:250] = 255 - touched[120:200, 170:250]
     frame = TactileFrame(sensor="gelslim", image=touched, reference=still)
     stand = alignment.resolve_alignment(GEL, BUBBLE)
-    reads = frame, GEL, None, stand, BUBBLE, estimate_views(frame, GEL, stand, BUBBLE)[0]
-    made = t2t.generate_touch(*reads, ConstantDenoiser(13.0), DiffusionParams(steps=2))
+    view, found = estimate_views(frame, GEL, stand, BUBBLE)
+    reads = frame, found, GEL, None, stand, BUBBLE, view
+    made = t2t.generate_touch(*reads, ConstantDenoiser(17.0), DiffusionParams(steps=2))
     assert isinstance(made, Fallback)
     assert "deeper than the source" in made.reason
     fair = t2t.generate_touch(*reads, ConstantDenoiser(2.0), DiffusionParams(steps=2))
