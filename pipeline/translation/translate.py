@@ -230,14 +230,16 @@ class Translation:
     def list_methods(self, stage: str = "touch") -> tuple[str, ...]:
         """Return the names of a stage's methods that can answer for these two sensors.
 
-        They are for the kind of the stage's sensor, and have weights where they are networks.
-        Raises SettingProblem for an unknown stage.
+        They are for the kind of the stage's sensor, have weights where they are networks, and
+        a mesh where they need one. Raises SettingProblem for an unknown stage.
         """
         kind = self.get_sensor(stage).kind
         return tuple(
             m.name
             for m in self.catalogue.stage(stage).methods
-            if m.fits(kind) and self._has_weights(m)
+            if m.fits(kind)
+            and self._has_weights(m)
+            and (self.mesh is not None or "mesh" not in m.reads)
         )
 
     def _has_weights(self, method: Method) -> bool:

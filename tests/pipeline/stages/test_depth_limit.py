@@ -76,7 +76,9 @@ def test_physics_answers_for_t2t_that_is_deeper_than_the_source_can_be_pressed()
     stand = alignment.resolve_alignment(GEL, BUBBLE)
     view, found = estimate_views(frame, GEL, stand, BUBBLE)
     reads = frame, found, GEL, None, stand, BUBBLE, view
-    made = t2t.generate_touch(*reads, ConstantDenoiser(17.0), DiffusionParams(steps=2))
+    deep = ConstantDenoiser(6.0)
+    deep.unit_mm = 3.0  # 18 mm; the bubble is trained 13 mm inside the gel's surface
+    made = t2t.generate_touch(*reads, deep, DiffusionParams(steps=2))
     assert isinstance(made, Fallback)
     assert "deeper than the source" in made.reason
     fair = t2t.generate_touch(*reads, ConstantDenoiser(2.0), DiffusionParams(steps=2))
