@@ -90,23 +90,25 @@ def generate_touch(
         return answer_by_physics(NO_STEPS)
     knows_placement = network.inputs == IMAGE_CHANNELS or network.trained_on_recordings
     trained = alignment if knows_placement else get_trained_alignment(source)
-    if not knows_placement and source.name != TRAINED_SOURCE:
-        frame = render_as_trained(source_depth, source)
-    condition = build_condition(frame, source, trained, target)
-    sample = sample_residual(
-        network,
-        condition[: int(network.inputs)],
-        params,
-        progress,
-        draw_last_noise=target.sensor_kind.is_depth,
-    )
+    is_known = knows_placement or source.name == TRAINED_SOURCE
+    shown = frame if is_known else render_as_trained(source_depth, source)
+    condition = build_condition(shown, source, trained, target)[: int(network.inputs)]
     at_rest = replace(physical_render.make_reference_touch(target), notes=())
-    touch = render_correction(at_rest, target, sample, params.seed if params.add_noise else None)
+
+    def generate(sampling: DiffusionParams) -> GeneratedTouch:
+        sample = sample_residual(
+            network, condition, sampling, progress, draw_last_noise=target.sensor_kind.is_depth
+        )
+        seed = sampling.seed if sampling.add_noise else None
+        return render_correction(at_rest, target, sample, seed)
+
     warnings = depth.warn_of_mismatch(frame, source, calibration)
-    is_recorded = network.trained_on_recordings
-    limits = () if is_recorded else check_depth_limit(touch, source, target, trained)
-    if limits:
-        return answer_by_physics(f"physics: {limits[0].partition(';')[0]}")
+    if not network.trained_on_recordings:  # before a sampling is paid for
+        mean = generate(replace(params, steps=1, guidance=1.0, keep_states=False))
+        limits = check_depth_limit(mean, source, target, trained)
+        if limits:
+            return answer_by_physics(f"physics: {limits[0].partition(';')[0]}")
+    touch = generate(params)
     motion = find_motion(trained, alignment)
     if motion is not None:
         touch = press_moved_touch(touch, motion, view, target, render_params, progress)

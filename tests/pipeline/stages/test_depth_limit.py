@@ -78,8 +78,9 @@ def test_physics_answers_for_t2t_that_is_deeper_than_the_source_can_be_pressed()
     reads = frame, found, GEL, None, stand, BUBBLE, view
     deep = ConstantDenoiser(6.0)
     deep.unit_mm = 3.0  # 18 mm; the bubble is trained 13 mm inside the gel's surface
-    made = t2t.generate_touch(*reads, deep, DiffusionParams(steps=2))
+    made = t2t.generate_touch(*reads, deep, DiffusionParams(steps=8))
     assert isinstance(made, Fallback)
+    assert len(deep.shown) == 1, "nothing is sampled"
     assert "deeper than the source" in made.reason
     fair = t2t.generate_touch(*reads, ConstantDenoiser(2.0), DiffusionParams(steps=2))
     assert not any("deeper than the source" in note for note in fair.notes)
