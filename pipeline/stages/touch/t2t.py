@@ -103,12 +103,13 @@ def generate_touch(
         return render_correction(at_rest, target, sample, seed)
 
     warnings = depth.warn_of_mismatch(frame, source, calibration)
-    if not network.trained_on_recordings:  # before a sampling is paid for
-        mean = generate(replace(params, steps=1, guidance=1.0, keep_states=False))
-        limits = check_depth_limit(mean, source, target, trained)
-        if limits:
-            return answer_by_physics(f"physics: {limits[0].partition(';')[0]}")
-    touch = generate(params)
+    mean_params = replace(params, steps=1, guidance=1.0, keep_states=False)
+    touch = generate(mean_params)  # shows what is impossible before a sampling is paid for
+    is_recorded = network.trained_on_recordings
+    limits = () if is_recorded else check_depth_limit(touch, source, target, trained)
+    if limits:
+        return answer_by_physics(f"physics: {limits[0].partition(';')[0]}")
+    touch = touch if params == mean_params else generate(params)
     motion = find_motion(trained, alignment)
     if motion is not None:
         touch = press_moved_touch(touch, motion, view, target, render_params, progress)
