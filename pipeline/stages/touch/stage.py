@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from pipeline.core.geometry.meshes import Mesh
@@ -67,7 +68,7 @@ def _press_object_or_fall_back(
         depth, source, alignment, target, mesh, previous, params, progress
     )
     if isinstance(touch, GeneratedTouch):
-        return touch
+        return replace(touch, source_index=physical_render.trace_source_pixels(view))
     by_t2d2: Callable[..., Any] = T2D2.run
     answer = by_t2d2(
         view, target, t2d2.select_weights(target, target, None), T2D2.params(), progress
