@@ -142,13 +142,14 @@ def open(  # noqa: A001 - `ts.open` reads as it should
     *,
     source: str = "",
     stream: str = "",
-    route: str = "t2d2",
+    route: str = "",
     methods: Mapping[str, str | Method] | None = None,
     weights: Mapping[str, PathLike] | None = None,
     reference: PathLike | ArrayLike | None = None,
     calibration: PathLike | None = None,
     alignment: PathLike | None = None,
     mesh: PathLike | Mesh | None = None,
+    meshes: PathLike | None = None,
     mesh_unit: str = "auto",
 ) -> Translation:
     """Open touches of one sensor, to be translated to another.
@@ -161,7 +162,8 @@ def open(  # noqa: A001 - `ts.open` reads as it should
         source: Sensor that made the recording, by name or TOML file; "" = as the recording says.
             Images need it.
         stream: Name of the stream to read, where one sensor has several; "" = the first.
-        route: `t2d2` (touch to depth to touch) or `t2t` (touch to touch).
+        route: `object` (by the object's mesh), `t2d2` (touch to depth to touch) or `t2t` (touch to
+            touch); default: `object` where a mesh is known, else `t2d2`.
         methods: Stage -> name of its method, or a `Method` of your own; the route names those of
             other stages.
         weights: Stage -> weights file of its network; shipped ones otherwise.
@@ -170,9 +172,11 @@ def open(  # noqa: A001 - `ts.open` reads as it should
         calibration: Calibration file of the source; None = the built-in table of its kind.
         alignment: Alignment of the two sensors, a TOML file; None = the recording's, else that of
             the descriptions.
-        mesh: Mesh of the touched object, for its pose, a file or what `load_mesh` returns; None =
-            the recording's.
-        mesh_unit: Unit of that file: `mm`, `cm`, `m`, `in`; `auto` = mm, where the size allows it.
+        mesh: Mesh of the touched object, for its touch and pose, a file or what `load_mesh`
+            returns; None = the recording's.
+        meshes: Folder of meshes in place of one: the likeliest by the frame that differs most from
+            its reference, with its margin in `notes`.
+        mesh_unit: Unit of those files: `mm`, `cm`, `m`, `in`; `auto` = mm, where the size allows.
 
     Returns:
         The translation: `len()`, `[i]`, a loop, `with_(method=..., steps=8)`; it closes at the end
@@ -186,6 +190,8 @@ def open(  # noqa: A001 - `ts.open` reads as it should
     from pipeline.core.geometry.meshes import Mesh
     from pipeline.translation.translate import Request, open_translation
 
+    if mesh is not None and meshes is not None:
+        raise SettingProblem("give either mesh, the object, or meshes, a folder to choose it from")
     is_file = isinstance(recording, (str, os.PathLike))
     own = {
         stage: method for stage, method in (methods or {}).items() if not isinstance(method, str)
@@ -221,6 +227,10 @@ def open(  # noqa: A001 - `ts.open` reads as it should
     translation = open_translation(
         request, recording=at_hand, mesh=mesh if isinstance(mesh, Mesh) else None
     )
+    if meshes is not None:
+        from pipeline.translation.object_identification import take_likeliest_mesh
+
+        translation = take_likeliest_mesh(translation, Path(meshes))
     for stage, method in own.items():
         translation = translation.with_(stage=stage, method=method)
     return translation

@@ -8,7 +8,7 @@ with ts.open("sample_data/recordings/first_touch.h5", "soft_bubble", source="gel
     errors_mm = {}
     for guidance in (0.0, 1.0, 2.0, 4.0):
         # only the touch and what follows is computed again
-        frame = touches.with_(steps=4, guidance=guidance)[5]
+        frame = touches.with_(method="t2d2", steps=4, guidance=guidance)[5]
         errors_mm[guidance] = frame.metrics["touch_depth.contact_mae_mm"]
         print(f"guidance {guidance:g}: {errors_mm[guidance]:.3f} mm in contact")
 

@@ -39,7 +39,7 @@ def test_named_methods_and_parameters_exist():
             assert any(parameter in list_fields(m) for m in stages[stage].methods), (
                 f"{stage}.{parameter}"
             )
-    assert ("touch", "confidence_weighting") in named
+    assert ("touch", "steps") in named
 
 
 def list_fields(method):

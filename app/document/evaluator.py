@@ -220,7 +220,7 @@ class Evaluator:
             return opened, cached
         if "depth" not in opened.stages:
             raise SettingProblem(
-                f"the route {opened.request.route!r} has no depth to align; choose another route"
+                f"the route {opened.route.name!r} has no depth to align; choose another route"
             )
         translation = replace(apply_session(session, opened), graph=self.graph)
         depth = translation.evaluate(index, ["depth"], report)["depth"]

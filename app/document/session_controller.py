@@ -25,7 +25,7 @@ from pipeline.core.graph import Method
 from pipeline.core.params import list_settings
 from pipeline.sensors.alignment import AlignmentMismatch
 from pipeline.stages.networks.samplers import raise_steps
-from pipeline.translation.catalogue import BUILT_IN, Catalogue
+from pipeline.translation.catalogue import BUILT_IN, Catalogue, Route
 from pipeline.translation.translate import Request, Translation
 from pipeline.translation.truth_view import ComparisonMode
 from widgets.style.notification_bar import Choice
@@ -116,7 +116,7 @@ class SessionController(SessionDocument):
         The route's own method, or "" for it, clears the choice.
         """
         others = {s: m for s, m in self.session.methods.items() if s != stage}
-        default = self.catalogue.route(self.session.route).methods.get(stage, "")
+        default = self.route.methods.get(stage, "")
         name = name or default
         is_default = default == name
         title = self.catalogue.method(stage, name).title
@@ -363,7 +363,14 @@ class SessionController(SessionDocument):
         """Methods of the session's route, one per stage."""
         opened = self.views.translation
         kinds = None if opened is None else opened.sensor_kinds
-        return self.catalogue.methods(self.session.route, self.session.methods, kinds)
+        return self.catalogue.methods(self.route.name, self.session.methods, kinds)
+
+    @property
+    def route(self) -> Route:
+        """The session's route, or the default for what is open."""
+        opened = self.views.translation
+        has_mesh = opened is not None and opened.mesh is not None
+        return self.catalogue.route(self.session.route, has_mesh=has_mesh)
 
     @property
     def sensor_kinds(self) -> Mapping[str, str]:
@@ -373,7 +380,15 @@ class SessionController(SessionDocument):
     def _show_controls(self) -> None:
         opened = self.views.translation
         unavailable = self.evaluator.unavailable
-        show_controls(self.window, self.session, self.methods, self.catalogue, opened, unavailable)
+        show_controls(
+            self.window,
+            self.session,
+            self.route,
+            self.methods,
+            self.catalogue,
+            opened,
+            unavailable,
+        )
 
     def _find_changed_stages(self, old: Session) -> Set[str] | None:
         """Return what a session change reaches first: stages or the alignment; None = all."""

@@ -92,6 +92,6 @@ class ErrorAttributionController(Feature):
         """
         controller = self._controller
         stage = self._shares[share].stage
-        default = controller.catalogue.route(controller.session.route).methods[stage]
+        default = controller.route.methods[stage]
         is_pinned = controller.session.methods.get(stage) == TRUTH
         controller.choose_method(stage, default if is_pinned else TRUTH)

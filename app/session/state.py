@@ -63,7 +63,7 @@ class Session:
     source: str = ""  # sensor, "" = the one that the recording names
     target: str = ""  # "" = the first sensor that is not the source
     stream: str = ""
-    route: str = "t2d2"
+    route: str = ""  # "" = the default for what is known of the object
     frame: int = 0  # or AUTO_FRAME
     reference: Path | None = None
     reference_frames: str = ""  # frames of the recording to make the reference of

@@ -7,19 +7,20 @@ from PyQt6.QtCore import QSignalBlocker
 from app.session.state import DISPLAY_KEY, Session
 from app.window.main_window import MainWindow
 from pipeline.core.graph import Method
-from pipeline.translation.catalogue import Catalogue
+from pipeline.translation.catalogue import Catalogue, Route
 from pipeline.translation.translate import Translation
 
 
 def show_controls(
     window: MainWindow,
     session: Session,
+    route: Route,
     methods: Sequence[Method],
     catalogue: Catalogue,
     opened: Translation | None,
     unavailable: Mapping[str, Mapping[str, str]],
 ) -> None:
-    """Show a session with these methods on the controls, without change signals.
+    """Show a session with this route and these methods on the controls, without change signals.
 
     `opened` is on screen.
 
@@ -47,7 +48,7 @@ def show_controls(
         window.parameters.show_unavailable(method.key, unavailable.get(method.key, {}))
     for name in ("source", "target", "route"):
         box = getattr(window, name)
-        value = getattr(session, name)
+        value = route.name if name == "route" else getattr(session, name)
         with QSignalBlocker(box):
             box.setCurrentIndex(max(0, box.findData(value)))
     window.actions_by_name["link_cameras"].setChecked(session.cameras_linked)

@@ -57,7 +57,7 @@ def force(
         weighed_n = _parse_forces(forces, indices, translation)
         if "depth" not in translation.stages:
             raise SettingProblem(
-                f"the route {request.route!r} measures no depth; choose --route t2d2"
+                f"the route {translation.route.name!r} measures no depth; choose --route t2d2"
             )
         estimated_n: list[float] = []
         with open_progress_bar() as progress:

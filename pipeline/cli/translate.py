@@ -191,8 +191,7 @@ def _identify_object(
     if meshes is None:
         return translation
     with open_progress_bar(1, console) as bar:
-        depth = translation.evaluate(index, ["depth"])["depth"].output
-        return take_likeliest_mesh(translation, depth, meshes, bar)
+        return take_likeliest_mesh(translation, meshes, index, bar)
 
 
 def _check_options(

@@ -57,8 +57,9 @@ class TranslationOptions:
         stream: Name of the stream, if one sensor has several.
         calibration: Calibration file made by `tactoscope calibrate`; default: the sensor's built-in
             table, force without scale.
-        route: Route through the stages; it names a method for each.
-        mesh: Mesh of the touched object, for its pose.
+        route: Route through the stages, which names a method for each: `object`, `t2d2` or `t2t`;
+            default: `object` where the object's mesh is known, else `t2d2`.
+        mesh: Mesh of the touched object, for its touch and pose.
         mesh_unit: Unit of that mesh.
         alignment: Alignment of the two sensors, a .toml as `tactoscope align refine` writes it.
         translation_mm: Translation added to the alignment: x, y and z in the target's frame.
@@ -73,7 +74,7 @@ class TranslationOptions:
     reference: ReferenceImagePath = None
     reference_frames: ReferenceFrames = ""
     calibration: Path | None = None
-    route: str = "t2d2"
+    route: str = ""
     methods: Annotated[tuple[str, ...], Parameter(name="--method", negative="", help=_METHODS)] = ()
     mesh: Path | None = None
     mesh_unit: MeshUnit = "auto"

@@ -10,12 +10,12 @@ import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pipeline.core.entry_points import load_entry_points
 from pipeline.core.errors import SettingProblem
 from pipeline.core.graph import Method
-from pipeline.core.params import list_settings, replace_value
+from pipeline.core.params import Value, list_settings, replace_value
 from pipeline.stages.cloud.stage import STAGE as CLOUD
 from pipeline.stages.depth.stage import STAGE as DEPTH
 from pipeline.stages.pose.stage import STAGE as POSE
@@ -48,6 +48,7 @@ class Route:
     name: str
     title: str
     methods: Mapping[str, str]  # stage -> method, in running order
+    needs_mesh: bool = False  # of the touched object
 
     @property
     def label(self) -> str:
@@ -71,8 +72,14 @@ class Catalogue:
         """The stage of that name; raises SettingProblem."""
         return _find_by_name(self.stages, name, f"stage {name!r}")
 
-    def route(self, name: str) -> Route:
-        """The route of that name; raises SettingProblem."""
+    def route(self, name: str, *, has_mesh: bool = False) -> Route:
+        """The route of that name; "" is the default, through the object where its mesh is known.
+
+        Raises SettingProblem.
+        """
+        if not name:
+            fitting = (route for route in self.routes if route.needs_mesh == has_mesh)
+            return next(fitting, self.routes[0])
         return _find_by_name(self.routes, name, f"route {name!r}")
 
     def method(self, stage: str, name: str) -> Method:
@@ -171,25 +178,32 @@ def _check_params(method: Method) -> None:
     list_settings(method.params())
 
 
+_T2D2 = Route(
+    name="t2d2",
+    title="T2D2: touch → depth → touch",
+    methods={
+        "depth": "network",
+        "cloud": "back_projection",
+        "target_depth": "surface",
+        "touch": "t2d2",
+        "touch_depth": "membrane",
+        "pose": "signed_distances",
+    },
+)
 BUILT_IN = Catalogue(
     stages=(DEPTH, CLOUD, TARGET_DEPTH, TOUCH, TOUCH_DEPTH, POSE),
     routes=(
-        Route(
-            name="t2d2",
-            title="T2D2: touch → depth → touch",
-            methods={
-                "depth": "network",
-                "cloud": "back_projection",
-                "target_depth": "surface",
-                "touch": "t2d2",
-                "touch_depth": "membrane",
-                "pose": "signed_distances",
-            },
-        ),
+        _T2D2,
         Route(
             name="t2t",
             title="T2T: touch → touch",
             methods={"touch": "t2t", "touch_depth": "membrane", "pose": "signed_distances"},
+        ),
+        Route(
+            name="object",
+            title="Object: touch → object → touch",
+            methods={**_T2D2.methods, "touch": "object"},
+            needs_mesh=True,
         ),
     ),
 ).add_methods(load_entry_points("tactoscope.methods", Method, _check_params))
@@ -212,7 +226,25 @@ def with_setting(params: Mapping[str, object], assignment: str) -> dict[str, obj
         raise SettingProblem(f"a setting is written stage.parameter=value, got {assignment!r}")
     if stage not in params:
         raise SettingProblem(f"no stage {stage!r} on this route; there are {', '.join(params)}")
-    return {**params, stage: replace_value(params[stage], name, value.strip())}
+    return {**params, stage: replace_parameter(params[stage], stage, name, value.strip())}
+
+
+def replace_parameter(params: Any, stage: str, name: str, value: Value) -> Any:
+    """The parameters of a stage's method with another value of one of them.
+
+    Raises SettingProblem, which names the methods that have such a parameter.
+    """
+    try:
+        return replace_value(params, name, value)
+    except SettingProblem as problem:
+        others = [
+            f"{stage}={method.name}"
+            for method in BUILT_IN.stage(stage).methods
+            if name in list_settings(method.params())
+        ]
+        if name in list_settings(params) or not others:
+            raise
+        raise SettingProblem(f"{problem}; choose a method with it: {', '.join(others)}") from None
 
 
 def with_settings(methods: tuple[Method, ...], assignments: Sequence[str]) -> dict[str, object]:

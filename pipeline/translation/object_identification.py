@@ -15,6 +15,7 @@ from pipeline.physics.simulation.datasets import MESH_SUFFIXES
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose
 from pipeline.stages.touch.membrane_fit import measure_residuals_mm
+from pipeline.translation.frame_selection import find_contact_frame
 from pipeline.translation.translate import Translation
 
 _CLEAR_RATIO = 1.3  # of the next residual to the least, below which the object is not certain
@@ -76,9 +77,14 @@ def identify_object(
 
 
 def take_likeliest_mesh(
-    translation: Translation, depth: DepthMap, folder: Path, progress: Progress = SILENT
+    translation: Translation, folder: Path, frame: int | None = None, progress: Progress = SILENT
 ) -> Translation:
-    """The translation of the likeliest object of a folder, with a note of its margin."""
+    """The translation of the likeliest object of a folder by one frame, with a note of its margin.
+
+    Frame None: the one that differs most from its reference. Raises as `identify_object` does.
+    """
+    index = find_contact_frame(translation.stream) if frame is None else frame
+    depth = translation.evaluate(index, ["depth"])["depth"].output
     unit = translation.request.mesh_unit
     found = identify_object(depth, translation.source, folder, unit, progress)
     return replace(

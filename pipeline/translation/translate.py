@@ -30,7 +30,7 @@ from pipeline.core.frame_lists import check_frame_index
 from pipeline.core.geometry.meshes import Mesh, load_mesh
 from pipeline.core.graph import Graph, Method, StageResult
 from pipeline.core.memo import DEFAULT_MAX_BYTES, Cache
-from pipeline.core.params import Value, replace_value
+from pipeline.core.params import Value
 from pipeline.core.progress import SILENT, Progress, reading_reported_to
 from pipeline.core.values.frames import Recording, Stream, TactileFrame, Truth
 from pipeline.core.values.pairing import follow, pair_frames
@@ -44,7 +44,13 @@ from pipeline.stages.networks.devices import AUTO, check_device, choose_placemen
 from pipeline.stages.networks.network_factory import ONNX_KINDS
 from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.stages.stage import TRUTH, GroundTruth, SensorRole, Stage, get_input_name
-from pipeline.translation.catalogue import BUILT_IN, Catalogue, with_settings
+from pipeline.translation.catalogue import (
+    BUILT_IN,
+    Catalogue,
+    Route,
+    replace_parameter,
+    with_settings,
+)
 from pipeline.translation.frame_selection import select_context_frames
 from pipeline.translation.translated_frame import TranslatedFrame
 from pipeline.views.display_params import DisplayParams
@@ -64,7 +70,7 @@ class Request:
     target: str
     source: str = ""
     stream: str = ""
-    route: str = "t2d2"
+    route: str = ""
     methods: tuple[tuple[str, str], ...] = ()  # (stage, method) in place of the route's own
     reference: Path | None = None
     # of the recording to make the reference of: "median", "untouched" or a number
@@ -185,7 +191,7 @@ class Translation:
             params = changed.params.get(stage)
             params = params if isinstance(params, method_.params) else method_.params()
             for name, value in settings.items():
-                params = replace_value(params, name, value)
+                params = replace_parameter(params, stage, name, value)
             changed = replace(changed, params={**changed.params, stage: params})
         return changed
 
@@ -224,14 +230,16 @@ class Translation:
     def list_methods(self, stage: str = "touch") -> tuple[str, ...]:
         """Return the names of a stage's methods that can answer for these two sensors.
 
-        They are for the kind of the stage's sensor, and have weights where they are networks.
-        Raises SettingProblem for an unknown stage.
+        They are for the kind of the stage's sensor, have weights where they are networks, and
+        a mesh where they need one. Raises SettingProblem for an unknown stage.
         """
         kind = self.get_sensor(stage).kind
         return tuple(
             m.name
             for m in self.catalogue.stage(stage).methods
-            if m.fits(kind) and self._has_weights(m)
+            if m.fits(kind)
+            and self._has_weights(m)
+            and (self.mesh is not None or "mesh" not in m.reads)
         )
 
     def _has_weights(self, method: Method) -> bool:
@@ -248,8 +256,13 @@ class Translation:
     def methods(self) -> tuple[Method, ...]:
         """The methods of the route, one per stage, in running order."""
         return self.catalogue.methods(
-            self.request.route, dict(self.request.methods), self.sensor_kinds
+            self.route.name, dict(self.request.methods), self.sensor_kinds
         )
+
+    @property
+    def route(self) -> Route:
+        """The route of the request, or the default for this object."""
+        return self.catalogue.route(self.request.route, has_mesh=self.mesh is not None)
 
     @property
     def sensor_kinds(self) -> dict[SensorRole, str]:

@@ -88,8 +88,10 @@ def reading(spec, kind: str, seed: int) -> TactileFrame:
 def translate(method, frame, source, target, network, params):
     """A touch by a method from image to image."""
     between = aligned(source, target)
-    view_, _ = estimate_views(frame, source, between, target)
-    return method.generate_touch(frame, source, None, between, target, view_, network, params)
+    view_, found = estimate_views(frame, source, between, target)
+    return method.generate_touch(
+        frame, found, source, None, between, target, view_, network, params
+    )
 
 
 def answered(result):

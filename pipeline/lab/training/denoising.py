@@ -70,6 +70,9 @@ _N_SAMPLE_STEPS = 6  # of the samples in the metrics
 _MAX_ROTATION_DEG = 5.0
 _MAX_SCALING = 0.05
 _MAX_BRIGHTENING = 0.25
+GELS = (GEL, "gelsight_mini")  # sources of training pairs, and the share of the second
+_OTHER_GEL_SHARE = 0.25
+_DRIFT_GREY = 2.0  # standard deviation of a change of light since the reference image
 _MAX_TRANSLATION = 0.03
 
 
@@ -118,7 +121,7 @@ class DenoisingTask(AugmentedPresses):
         )
         rows: list[list[float]] = []
         for k, example in enumerate(held_out):
-            condition = torch.tensor(example["condition"])[None]
+            condition = torch.tensor(example["condition"])[None, : net.inputs]
             white = torch.randn(
                 (1, *example["residual"].shape), generator=torch.Generator().manual_seed(k)
             )
@@ -203,7 +206,7 @@ class TouchToTouchTask(DenoisingTask):
         return "bubble"
 
     def sample(self, rng: np.random.Generator) -> Example:
-        """A pair, mirrored in a share of the examples.
+        """A pair whose image is stronger or weaker and has drifted, mirrored in a share.
 
         A gel's image is rendered anew, as its LEDs are asymmetric.
         """
@@ -256,18 +259,31 @@ class TouchToTouchTask(DenoisingTask):
     def _make_example(
         self, split: DataSplit, seed: int, index: int, rng: np.random.Generator, mirrored: float
     ) -> Example:
+        is_training = seed != VALIDATION_SEED
+        name = GELS[int(is_training and rng.random() < _OTHER_GEL_SHARE)]
         pair = find_next_contact(
-            lambda k: simulate_touch_pair(split, seed, k, self.folder),
+            lambda k: simulate_touch_pair(split, seed, k, self.folder, gel=name),
             index,
             "the gel has no contact in",
         )
         if rng.random() < mirrored:
-            pair = mirror_pair(pair, rng)
-        gel, bubble = place_nominal_sensors(float(pair.deeper_mm[0]))
+            pair = mirror_pair(pair, rng, name)
+        gel, bubble = place_nominal_sensors(pair.placement, name)
         change = pair.change_grey + rng.standard_normal(pair.change_grey.shape, np.float32)
+        if is_training:
+            change = _drift(change, rng)
         between = alignment.resolve_alignment(gel, bubble)
         condition = build_image_condition(change, gel.camera, gel, bubble, between)
         return make_residual_example(condition, pair.bubble_mm, pair.bubble_contact, self.kind)
+
+
+def _drift(change_grey: Floats, rng: np.random.Generator) -> Floats:
+    """The change of a stronger or weaker image whose light has changed since its reference."""
+    import cv2
+
+    light = cv2.resize(rng.normal(0.0, _DRIFT_GREY, (2, 3, 3)), change_grey.shape[1::-1])
+    strength = 1.0 + rng.uniform(-_MAX_BRIGHTENING, _MAX_BRIGHTENING)
+    return (strength * change_grey + light).astype(np.float32)
 
 
 def make_residual_example(
@@ -309,8 +325,8 @@ def jitter_example(example: Example, rng: np.random.Generator) -> Example:
         return np.stack(warped).astype(np.float32)
 
     condition = warp(example["condition"])
-    # the last channel is a mask
-    condition[:-1] *= np.float32(1.0 + rng.uniform(-_MAX_BRIGHTENING, _MAX_BRIGHTENING))
+    # view and overlap are no colours
+    condition[:-2] *= np.float32(1.0 + rng.uniform(-_MAX_BRIGHTENING, _MAX_BRIGHTENING))
     contact = np.round(warp(example["contact"]))
     residual = np.stack([warp(example["residual"][:1])[0], contact[0]])
     return {"condition": condition, "residual": residual, "contact": contact}
@@ -334,6 +350,7 @@ def compute_denoising_loss(
 
     net = unwrap_network(network)
     clean = batch["residual"]
+    condition = batch["condition"][:, : net.inputs]  # older weights know no placement
 
     def per_example(values: Tensor) -> Tensor:
         return values.to(clean.device).reshape(-1, 1, 1)
@@ -349,7 +366,7 @@ def compute_denoising_loss(
     prediction = network(
         clean + per_example(sigma)[:, None] * noise,
         sigma,
-        batch["condition"] * per_example(kept)[:, None],
+        condition * per_example(kept)[:, None],
     )
     error, contact_error = (prediction[:, :2] - clean).unbind(1)
     weight = 1.0 + contact_weight * batch["contact"][:, 0]
@@ -382,7 +399,7 @@ def compute_uncertainty_loss(
     net.eval()  # normalisation statistics stay
     clean = batch["residual"]
     sigma = torch.full((len(clean),), float(net.sigma_max), device=clean.device)
-    prediction = network(torch.zeros_like(clean), sigma, batch["condition"])
+    prediction = network(torch.zeros_like(clean), sigma, batch["condition"][:, : net.inputs])
     spread = _compute_laplace_loss(prediction, prediction[:, 0] - clean[:, 0])
     return spread, {"spread": spread}
 

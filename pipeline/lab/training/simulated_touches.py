@@ -144,7 +144,7 @@ class SampleCache(Generic[T]):
         self._memory.clear()
 
 
-VERSION = 5  # part of the seeds: incremented when the same number gives another touch
+VERSION = 6  # part of the seeds: incremented when the same number gives another touch
 GEL = "gelslim"
 BUBBLE = "soft_bubble"
 # of all objects; of the random bodies
@@ -155,6 +155,11 @@ _TRAINING_DEPTH_MM = (0.15, 1.0)
 # bubbles that come as close as in the data sets, and the range of the others' approach
 _AS_RECORDED_SHARE = 0.6
 _DEEPER_MM = (0.0, 11.0)
+# bubbles of pairs that stand as in the data sets, and the others' placements about the description
+_PLACED_AS_RECORDED_SHARE = 0.25
+_CLOSER_MM = (-6.0, 10.0)  # its apex is 4 mm inside a gel's surface at 0
+_ASIDE_MM = 3.5
+_ROTATION_DEG = (2.0, 2.0, 22.0)
 # training presses that only a bubble feels: share, depth over the gel
 _ABOVE_SHARE = 0.06
 _ABOVE_MM = (-4.0, 0.0)
@@ -190,7 +195,7 @@ class TouchPair:
     gel_contact: Mask
     symmetric_bubble_mm: Floats  # (rows, cols) of the symmetric camera, without noise
     symmetric_bubble_contact: Mask
-    deeper_mm: Floats  # (1,) how much closer to the object the bubble came than described
+    placement: Doubles  # (4, 4) mm, what moves the bubble from its description
 
     @property
     def bubble_mm(self) -> Floats:
@@ -213,11 +218,11 @@ def load_working_sensor(name: str) -> SensorSpec:
     return make_working_sensor(load_sensor(name))
 
 
-def place_nominal_sensors(deeper_mm: float) -> tuple[SensorSpec, SensorSpec]:
-    """Gel and bubble as described, on their working grids, the bubble `deeper_mm` closer to the
-    object.
-    """
-    return load_working_sensor(GEL), move_bubble_closer(load_working_sensor(BUBBLE), deeper_mm)
+def place_nominal_sensors(placement: Doubles, gel: str = GEL) -> tuple[SensorSpec, SensorSpec]:
+    """Gel and bubble as described, on their working grids, the bubble moved by `placement`."""
+    bubble = load_working_sensor(BUBBLE)
+    moved: Doubles = freeze(placement @ bubble.alignment_from_sensor)
+    return load_working_sensor(gel), replace(bubble, alignment_from_sensor=moved)
 
 
 def simulate_target_touch(
@@ -235,16 +240,22 @@ def simulate_target_touch(
 
 
 def simulate_touch_pair(
-    split: DataSplit, seed: int, index: int, folder: str = "", *, bubble_alone: bool = False
+    split: DataSplit,
+    seed: int,
+    index: int,
+    folder: str = "",
+    *,
+    gel: str = GEL,
+    bubble_alone: bool = False,
 ) -> TouchPair | None:
     """Pair `index` of a seed, the same on every call; None where the gel has no contact.
 
     With `bubble_alone` contact on the bubble is enough.
     """
     pair = _pairs.get(
-        f"pair_{split}_{seed}_{index}",
+        f"pair_{gel}_{split}_{seed}_{index}",
         folder,
-        lambda: _simulate_pair(split, _make_rng(split, seed, index), index),
+        lambda: _simulate_pair(split, _make_rng(split, seed, index), index, gel),
     )
     has_contact = pair.gel_contact.any() or (bubble_alone and pair.bubble_contact.any())
     return pair if has_contact else None
@@ -306,9 +317,20 @@ def _simulate_touch(
     )
 
 
-def _simulate_pair(split: DataSplit, rng: np.random.Generator, index: int) -> TouchPair:
-    deeper = _sample_approach(split, rng)
-    gel, bubble = (_vary(sensor, rng) for sensor in place_nominal_sensors(deeper))
+def _sample_placement(split: DataSplit, rng: np.random.Generator) -> Doubles:
+    """(4, 4) mm, what moves a pair's bubble from its description."""
+    if split != "training" or rng.random() < _PLACED_AS_RECORDED_SHARE:
+        return rigid.translation(0.0, 0.0, BUBBLE_DEEPER_MM)
+    motion = rigid.rotation(np.deg2rad(_ROTATION_DEG) * rng.uniform(-1.0, 1.0, 3))
+    motion[:3, 3] = *rng.uniform(-_ASIDE_MM, _ASIDE_MM, 2), rng.uniform(*_CLOSER_MM)
+    return motion
+
+
+def _simulate_pair(
+    split: DataSplit, rng: np.random.Generator, index: int, gel_name: str
+) -> TouchPair:
+    placement = _sample_placement(split, rng)
+    gel, bubble = (_vary(sensor, rng) for sensor in place_nominal_sensors(placement, gel_name))
     bubble = bubble.with_camera(make_symmetric_camera(bubble.camera))
     _, mesh, pose = _sample_press(split, rng, index, _ABOVE_SHARE)
     on_gel = simulate_press(mesh, pose, gel, seed=int(rng.integers(1 << 31)))
@@ -319,11 +341,11 @@ def _simulate_pair(split: DataSplit, rng: np.random.Generator, index: int) -> To
         gel_contact=on_gel.contact,
         symmetric_bubble_mm=on_bubble.indentation_mm,
         symmetric_bubble_contact=on_bubble.contact,
-        deeper_mm=np.array([deeper], np.float32),
+        placement=freeze(placement),
     )
 
 
-def mirror_pair(pair: TouchPair, rng: np.random.Generator) -> TouchPair:
+def mirror_pair(pair: TouchPair, rng: np.random.Generator, gel_name: str = GEL) -> TouchPair:
     """The pair mirrored across x, y, both or neither.
 
     The gel's image is rendered by another sensor instance.
@@ -332,10 +354,12 @@ def mirror_pair(pair: TouchPair, rng: np.random.Generator) -> TouchPair:
     names = ("gel_mm", "gel_contact", "symmetric_bubble_mm", "symmetric_bubble_contact")
     axes = tuple(axis for axis, flips in ((-1, which & 1), (-2, which & 2)) if flips)
     flipped = flip_arrays({name: getattr(pair, name) for name in names}, axes)
-    gel = _vary(load_working_sensor(GEL), rng)
+    gel = _vary(load_working_sensor(gel_name), rng)
     image = optics.render(gel, flipped["gel_mm"], seed=int(rng.integers(1 << 31)))
     change = image.astype(np.float32) - optics.render_reference(gel)
-    return replace(pair, change_grey=freeze(change), **flipped)
+    mirror = np.diag([-1.0 if which & 1 else 1.0, -1.0 if which & 2 else 1.0, 1.0, 1.0])
+    placement = freeze(mirror @ pair.placement @ mirror)
+    return replace(pair, change_grey=freeze(change), placement=placement, **flipped)
 
 
 def flip_arrays(arrays: Mapping[str, Any], axes: tuple[int, ...]) -> dict[str, Any]:

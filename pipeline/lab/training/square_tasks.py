@@ -111,7 +111,7 @@ class SquareTask(AugmentedPresses):
         )
         if rng.random() < augmented:
             pair = mirror_pair(pair, rng)
-        source, target = place_nominal_sensors(float(pair.deeper_mm[0]))
+        source, target = place_nominal_sensors(pair.placement)
         target_mm = pair.bubble_mm
         if onto_bubble:
             noise = rng.standard_normal(pair.change_grey.shape, np.float32)

@@ -225,24 +225,28 @@ def _build_with_weights(weights: Weights) -> nn.Module:
 def initialise_from(net: nn.Module, weights: Weights) -> int:
     """Copy the tensors that match the network by name and shape; returns their number.
 
-    Raises ModelMissing where none matches.
+    A layer of more inputs ignores the last of them at first. Raises ModelMissing where none
+    matches.
     """
     import torch
 
     expected: dict[str, Any] = net.state_dict()
-    matching = [
-        name
-        for name, tensor in weights.tensors.items()
-        if name in expected and expected[name].shape == tensor.shape
-    ]
+    matching: dict[str, Any] = {}
+    for name, tensor in weights.tensors.items():
+        if name not in expected:
+            continue
+        copied = np.array(tensor)
+        wanted = tuple(expected[name].shape)
+        if len(wanted) == copied.ndim == 4 and wanted[1] > copied.shape[1]:
+            copied = np.pad(copied, [(0, 0), (0, wanted[1] - copied.shape[1]), (0, 0), (0, 0)])
+        if copied.shape == wanted:
+            matching[name] = torch.from_numpy(copied)
     if not matching:
         raise ModelMissing(
             f"the weights {weights.name!r} share no tensor with this network; choose other "
             "initial weights"
         )
-    net.load_state_dict(
-        {name: torch.from_numpy(weights.tensors[name].copy()) for name in matching}, strict=False
-    )
+    net.load_state_dict(matching, strict=False)
     return len(matching)
 
 

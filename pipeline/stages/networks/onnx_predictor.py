@@ -110,6 +110,7 @@ FIELD_LIMIT = 8.0  # units; clean fields are clipped to it
 class ResidualConstants:
     """Constants of a `residual_denoiser`, which explains them."""
 
+    inputs: float = 0.0  # channels of the condition
     unit_mm: float = 1.0
     sigma_max: float = 200.0
     sigma_min: float = 0.02

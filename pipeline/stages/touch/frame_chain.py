@@ -19,7 +19,7 @@ import numpy as np
 
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.core.arrays import Floats, freeze
-from pipeline.core.errors import AlignmentWarning, StageWarning, select_warnings
+from pipeline.core.errors import StageWarning, select_warnings
 from pipeline.core.geometry import rigid
 from pipeline.core.graph import Fallback, Method, Skipped
 from pipeline.core.progress import SILENT, Progress
@@ -32,12 +32,10 @@ from pipeline.stages.cloud.stage import BACK_PROJECTION
 from pipeline.stages.depth.frame_checks import check_frame
 from pipeline.stages.depth.stage import NETWORK
 from pipeline.stages.depth.stage import PHYSICS as DEPTH_BY_PHYSICS
-from pipeline.stages.networks.weights import Weights
 from pipeline.stages.target_depth.stage import SURFACE
 from pipeline.stages.touch import physical_render
 
-READS = ("frame", "source", "calibration", "alignment", "target", "target_depth")
-GUARDED_READS = ("frame", "depth", *READS[1:])
+READS = ("frame", "depth", "source", "calibration", "alignment", "target", "target_depth")
 DEFAULTS = (NETWORK, DEPTH_BY_PHYSICS, BACK_PROJECTION, SURFACE)  # of a route from touch to touch
 _Answer = GeneratedTouch | Skipped[GeneratedTouch] | Fallback[GeneratedTouch]
 Params = TypeVar("Params")
@@ -45,40 +43,26 @@ Reads = TypeVarTuple("Reads")
 
 
 def guard_contact(
-    run: Callable[[TactileFrame, Unpack[Reads], Params, Progress], _Answer],
+    run: Callable[[TactileFrame, DepthMap, Unpack[Reads], Params, Progress], _Answer],
 ) -> Callable[[TactileFrame, DepthMap, Unpack[Reads], Params, Progress], _Answer]:
-    """Return a function (*GUARDED_READS, weights, params, progress) that asks `run` only where
-    there is contact.
+    """Return a function (*READS, weights, params, progress) that asks `run` only where there is
+    contact.
 
-    `run` takes the same without the depth; its target depth begins with the warnings of the depth.
-    Weights of recorded pairs know how their sensors lay to each other: for them the alignment rules
-    nothing out.
+    `run` takes the same; its target depth begins with the warnings of the depth.
     """
 
     def run_in_contact(
         frame: TactileFrame, depth: DepthMap, *args: *tuple[*Reads, Params, Progress]
     ) -> _Answer:
         values: Any = args  # by position, as the graph passes them
-        source, calibration, alignment, target, view, weights, params, progress = values
+        source, _, _, target, view, *_ = values
         check_frame(frame, source)
         view = replace(view, notes=(*select_warnings(depth.notes), *view.notes))
         reference_touch = physical_render.skip_without_contact(view, target)
-        if reference_touch is not None and not depth.contact.any():
+        if reference_touch is not None:
             return Skipped(output=reference_touch, reason=reference_touch.notes[0])
-        knows_alignment = isinstance(weights, Weights) and bool(
-            weights.config.get("trained_on_recordings")
-        )
-        if reference_touch is not None and not knows_alignment:
-            why = next(
-                (n for n in view.notes if isinstance(n, AlignmentWarning)),
-                "the touch does not reach the target",
-            )
-            touch = replace(
-                reference_touch, notes=(*select_warnings(view.notes), *reference_touch.notes)
-            )
-            return Fallback(result=touch, reason=f"physics: {why}")
         ask: Callable[..., _Answer] = cast("Any", run)
-        return ask(frame, source, calibration, alignment, target, view, weights, params, progress)
+        return ask(frame, depth, *values[:4], view, *values[5:])
 
     return run_in_contact
 
@@ -96,6 +80,7 @@ def render_view(
 
 def _render_target_depth(
     _frame: TactileFrame,
+    _depth: DepthMap,
     _source: SensorSpec,
     _calibration: Calibration | None,
     _alignment: Alignment,

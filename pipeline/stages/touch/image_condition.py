@@ -29,7 +29,8 @@ _TOP_PERCENTILE = 99.5
 _MAX_HEIGHT_MM = np.float32(3.0)  # of a bubble's surface above a gel's
 _UPSAMPLING = 2  # samples per pixel of the target's working grid, in each direction
 _CHANGE_UNIT_GREY = np.float32(48.0)
-IMAGE_CHANNELS = 3 * _UPSAMPLING**2 + 1  # of `build_image_condition`: three colours, and the view
+# of `build_image_condition`: three colours, the view, and how far the sensors overlap
+IMAGE_CHANNELS = 3 * _UPSAMPLING**2 + 2
 _SOURCE_PX_MM = 0.085  # a gel's image is averaged to about this pixel size before resampling
 
 
@@ -51,7 +52,9 @@ def build_image_condition(
         _fold_pixels(np.ascontiguousarray(c), _UPSAMPLING) for c in np.moveaxis(resampled, -1, 0)
     ]
     in_view = sampling_map.inside[::_UPSAMPLING, ::_UPSAMPLING].astype(np.float32)
-    return freeze(np.concatenate([*channels, in_view[None]]).astype(np.float32))
+    overlap_mm = _compute_overlap_mm(source, target, alignment, sampling_map)
+    placement = np.stack([in_view, overlap_mm / _OVERLAP_UNIT_MM])
+    return freeze(np.concatenate([*channels, placement]).astype(np.float32))
 
 
 def reproject_square(

@@ -22,7 +22,7 @@ from pipeline.core.graph import Fallback
 from pipeline.core.params import setting
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame
-from pipeline.core.values.results import GeneratedTouch, TargetDepth
+from pipeline.core.values.results import DepthMap, GeneratedTouch, TargetDepth
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
@@ -52,6 +52,11 @@ from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.stages.touch import frame_chain, physical_render
 from pipeline.stages.touch.frame_chain import check_depth_limit, make_touch_from_change
 from pipeline.stages.touch.image_condition import build_reprojected_square
+from pipeline.stages.touch.moved_touch import (
+    find_motion,
+    get_trained_alignment,
+    press_moved_touch,
+)
 from pipeline.stages.touch.t2d2 import build_depth_square
 
 if TYPE_CHECKING:
@@ -190,6 +195,7 @@ def build_image_square(
 
 def generate_touch(
     frame: TactileFrame,
+    source_depth: DepthMap,  # noqa: ARG001 - read by its guard
     source: SensorSpec,
     calibration: Calibration | None,
     alignment: Alignment,
@@ -201,9 +207,9 @@ def generate_touch(
 ) -> GeneratedTouch | Fallback[GeneratedTouch]:
     """Generate what `target` would record of a frame in contact; deterministic per seed.
 
-    A network that sees the source's own view generates the depths of the alignment that it was
-    trained on. One step shows them: where they are deeper than the source can be pressed, physics
-    answers and nothing is sampled. Raises ShapeError without a reference image.
+    A bubble's network generates the depths of the alignment that it was trained on, which physics
+    presses at the one that is given. One step shows them: where they are deeper than the source can
+    be pressed, physics answers and nothing is sampled. Raises ShapeError without a reference image.
     """
     check_frame(frame, source)
     assert frame.reference is not None  # checked
@@ -213,20 +219,23 @@ def generate_touch(
     )
     if net.raw_condition:
         square = square * np.float32(source.sensor_kind.full_change)
-    condition = build_image_square(square, net.condition, source, target, alignment)
     checks_depth = target.sensor_kind.is_depth and not getattr(net, "trained_on_recordings", False)
+    trained = get_trained_alignment(source) if checks_depth else alignment
+    condition = build_image_square(square, net.condition, source, target, trained)
+    render_params = physical_render.PhysicalRenderParams()
     if checks_depth:
         first = _sample_touch(
             condition, target, net, replace(params, steps=1, guidance=1.0), SILENT
         )
-        impossible = check_depth_limit(first, source, target, alignment)
+        impossible = check_depth_limit(first, source, target, trained)
         if impossible:
-            physical = frame_chain.render_view(
-                view, target, physical_render.PhysicalRenderParams(), progress
-            )
+            physical = frame_chain.render_view(view, target, render_params, progress)
             return Fallback(result=physical, reason=f"physics: {impossible[0]}")
     touch = _sample_touch(condition, target, net, params, progress)
-    limits = check_depth_limit(touch, source, target, alignment) if checks_depth else ()
+    limits = check_depth_limit(touch, source, target, trained) if checks_depth else ()
+    motion = find_motion(trained, alignment)
+    if motion is not None:
+        touch = press_moved_touch(touch, motion, view, target, render_params, progress)
     warnings = (
         *depth.warn_of_mismatch(frame, source, calibration),
         *limits,

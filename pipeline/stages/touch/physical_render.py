@@ -330,6 +330,12 @@ def _reaches_edge(contact: Mask, in_view: Mask) -> bool:
     return bool((contact & outside).any())
 
 
+def trace_source_pixels(view: TargetDepth) -> Indices:
+    """(rows, cols) -> pixel of the target depth where the source measured something, else -1."""
+    own = make_pixel_index(view.contact.shape)
+    return freeze(np.where(view.source_index >= 0, own, np.int32(-1)))
+
+
 def _make_touch(
     view: TargetDepth,
     target: SensorSpec,
@@ -338,14 +344,11 @@ def _make_touch(
     contact: Mask,
     notes: list[str],
 ) -> GeneratedTouch:
-    source: Indices = np.where(
-        view.source_index >= 0, make_pixel_index(contact.shape), np.int32(-1)
-    )
     membrane = make_depth_map(target.rest_depth_mm, surface, contact, target.camera)
     return GeneratedTouch(
         image=image,
         camera=target.camera,
-        source_index=freeze(source),
+        source_index=trace_source_pixels(view),
         in_view=view.in_view,
         membrane=replace(membrane, error=view.error),
         notes=tuple(notes),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from pipeline.core.geometry.meshes import Mesh
@@ -17,7 +18,7 @@ from pipeline.stages.metrics.stage_metrics import compute_image_metrics
 from pipeline.stages.networks.network_factory import fall_back_without_weights
 from pipeline.stages.stage import GroundTruth, Stage
 from pipeline.stages.touch import latent_diffusion, object_touch, physical_render, t2d2, t2t, vqvae
-from pipeline.stages.touch.frame_chain import DEFAULTS, GUARDED_READS, RENDER, guard_contact
+from pipeline.stages.touch.frame_chain import DEFAULTS, READS, RENDER, guard_contact
 from pipeline.stages.touch.latent_diffusion import LatentParams
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, make_draft_params
 from pipeline.stages.touch.t2d2 import T2D2Params
@@ -67,7 +68,7 @@ def _press_object_or_fall_back(
         depth, source, alignment, target, mesh, previous, params, progress
     )
     if isinstance(touch, GeneratedTouch):
-        return touch
+        return replace(touch, source_index=physical_render.trace_source_pixels(view))
     by_t2d2: Callable[..., Any] = T2D2.run
     answer = by_t2d2(
         view, target, t2d2.select_weights(target, target, None), T2D2.params(), progress
@@ -93,7 +94,7 @@ T2T = Method(
     help="image-to-image diffusion trained on pairs of a gel and a bubble",
     run=guard_contact(fall_back_without_weights(t2t.generate_touch, fallback=RENDER)),
     params=DiffusionParams,
-    reads=(*GUARDED_READS, "touch_weights"),
+    reads=(*READS, "touch_weights"),
     defaults=DEFAULTS,
     weights=t2t.select_weights,
     draft=make_draft_params,
@@ -120,7 +121,7 @@ LATENT = Method(
     help="200 steps from noise, conditioned on the encoded source image",
     run=guard_contact(fall_back_without_weights(latent_diffusion.generate_touch, fallback=RENDER)),
     params=LatentParams,
-    reads=(*GUARDED_READS, "touch_weights"),
+    reads=(*READS, "touch_weights"),
     defaults=DEFAULTS,
     weights=latent_diffusion.select_weights,
     draft=latent_diffusion.make_draft_params,
@@ -133,7 +134,7 @@ VQVAE = Method(
     help="image-to-image at 128 x 128 through a codebook; uses no depth",
     run=guard_contact(fall_back_without_weights(vqvae.generate_touch, fallback=RENDER)),
     params=NoParams,
-    reads=(*GUARDED_READS, "touch_weights"),
+    reads=(*READS, "touch_weights"),
     defaults=DEFAULTS,
     weights=vqvae.select_weights,
     version=2,

@@ -16,7 +16,7 @@ from pipeline.calibration.calibration_table import Calibration
 from pipeline.core.params import NoParams
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame
-from pipeline.core.values.results import GeneratedTouch, TargetDepth
+from pipeline.core.values.results import DepthMap, GeneratedTouch, TargetDepth
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
@@ -72,6 +72,7 @@ def select_weights(
 
 def generate_touch(
     frame: TactileFrame,
+    source_depth: DepthMap,  # noqa: ARG001 - read by its guard
     source: SensorSpec,
     calibration: Calibration | None,
     alignment: Alignment,

@@ -110,7 +110,7 @@ def write_report(out: Path, translation: Translation, frames: Sequence[FrameRepo
     write_json(
         path,
         {
-            "route": request.route,
+            "route": translation.route.name,
             "methods": {method.stage: method.name for method in translation.methods},
             "recording": str(request.recording),
             "source": translation.source.name,

@@ -15,7 +15,9 @@ LIMIT_S = 240
 
 @pytest.fixture
 def window(open_window):
-    controller = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
+    controller = open_window(
+        SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5, route="t2d2"
+    )
     assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
     return controller
 

@@ -207,7 +207,7 @@ def test_a_pinned_truth_is_marked_wherever_its_results_are_shown(open_window):
 
 
 def test_parameters_of_a_method_that_did_not_answer_are_struck_out(open_window):
-    controller = open_window(GRASPS, source="gelslim", target="soft_bubble", frame=1)
+    controller = open_window(GRASPS, source="gelslim", target="soft_bubble", frame=1, route="t2d2")
     assert wait_until_shown(controller, LIMIT_S)
     guidance = find_control(controller, "guidance")
     params = controller.session.get_params

@@ -89,7 +89,7 @@ def test_a_presentation_shows_images_alone_and_esc_leaves_the_window_as_it_was(o
     assert view.size() == view.screen().geometry().size()
     assert [pane.title for pane in view.panes] == [
         "GelSlim (markers), recorded",
-        "Soft Bubble, generated touch: T2D2 diffusion",
+        "Soft Bubble, generated touch: Object",
         "Soft Bubble, recorded",
     ]
     assert view.children() == [] or not view.findChildren(QWidget), (

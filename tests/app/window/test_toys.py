@@ -36,7 +36,12 @@ def test_the_window_shows_a_custom_route(toys):
     assert np.ptp(window.columns["brightness"].view.preview.pixels) > 0
     assert window.columns["brightness"].view.preview.caption == "toy brightness"
     assert window.parameters.findChild(object, "touch/melt.gain").isVisibleTo(window.parameters)
-    assert [window.route.itemData(i) for i in range(window.route.count())] == ["t2d2", "t2t", "toy"]
+    assert [window.route.itemData(i) for i in range(window.route.count())] == [
+        "t2d2",
+        "t2t",
+        "object",
+        "toy",
+    ]
     toys.change("choose route", route="t2d2")
     assert wait_until_shown(toys, LIMIT_S)
     assert shown(window) == [

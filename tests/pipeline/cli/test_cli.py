@@ -305,7 +305,7 @@ def test_an_unknown_sensor_is_answered_with_the_known_ones(touches, tmp_path, sa
 def test_an_unknown_route_is_answered_with_the_known_ones(touches, tmp_path, said):
     assert (
         said("translate", touches, "--target", "gelslim", "--route", "x2y", "--out", tmp_path)
-        == "no route 'x2y'; there are t2d2, t2t"
+        == "no route 'x2y'; there are t2d2, t2t, object"
     )
 
 

@@ -74,9 +74,13 @@ def test_physics_answers_for_t2t_that_is_deeper_than_the_source_can_be_pressed()
     touched[120:200, 170:250] = 255 - touched[120:200, 170:250]
     frame = TactileFrame(sensor="gelslim", image=touched, reference=still)
     stand = alignment.resolve_alignment(GEL, BUBBLE)
-    reads = frame, GEL, None, stand, BUBBLE, estimate_views(frame, GEL, stand, BUBBLE)[0]
-    made = t2t.generate_touch(*reads, ConstantDenoiser(13.0), DiffusionParams(steps=2))
+    view, found = estimate_views(frame, GEL, stand, BUBBLE)
+    reads = frame, found, GEL, None, stand, BUBBLE, view
+    deep = ConstantDenoiser(6.0)
+    deep.unit_mm = 3.0  # 18 mm; the bubble is trained 13 mm inside the gel's surface
+    made = t2t.generate_touch(*reads, deep, DiffusionParams(steps=8))
     assert isinstance(made, Fallback)
+    assert len(deep.shown) == 1, "nothing is sampled"
     assert "deeper than the source" in made.reason
     fair = t2t.generate_touch(*reads, ConstantDenoiser(2.0), DiffusionParams(steps=2))
     assert not any("deeper than the source" in note for note in fair.notes)

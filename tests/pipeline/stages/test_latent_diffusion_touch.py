@@ -156,7 +156,8 @@ def test_the_condition_is_scaled_as_in_training_and_impossible_depths_are_left_t
     frame = TactileFrame(sensor="gelslim", image=image, reference=rest)
     params = LatentParams()
     both = alignment.resolve_alignment(gel, bubble)
-    reads = frame, gel, None, both, bubble, estimate_views(frame, gel, both, bubble)[0]
+    view, found = estimate_views(frame, gel, both, bubble)
+    reads = frame, found, gel, None, both, bubble, view
     touch = latent_diffusion.generate_touch(*reads, network, params)
     assert latent_diffusion.OUTSIDE_VIEW in touch.notes
     plain = latent_diffusion.resize_to_square(

@@ -75,6 +75,7 @@ def test_the_object_is_pressed_beyond_what_the_source_sees(graph, frame, truth):
     ).sum()
     assert touch.membrane.expected_error_mm.shape == BUBBLE.camera.shape
     assert touch.membrane.expected_error_mm.max() > 0
+    assert np.array_equal(touch.source_index, rendered.source_index), "a probe finds the source"
 
 
 def test_every_pose_that_fits_is_a_step_and_the_best_one_the_answer(graph, frame):

@@ -16,7 +16,8 @@ from pipeline.core.values.results import TargetDepth, make_pixel_index
 from pipeline.lab.training.denoising import TouchResidualTask
 from pipeline.physics import optics
 from pipeline.physics.simulation import poses, shapes
-from pipeline.physics.simulation.press import simulate_press
+from pipeline.physics.simulation.datasets import BUBBLE_DEEPER_MM
+from pipeline.physics.simulation.press import move_bubble_closer, simulate_press
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
@@ -29,6 +30,7 @@ from pipeline.stages.networks.weights import NoWeights, load_weights, save_weigh
 from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
 from pipeline.stages.touch import frame_chain, physical_render, t2d2, t2t
 from pipeline.stages.touch.image_condition import IMAGE_CHANNELS
+from pipeline.stages.touch.moved_touch import get_trained_alignment
 from pipeline.stages.touch.residual_diffusion import DiffusionParams
 from pipeline.stages.touch.stage import PHYSICS, T2D2, T2T
 from pipeline.stages.touch.t2d2 import CONDITION_CHANNELS, T2D2Params, make_working_sensor
@@ -53,6 +55,8 @@ class ConstantDenoiser(torch.nn.Module):
     noise_correlation = 0.0
     error_factors = (1.0, 1.0)
     error_exponent = 1.0
+    inputs = 13
+    trained_on_recordings = 0.0
 
     def __init__(self, residual, contact=0.0, spread=0.1):
         super().__init__()
@@ -225,17 +229,16 @@ def ball_frames():
     )
 
 
-def list_reads(frame):
-    """What T2T from a GelSlim to a bubble reads of a frame, but for weights."""
-    between = alignment.resolve_alignment(GEL, BUBBLE)
+def list_reads(frame, motion=None):
+    """What T2T from a GelSlim to a bubble reads of a frame, but for weights.
+
+    `motion` moves the bubble from where its network was trained.
+    """
+    between = get_trained_alignment(GEL)
+    if motion is not None:
+        between = alignment.correct_alignment(between, motion)
     view, found = estimate_views(frame, GEL, between, BUBBLE)
     return frame, found, GEL, None, between, BUBBLE, view
-
-
-def list_reads_in_contact(frame):
-    """What T2T reads once there is contact."""
-    frame, _, *others = list_reads(frame)
-    return frame, *others
 
 
 def test_the_condition_is_aligned_with_the_target(ball_frames):
@@ -244,8 +247,8 @@ def test_the_condition_is_aligned_with_the_target(ball_frames):
     )
     truth = ball_frames[3]
     assert shown.shape == (IMAGE_CHANNELS, *make_working_sensor(BUBBLE).camera.shape)
-    change = np.abs(shown[:-1]).sum(0)
-    known = shown[-1] > 0
+    change = np.abs(shown[:-2]).sum(0)
+    known = shown[-2] > 0
     at = np.argwhere(truth.contact).mean(0) * np.array(change.shape) / truth.contact.shape
     weight = change * known * (change > 0.5 * change[known].max())
     found = (np.argwhere(weight > 0) * weight[weight > 0][:, None]).sum(0) / weight.sum()
@@ -256,7 +259,7 @@ def test_a_translated_alignment_translates_the_condition(ball_frames):
     between = alignment.resolve_alignment(GEL, BUBBLE)
     moved = alignment.correct_alignment(between, rigid.translation(4.3, 0.0, 0.0))
     plain, other = (
-        t2t.build_condition(ball_frames[0], GEL, a, BUBBLE)[-1] for a in (between, moved)
+        t2t.build_condition(ball_frames[0], GEL, a, BUBBLE)[-2] for a in (between, moved)
     )
     shift = np.argwhere(other > 0).mean(0) - np.argwhere(plain > 0).mean(0)
     assert shift[1] == pytest.approx(4.3 * BUBBLE.camera.fx_px / 76.0, abs=0.8)
@@ -264,7 +267,7 @@ def test_a_translated_alignment_translates_the_condition(ball_frames):
 
 
 def test_t2t_is_the_network_alone_and_physics_without_steps(ball_frames):
-    reads = list_reads_in_contact(ball_frames[0])
+    reads = list_reads(ball_frames[0])
     touch = t2t.generate_touch(*reads, ConstantDenoiser(1.0, contact=1.0), DiffusionParams())
     assert np.allclose(touch.membrane.indentation_mm, 1.0)
     assert touch.membrane.contact.all()
@@ -273,6 +276,67 @@ def test_t2t_is_the_network_alone_and_physics_without_steps(ball_frames):
     assert physics.result.membrane.indentation_mm.max() > 2.0
     sample = t2t.generate_touch(*reads, ConstantDenoiser(1.0), DiffusionParams(steps=2))
     assert np.abs(sample.membrane.indentation_mm - 1.0).max() < 5 * ConstantDenoiser.sigma_min
+
+
+def test_the_condition_tells_how_far_the_sensors_overlap(ball_frames):
+    between = alignment.resolve_alignment(GEL, BUBBLE)
+    nearer = alignment.correct_alignment(between, rigid.translation(0.0, 0.0, -3.0))
+    plain, other = (
+        t2t.build_condition(ball_frames[0], GEL, a, BUBBLE)[-1] for a in (between, nearer)
+    )
+    assert 6.0 * plain.max() == pytest.approx(4.0, abs=0.1)  # soft_bubble.toml
+    assert np.allclose(6.0 * (other - plain), 3.0, atol=0.05)
+
+
+@pytest.mark.parametrize("closer_mm", [0.0, -3.0, -6.0])
+def test_t2t_at_another_place_is_its_own_touch_pressed_there(closer_mm):
+    """Both the network's touch, and what the source measured, move with the bubble."""
+    mesh = shapes.make_shape("notched_elbow").mesh
+    pose = rigid.translation(1.0, -2.0, -0.7) @ rigid.rotation((0.0, 0.0, 0.4))
+    press = simulate_press(mesh, pose, GEL, seed=3)
+    frame = TactileFrame(
+        sensor="gelslim", image=press.image, reference=optics.render_reference(GEL)
+    )
+    weights = t2t.select_weights(GEL, BUBBLE, None)
+    there = move_bubble_closer(BUBBLE, BUBBLE_DEEPER_MM + closer_mm)
+    aside = rigid.rotation((0.0, 0.0, 0.3)) @ rigid.translation(2.0, -1.0, 0.0)
+    there = replace(there, alignment_from_sensor=aside @ there.alignment_from_sensor)
+    truth = simulate_press(mesh, pose, there, seed=None)
+    between = alignment.resolve_alignment(GEL, there)
+    view, found = estimate_views(frame, GEL, between, BUBBLE)
+    answer = T2T.run(
+        frame, found, GEL, None, between, BUBBLE, view, weights, DiffusionParams(), SILENT
+    )
+    physics = physical_render.render_touch(view, BUBBLE, physical_render.PhysicalRenderParams())
+    off_mm, by_physics_mm = (
+        np.abs(one.membrane.indentation_mm - truth.indentation_mm).mean()
+        for one in (answer, physics)
+    )
+    assert off_mm < 0.7 * by_physics_mm
+
+
+def test_t2t_reads_other_gels_by_their_depth():
+    mini = load_sensor("gelsight_mini")
+    dent = np.zeros(mini.camera.shape, np.float32)
+    dent[80:160, 100:200] = 0.4
+    image = optics.render(mini, dent, seed=1)
+    frame = TactileFrame(sensor=mini.name, image=image, reference=optics.render_reference(mini))
+    between = get_trained_alignment(mini)
+    view, found = estimate_views(frame, mini, between, BUBBLE)
+    answer = T2T.run(
+        frame,
+        found,
+        mini,
+        None,
+        between,
+        BUBBLE,
+        view,
+        T2T.weights(mini, BUBBLE, None),
+        DiffusionParams(),
+        SILENT,
+    )
+    assert not isinstance(answer, Fallback)
+    assert answer.membrane.contact.any()
 
 
 def test_t2t_skips_a_frame_without_contact(ball_frames):
@@ -294,7 +358,8 @@ def test_t2t_without_weights_falls_back_to_the_render(ball_frames):
 
 def test_weights_are_selected_by_sensors():
     for source in ("gelslim", "digit", "gelsight_mini"):
-        assert isinstance(T2T.weights(load_sensor("digit"), BUBBLE, None), NoWeights)
+        assert isinstance(T2T.weights(load_sensor(source), GEL, None), NoWeights)
+        assert not isinstance(T2T.weights(load_sensor(source), BUBBLE, None), NoWeights)
         found = T2D2.weights(load_sensor(source), BUBBLE, None)
         assert getattr(found, "why", "").find("pixels") < 0, "a source is no matter for T2D2"
     other = T2D2.weights(GEL, load_sensor("digit"), None)

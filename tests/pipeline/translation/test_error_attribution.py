@@ -24,7 +24,7 @@ TOUCHED = 5
 def to_bubble():
     """The sample's GelSlim translated to its bubble."""
     with open_translation(
-        Request(recording=SAMPLE_RECORDING, source="gelslim", target="soft_bubble")
+        Request(recording=SAMPLE_RECORDING, source="gelslim", target="soft_bubble", route="t2d2")
     ) as translation:
         yield translation
 

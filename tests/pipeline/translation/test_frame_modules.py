@@ -43,7 +43,7 @@ def count_modules() -> Iterator[tuple[set[str], list[str]]]:
 
 
 def test_a_frame_passes_few_modules():
-    request = Request(recording=SAMPLE, source="gelslim", target="soft_bubble")
+    request = Request(recording=SAMPLE, source="gelslim", target="soft_bubble", route="t2d2")
     with open_translation(request) as translation:
         translation.evaluate(4)
         with count_modules() as (modules, steps):

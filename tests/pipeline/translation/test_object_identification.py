@@ -1,10 +1,15 @@
 """The likeliest object of a folder of meshes."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import tactoscope as ts
 from pipeline.core.errors import SettingProblem, StageWarning
 from pipeline.core.values.results import make_depth_map
+from pipeline.physics.sensor_images import render_reference
 from pipeline.physics.simulation import poses, shapes
 from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors.spec import load_sensor
@@ -51,3 +56,57 @@ def test_a_folder_without_meshes_is_named(tmp_path):
     depth = make_depth_map(GEL.rest_depth_mm, flat, flat > 0, GEL.camera)
     with pytest.raises(SettingProblem, match="--meshes needs a folder"):
         identify_object(depth, GEL, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def press():
+    """Images of a press of the star, without any mesh beside them."""
+    mesh = shapes.make_shape("star").mesh
+    at = simulate_press(mesh, poses.make_paper_grid(mesh, n=1, seed=2)[0], GEL, seed=1)
+    return [render_reference(GEL), at.image]
+
+
+def test_the_default_goes_through_the_object_where_its_mesh_is_known(folder, press):
+    def open_touches(**options):
+        images = np.stack(press)
+        return ts.open(images, "soft_bubble", source="gelslim", reference=press[0], **options)
+
+    plain = open_touches()
+    assert plain.route.name == "t2d2"
+    assert "object" not in plain.list_methods("touch")
+    touches = open_touches(meshes=folder, mesh_unit="mm")
+    assert touches.route.name == "object"
+    assert "the likeliest of 3 objects is star" in touches.notes[-1]
+    touch = touches[1].result("touch")
+    assert touch.method.name == "object"
+    assert not touch.fallback
+    for chosen in (
+        touches.with_(method="t2d2"),
+        open_touches(mesh=folder / "cone.obj", route="t2d2"),
+    ):
+        assert chosen.get_method("touch").name == "t2d2"
+    with pytest.raises(ts.TouchError, match="either mesh"):
+        open_touches(mesh=folder / "cone.obj", meshes=Path(folder))
+
+
+def test_a_mesh_that_does_not_fit_is_refused_and_t2d2_answers(press):
+    small = shapes.make_shape("letters").mesh
+    small = replace(small, vertices_mm=0.1 * small.vertices_mm)
+    images = np.stack(press)
+    touches = ts.open(images, "soft_bubble", source="gelslim", reference=press[0], mesh=small)
+    touch = touches[1].result("touch")
+    assert touch.fallback.startswith("T2D2: ")
+    assert "mesh" in touch.fallback
+    by_t2d2 = touches.with_(method="t2d2")[1].touch
+    assert touch.output.image.tobytes() == by_t2d2.image.tobytes()
+
+
+def test_a_setting_of_another_method_names_it(folder, press):
+    images = np.stack(press)
+    with (
+        ts.open(
+            images, "soft_bubble", source="gelslim", reference=press[0], mesh=folder / "star.obj"
+        ) as touches,
+        pytest.raises(ts.TouchError, match=r"no parameter 'steps'.*touch=t2d2"),
+    ):
+        touches.with_(steps=8)

@@ -129,10 +129,10 @@ def test_a_pair_gives_the_source_change_and_the_target_touch(folder):
     task = TouchToTouchTask(n_presses=2, folder=folder)
     example = task.make_validation_example("unseen_tools", 0)
     pair = simulated_touches.simulate_touch_pair("unseen_tools", 7, 0, folder)
-    assert example["condition"].shape == (13, *pair.bubble_mm.shape)
+    assert example["condition"].shape == (14, *pair.bubble_mm.shape)
     assert np.allclose(BUBBLE.residual_unit_mm * example["residual"][0], pair.bubble_mm, atol=1e-4)
     assert not example["contact"][1].any()
-    assert load_recipe("t2t_bubble", "t2t").network["inputs"] == 13
+    assert load_recipe("t2t_bubble", "t2t").network["inputs"] == 14
 
 
 def test_a_mirrored_pair_is_that_of_the_mirrored_object(monkeypatch):
