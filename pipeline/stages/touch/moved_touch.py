@@ -110,7 +110,6 @@ def _press(
         indentation_mm=freeze(np.where(measured, view.indentation_mm, moved.indentation_mm)),
         contact=freeze(np.where(measured, view.contact, moved.contact)),
         in_view=freeze(np.ones(measured.shape, np.bool_)),
-        coverage=None,
         notes=view.notes,
     )
     touch = render_touch(object_view, target, params, progress)
