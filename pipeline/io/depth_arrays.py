@@ -75,9 +75,9 @@ def read_image_folder(files: RecordingFiles, options: ReadOptions) -> Recording:
     images = [p for p in files.images if p != options.reference]
     if not images:
         raise FileProblem("the only depth image is the reference", files.path)
-    names = [images[0].stem, images[0].parent.name]
+    names = [images[0].stem]
     if files.path.is_dir():
-        names.insert(0, files.path.name)
+        names = [files.path.name, *names, images[0].parent.name]
     return _read_files(files, options, images, names, _read_depth_pixels)
 
 
