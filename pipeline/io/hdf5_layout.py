@@ -73,13 +73,23 @@ class TruthField(NamedTuple):
     bit: int  # in truth/known
     dtype: type  # of values in memory
     shape: tuple[int, ...] | None  # of one frame; None = the image's
+    stored: type  # of values in the file; lengths as integers
+    fill: float  # of a frame without it
 
 
 TRUTH_FIELDS = (
-    TruthField("indentation_mm", "truth/indentation", 1, np.float32, None),
-    TruthField("contact", "truth/contact", 2, np.bool_, None),
-    TruthField("sensor_from_object", "truth/sensor_from_object", 4, np.float64, (4, 4)),
-    TruthField("force_n", "truth/force", 8, np.float64, (3,)),
+    TruthField("indentation_mm", "truth/indentation", 1, np.float32, None, np.int16, -32768),
+    TruthField("contact", "truth/contact", 2, np.bool_, None, np.uint8, 0),
+    TruthField(
+        "sensor_from_object",
+        "truth/sensor_from_object",
+        4,
+        np.float64,
+        (4, 4),
+        np.float64,
+        np.nan,
+    ),
+    TruthField("force_n", "truth/force", 8, np.float64, (3,), np.float64, np.nan),
 )
 
 _MAX_STEP_MM = 10.0  # largest step of stored lengths, a thousand times that of a depth camera
