@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.sensors.alignment_files import AlignmentFile, save_alignment
+from pipeline.sensors.alignment import AlignmentFile, save_alignment
 from pipeline.translation.translate import Request, open_translation
 from sample_data.make_samples import RECORDINGS_FOLDER as RECORDINGS
 
