@@ -15,14 +15,13 @@ import os
 import shutil
 import stat
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Generator
 from functools import cache
 from pathlib import Path
 
-from pipeline.core.user_folders import find_user_folder
+from pipeline.core.user_folders import find_user_folder, make_temporary_folder
 
 log = logging.getLogger("tactoscope")
 _PACKAGE_FOLDER = Path(__file__).parents[1]
@@ -117,7 +116,9 @@ def kernel_folder() -> Path:
             folder = _prepare_folder(root / "kernels")
             if folder is not None:
                 return folder
-    return Path(_temporary_folder().name)
+    temporary = make_temporary_folder() / "kernels"
+    temporary.mkdir(exist_ok=True)
+    return temporary
 
 
 def _prepare_folder(kernels: Path) -> Path | None:
@@ -157,7 +158,6 @@ def _is_private(folder: Path) -> bool:
     return is_own and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
-@cache
 def digest_sources() -> str:
     """Return a digest of the names and contents of all kernel sources, and of the versions that
     compile them.
@@ -176,8 +176,3 @@ def _remove_old_folders(current: Path) -> None:
     )
     for old in others[:-_MAX_FOLDERS]:
         shutil.rmtree(old, ignore_errors=True)
-
-
-@cache
-def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
-    return tempfile.TemporaryDirectory(prefix="tactoscope-kernels-")

@@ -5,8 +5,6 @@ Arrays use XXH3-128, microseconds per frame.
 
 import os
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
-from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, cast
@@ -98,21 +96,9 @@ def _digest_array(array: NDArray[Any]) -> bytes:
     return made
 
 
-@lru_cache(maxsize=256)
-def _list_digested_fields(kind: type) -> tuple[str, ...] | None:
-    return (
-        tuple(f.name for f in fields(kind) if f.metadata.get("digest", True))
-        if is_dataclass(kind)
-        else None
-    )
-
-
 def _feed(state: xxhash.xxh3_128, value: object) -> None:
     if isinstance(value, np.ndarray):
         array = cast("NDArray[Any]", value)
-        if isinstance(array, np.ma.MaskedArray):  # masked values are no content, the mask is
-            _feed(state, ("masked", np.ma.getmaskarray(array)))
-            array = array.filled(0)
         state.update(f"a{array.dtype.str}{array.shape}".encode())
         state.update(_digest_array(array))
     elif value is None or isinstance(value, (bool, int, float, str, Path)):
@@ -133,7 +119,7 @@ def _feed(state: xxhash.xxh3_128, value: object) -> None:
         for key in sorted(pairs):
             _feed(state, (key, pairs[key]))
     else:
-        names = _list_digested_fields(type(value))
+        names = field_names(type(value), digested=True)
         if names is None:
             raise TypeError(f"a {type(value).__name__} has no content digest")
         state.update(f"c{type(value).__qualname__}(".encode())

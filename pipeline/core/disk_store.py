@@ -7,7 +7,6 @@ again; without a readable or writable folder everything works uncached.
 import contextlib
 from collections.abc import Callable
 from dataclasses import fields
-from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -49,7 +48,6 @@ def cache_folder() -> Path:
     return find_user_folder("cache")
 
 
-@lru_cache(maxsize=16)
 def _digest_source(code: tuple[str, ...]) -> str:
     """Digest the source of modules, so that a changed line makes other files."""
     return compute_digest([file.read_text("utf-8") for name in code for file in _files(name)])

@@ -110,7 +110,6 @@ def _has_type(value: Any, hint: Any) -> bool:
     return callable(value)
 
 
-@cache
 def load_reference(reference: str) -> Any:
     """The object that "package.module:name" names; its module is imported on first use."""
     module, name = reference.split(":")

@@ -8,7 +8,6 @@ gigabytes: every reader compares what a file states with `require_budget` before
 import contextlib
 import errno
 import fcntl
-import functools
 import hashlib
 import itertools
 import json
@@ -165,7 +164,6 @@ def _name_part() -> str:
     return f".tactoscope-{_get_boot()}-{uuid.uuid4().hex}.part"
 
 
-@functools.cache
 def _get_boot() -> str:
     """Return a digest of this machine's name and start: the locks of its processes can be seen
     from here.

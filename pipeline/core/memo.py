@@ -168,9 +168,13 @@ def _weigh(value: object, counted: set[int]) -> int:
 
 
 @functools.lru_cache(maxsize=256)
-def field_names(kind: type) -> tuple[str, ...] | None:
-    """Return the field names of a dataclass; None for any other type."""
-    return tuple(f.name for f in fields(kind)) if is_dataclass(kind) else None
+def field_names(kind: type, *, digested: bool = False) -> tuple[str, ...] | None:
+    """Return the field names of a dataclass, or those that its digest holds; None for any other
+    type.
+    """
+    if not is_dataclass(kind):
+        return None
+    return tuple(f.name for f in fields(kind) if not digested or f.metadata.get("digest", True))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

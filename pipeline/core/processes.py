@@ -10,7 +10,6 @@ import sys
 import threading
 import time
 from concurrent.futures import Future, ProcessPoolExecutor
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -122,7 +121,6 @@ def release_free_memory() -> None:
         library.malloc_trim(0)
 
 
-@lru_cache(maxsize=1)
 def _glibc() -> ctypes.CDLL | None:
     if not sys.platform.startswith("linux"):
         return None

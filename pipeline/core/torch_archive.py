@@ -8,18 +8,17 @@ to gigabytes, and the checksums of the numbers.
 """
 
 import contextlib
-import pickle
 import struct
 import zipfile
 import zlib
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from pipeline.core.errors import FileProblem, is_utf8_encodable
 from pipeline.core.files import describe_os_error, require_budget, require_file
 
-SIGNATURE = b"PK\x03\x04"  # first bytes of an archive; before torch 1.6 a file is several pickles
-PICKLE_SIGNATURE = b"\x80"  # a pickle's protocol mark
+SIGNATURE = b"PK\x03\x04"  # first bytes of an archive
+PICKLE_SIGNATURE = b"\x80"  # a pickle's protocol mark: torch before 1.6 wrote several
 # of data.pkl; that of a checkpoint with 2,000 tensors takes 0.3 MB
 _MAX_DESCRIPTION_BYTES = 4 << 20
 _MAX_CLASSES = 1_000  # that a description names and torch does not know
@@ -48,10 +47,15 @@ def load_torch_file(path: Path, *, only_tensors: bool = False) -> Any:
             head = file.read(len(SIGNATURE))
     except OSError as error:
         raise FileProblem(f"cannot read the tensors ({describe_os_error(error)})", path) from error
-    if head != SIGNATURE and head[:1] != PICKLE_SIGNATURE:
+    if head[:1] == PICKLE_SIGNATURE:
+        raise FileProblem(
+            "this file was saved by torch before 1.6 or without an archive; load it with torch and "
+            "save its tensors again",
+            path,
+        )
+    if head != SIGNATURE:
         raise FileProblem("this is not a PyTorch file, or it is cut short or damaged", path)
-    # by its name
-    is_mapped = head == SIGNATURE and is_utf8_encodable(str(path)) and path.suffix != ".safetensors"
+    is_mapped = is_utf8_encodable(str(path)) and path.suffix != ".safetensors"  # by its name
     if not is_mapped:
         require_budget(path.stat().st_size, "the tensors", path)
     _require_short_description(path)
@@ -60,7 +64,7 @@ def load_torch_file(path: Path, *, only_tensors: bool = False) -> Any:
     find_unknown_names: Any = torch.serialization.get_unsafe_globals_in_checkpoint
     try:
         with path.open("rb") as file:
-            others = [] if only_tensors or head != SIGNATURE else find_unknown_names(file)
+            others = [] if only_tensors else find_unknown_names(file)
             if len(others) > _MAX_CLASSES:
                 raise FileProblem("the file names too many classes; save the tensors alone", path)
             file.seek(0)
@@ -119,73 +123,18 @@ def _require_short_description(path: Path) -> None:
 
     Whether the rest is in order is for torch to say.
     """
-    with path.open("rb") as file:
-        if file.read(len(SIGNATURE)) == SIGNATURE:
-            with contextlib.suppress(*ZIP_ERRORS), zipfile.ZipFile(file) as archive:
-                described = [
-                    m.file_size for m in archive.infolist() if m.filename.endswith("data.pkl")
-                ]
-                if max(described, default=0) > _MAX_DESCRIPTION_BYTES:
-                    raise FileProblem(_TOO_LONG, path)
-                folded = [m for m in archive.infolist() if m.compress_type != zipfile.ZIP_STORED]
-                require_budget(
-                    sum(member.file_size for member in folded),
-                    "the compressed tensors",
-                    path,
-                    most=1 << 27,
-                )
-            return
-        file.seek(0)
-        limited = _LimitedFile(file)
-        with contextlib.suppress(Exception):  # a pickle may fail in any way
-            for _ in range(4):
-                _InertUnpickler(limited).load()
-        if limited.is_beyond:
-            raise FileProblem(_TOO_LONG, path)
-
-
-_TOO_LONG = (
-    "the file's description of its tensors is too long: it is damaged; save the tensors alone"
-)
-
-
-class _LimitedFile:
-    """A file of which a description is read, up to the size that one may have."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-        self._left = _MAX_DESCRIPTION_BYTES
-
-    def read(self, n: int) -> bytes:
-        """The next `n` bytes; raises EOFError for too many."""
-        return self._count(self._file.read(min(n, self._left + 1)))
-
-    def readline(self) -> bytes:
-        """The next line; raises EOFError for too long a one."""
-        return self._count(self._file.readline(self._left + 1))
-
-    @property
-    def is_beyond(self) -> bool:
-        """Whether more was asked for than a description may have."""
-        return self._left < 0
-
-    def _count(self, content: bytes) -> bytes:
-        self._left -= len(content)
-        if self._left < 0:
-            raise EOFError
-        return content
-
-
-# Python's: that in C makes a table as long as any number that is stated
-_Unpickler: Any = vars(pickle)["_Unpickler"]
-
-
-class _InertUnpickler(_Unpickler):
-    """Builds plain values and `Inert` objects; imports and calls nothing that the file names."""
-
-    def find_class(self, _module: str, _name: str, /) -> Any:
-        """A class without effect, whatever is named."""
-        return Inert
-
-    def persistent_load(self, _pid: Any, /) -> None:
-        """Nothing in place of the numbers of a tensor."""
+    with contextlib.suppress(*ZIP_ERRORS), zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+        described = [m.file_size for m in members if m.filename.endswith("data.pkl")]
+        if max(described, default=0) > _MAX_DESCRIPTION_BYTES:
+            raise FileProblem(
+                "the file's description of its tensors is too long: it is damaged; save the "
+                "tensors alone",
+                path,
+            )
+        require_budget(
+            sum(m.file_size for m in members if m.compress_type != zipfile.ZIP_STORED),
+            "the compressed tensors",
+            path,
+            most=1 << 27,
+        )

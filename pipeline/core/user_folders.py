@@ -15,7 +15,7 @@ def find_user_folder(kind: FolderKind) -> Path:
     """Return the user's folder; a temporary one of this process where the user has no home, as
     in some containers.
     """
-    return _find_folder(kind) or Path(_make_temporary_folder().name) / kind
+    return _find_folder(kind) or make_temporary_folder() / kind
 
 
 def has_home() -> bool:
@@ -39,8 +39,13 @@ def _find_folder(kind: FolderKind) -> Path | None:
         return None
 
 
+def make_temporary_folder() -> Path:
+    """Return a new folder that lasts as long as this process; the same one for each call."""
+    return Path(_hold_temporary_folder().name)
+
+
 @cache
-def _make_temporary_folder() -> tempfile.TemporaryDirectory[str]:
+def _hold_temporary_folder() -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(prefix="tactoscope-")
 
 

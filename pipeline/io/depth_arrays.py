@@ -9,7 +9,8 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -71,21 +72,13 @@ def read_image_folder(files: RecordingFiles, options: ReadOptions) -> Recording:
 
     An image whose name says so is the reference where none is given.
     """
-    path = files.path
-    unit = options.depth_unit
     images = [p for p in files.images if p != options.reference]
     if not images:
-        raise FileProblem("the only depth image is the reference", path)
-    names = [path.stem] if path.is_file() else [path.name, images[0].stem, images[0].parent.name]
-    name = next((n for n in names if unit != "auto" or _UNIT_SUFFIX.search(n)), names[-1])
-    unit = _resolve_unit(name, unit, path, lambda: _read_depth_pixels(images[0]), options.sensor)
-    stack = _DepthStack(name, unit, len(images), lambda i: _read_depth_pixels(images[i]), path)
-    reference = options.reference or (files.references[0] if files.references else None)
-    stack.times_s = file_names.parse_times_s(images)
-    options = ReadOptions(
-        sensor=options.sensor, reference=reference, depth_unit=cast("DepthUnit", unit)
-    )
-    return _make_recording(files, stack, options)
+        raise FileProblem("the only depth image is the reference", files.path)
+    names = [images[0].stem]
+    if files.path.is_dir():
+        names = [files.path.name, *names, images[0].parent.name]
+    return _read_files(files, options, images, names, _read_depth_pixels)
 
 
 def read_array_folder(
@@ -94,18 +87,37 @@ def read_array_folder(
     """As `read`, from a folder with one array a frame, whose name or that of the folder states
     the unit.
     """
-    path = files.path
-    images = files.images
-    key = next((n for n in (images[0].stem, path.name) if _UNIT_SUFFIX.search(n)), images[0].stem)
 
-    def read_raw(index: int) -> NDArray[Any]:
-        (image,) = _check_images(read_array(images[index]), images[index].stem, images[index])
+    def read_image(file: Path) -> NDArray[Any]:
+        (image,) = _check_images(read_array(file), file.stem, file)
         return image
 
-    first = read_raw(0)
-    unit = _resolve_unit(key, options.depth_unit, path, lambda: first, options.sensor)
-    stack = _DepthStack(key, unit, len(images), read_raw, path)
-    stack.times_s = file_names.parse_times_s(images)
+    names = [files.path.name, files.images[0].stem]
+    return _read_files(files, options, files.images, names, read_image)
+
+
+def _read_files(
+    files: RecordingFiles,
+    options: ReadOptions,
+    images: Sequence[Path],
+    names: Sequence[str],
+    read_image: Callable[[Path], NDArray[Any]],
+) -> Recording:
+    """One depth image a file; the first of the `names` that has a unit states it."""
+    key = next((n for n in names if _UNIT_SUFFIX.search(n)), names[-1])
+    unit = _resolve_unit(
+        key, options.depth_unit, files.path, lambda: read_image(images[0]), options.sensor
+    )
+    stack = _DepthStack(
+        key=key,
+        unit=unit,
+        n_frames=len(images),
+        read_raw=lambda index: read_image(images[index]),
+        path=files.path,
+        times_s=file_names.parse_times_s(images),
+    )
+    reference = options.reference or next(iter(files.references), None)
+    options = replace(options, reference=reference, depth_unit=cast("DepthUnit", unit))
     return _make_recording(files, stack, options)
 
 
@@ -115,12 +127,11 @@ def _make_recording(files: RecordingFiles, stack: _DepthStack, options: ReadOpti
     first = stack.depth_mm(0)
     shape = cast("tuple[int, int]", first.shape)
     name, notes = resolve_sensor_name(options.sensor, shape, is_depth=True)
-    _check_unit(stack, first, load_sensor(options.sensor or name))
+    spec = load_sensor(options.sensor or name)
+    _check_unit(stack, first, spec)
     camera = stack.camera
     if camera is None:
-        camera, camera_notes = resampling.infer_depth_camera(
-            load_sensor(options.sensor or name), shape
-        )
+        camera, camera_notes = resampling.infer_depth_camera(spec, shape)
         notes += camera_notes
     reference: Floats | None = None
     if options.reference is not None:
@@ -130,14 +141,11 @@ def _make_recording(files: RecordingFiles, stack: _DepthStack, options: ReadOpti
             raise FileProblem(
                 f"the reference has shape {reference.shape}, the frames {shape}", options.reference
             )
-        if np.isfinite(reference).any():
-            problem = describe_unit_problem(
-                float(np.nanmedian(reference)), load_sensor(options.sensor or name)
+        problem = describe_unit_problem(_compute_median(reference), spec)
+        if problem:
+            raise FileProblem(
+                f"the reference {problem}; convert it to that of the frames", options.reference
             )
-            if problem:
-                raise FileProblem(
-                    f"the reference {problem}; convert it to that of the frames", options.reference
-                )
     elif n > 1:
         n_first = min(_N_REFERENCE_FRAMES, max(1, n // 6))
         which = "the first frame" if n_first == 1 else f"the median of the first {n_first} frames"
@@ -147,13 +155,12 @@ def _make_recording(files: RecordingFiles, stack: _DepthStack, options: ReadOpti
         about = "one depth image has no reference; name one with --reference"
 
     def frame(index: int) -> TactileFrame:
-        time_s = math.nan if stack.times_s is None else float(stack.times_s[index])
         return TactileFrame(
             sensor=name,
             image=stack.depth_mm(index),
             reference=reference,
             index=index,
-            time_s=time_s,
+            time_s=math.nan if stack.times_s is None else float(stack.times_s[index]),
             origin=f"{path} [{stack.key} {index}]",
             camera=camera,
         )
@@ -165,13 +172,8 @@ def _make_recording(files: RecordingFiles, stack: _DepthStack, options: ReadOpti
         frame=with_index_check(frame, n, path),
         times_s=stack.times_s,
     )
-    notes = (
-        *files.notes,
-        *notes,
-        escape_text(f"{stack.key} is taken as {stack.unit}"),
-        about,
-        *stack.notes,
-    )
+    unit = escape_text(f"{stack.key} is taken as {stack.unit}")
+    notes = (*files.notes, *notes, unit, about, *stack.notes)
     return Recording(path=path, format="depth arrays", streams=(stream,), notes=notes)
 
 
@@ -179,19 +181,26 @@ def _check_unit(stack: _DepthStack, first: Floats, spec: SensorSpec) -> None:
     """Raise FileProblem where another unit brings the depth to the membrane's, and the stated
     one does not.
     """
-    depth_mm = float(np.nanmedian(first)) if np.isfinite(first).any() else np.nan
+    depth_mm = _compute_median(first)
     problem = describe_unit_problem(depth_mm, spec)
     if problem:
-        own = _MM_PER_UNIT[stack.unit]
-        fits = [
-            u
-            for u, mm in _MM_PER_UNIT.items()
-            if find_unit_factor(depth_mm / own * mm, spec) == 1.0
-        ]
+        raw = depth_mm / _MM_PER_UNIT[stack.unit]
+        fits = _list_units(raw, lambda mm: find_unit_factor(mm, spec) == 1.0)
         remedy = f"give --depth-unit {fits[0]}" if fits else "convert it to mm"
         raise FileProblem(
             f"{stack.key}, read in {stack.unit}, {problem}; {remedy}", stack.path, field=stack.key
         )
+
+
+def _list_units(raw: float, fits: Callable[[float], bool]) -> list[str]:
+    """The units in which a stored depth is in millimetres as `fits` wants it."""
+    return [unit for unit, mm in _MM_PER_UNIT.items() if fits(raw * mm)]
+
+
+def _compute_median(depth: NDArray[Any]) -> float:
+    """The median of the values of a depth image; NaN where it has none."""
+    known = depth[np.isfinite(depth) & (depth > 0)]
+    return float(np.median(known)) if known.size else math.nan
 
 
 def read_depth_image(path: Path, unit: DepthUnit = "auto") -> Floats:
@@ -205,30 +214,23 @@ def read_depth_image(path: Path, unit: DepthUnit = "auto") -> Floats:
     return compute_median_depth(np.stack([stack.depth_mm(i) for i in range(stack.n_frames)]))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _DepthStack:
     """Depth images of one file or folder, read on demand."""
 
-    def __init__(
-        self,
-        key: str,
-        unit: str,
-        n_frames: int,
-        read_raw: Callable[[int], NDArray[Any]],
-        path: Path,
-    ) -> None:
-        self.key = key
-        self.unit = unit
-        self.n_frames = n_frames
-        self._read_raw = read_raw
-        self.path = path
-        self.times_s: Doubles | None = None
-        self.camera: Camera | None = None
-        self.notes: tuple[str, ...] = ()
+    key: str
+    unit: str
+    n_frames: int
+    read_raw: Callable[[int], NDArray[Any]]
+    path: Path
+    times_s: Doubles | None = None
+    camera: Camera | None = None
+    notes: tuple[str, ...] = ()
 
     def depth_mm(self, index: int) -> Floats:
-        return _convert_to_mm(
-            self._read_raw(index), self.unit, f"{self.key} of frame {index}", self.path
-        )
+        """One image (rows, cols) in mm."""
+        what = f"{self.key} of frame {index}"
+        return _convert_to_mm(self.read_raw(index), self.unit, what, self.path)
 
 
 def _stack_arrays(
@@ -236,23 +238,25 @@ def _stack_arrays(
 ) -> _DepthStack:
     key = _find_depth_key(arrays, path)
     images = _check_images(arrays[key], key, path)
-    stated_unit = _resolve_unit(key, options.depth_unit, path, lambda: images[0], options.sensor)
-    stack = _DepthStack(key, stated_unit, len(images), lambda i: images[i], path)  # pyright: ignore[reportUnknownLambdaType]
+    camera = None
     if "K" in arrays:
         if arrays["K"].dtype.kind not in "fiu":
             raise FileProblem(f"K must hold real numbers, got {arrays['K'].dtype}", path, field="K")
         try:
-            stack.camera = make_camera(arrays["K"], images.shape[1], images.shape[2], what="K")
+            camera = make_camera(arrays["K"], images.shape[1], images.shape[2], what="K")
         except CalibrationError as error:
             raise CalibrationError(f"{error}: '{path}'") from error
-    stack.times_s = find_times(arrays, len(images))
-    unused = sorted(arrays.keys() - {key, "K", "frame", *_TIME_KEYS})
-    stack.notes = (
-        (f"other arrays of the file are left out: {escape_text(', '.join(unused))}",)
-        if unused
-        else ()
+    unused = escape_text(", ".join(sorted(arrays.keys() - {key, "K", "frame", *_TIME_KEYS})))
+    return _DepthStack(
+        key=key,
+        unit=_resolve_unit(key, options.depth_unit, path, lambda: images[0], options.sensor),
+        n_frames=len(images),
+        read_raw=lambda index: images[index],  # pyright: ignore[reportUnknownLambdaType]
+        path=path,
+        times_s=find_times(arrays, len(images)),
+        camera=camera,
+        notes=(f"other arrays of the file are left out: {unused}",) if unused else (),
     )
-    return stack
 
 
 def find_times(arrays: Mapping[str, NDArray[Any]], n_frames: int) -> Doubles | None:
@@ -335,20 +339,14 @@ def _suggest_unit(raw: NDArray[Any], sensor: str) -> str:
     of its sensor.
     """
     sensor = sensor or resolve_sensor_name("", raw.shape[:2], is_depth=True)[0]
-    known = raw[np.isfinite(raw) & (raw > 0)]
-    if not sensor or not known.size:
-        return "give --depth-unit"
     spec = load_sensor(sensor)
-    median = float(np.median(known))
     rest_mm = float(np.median(spec.rest_depth_mm))
-    fits = [
-        unit
-        for unit, mm in _MM_PER_UNIT.items()
-        if abs(math.log(median * mm / rest_mm)) < math.log(_MAX_RATIO)
-    ]
-    return "give --depth-unit" + (
-        f" {fits[0]}, which fits the membrane of {spec.name}" if fits else ""
+    fits = _list_units(
+        _compute_median(raw), lambda mm: abs(math.log(mm / rest_mm)) < math.log(_MAX_RATIO)
     )
+    if not fits:
+        return "give --depth-unit"
+    return f"give --depth-unit {fits[0]}, which fits the membrane of {spec.name}"
 
 
 def _convert_to_mm(raw: NDArray[Any], unit: str, what: str, path: Path) -> Floats:
@@ -357,26 +355,20 @@ def _convert_to_mm(raw: NDArray[Any], unit: str, what: str, path: Path) -> Float
     Raises FileProblem for a median beyond `_PLAUSIBLE_MM`.
     """
     depth_mm = raw.astype(np.float32) * np.float32(_MM_PER_UNIT[unit])
-    gaps = (
-        ~np.isfinite(depth_mm) | (raw <= 0) | ((raw == 65535) if raw.dtype == np.uint16 else False)
-    )
-    depth_mm[gaps] = np.nan
-    if not gaps.all():
-        median = float(np.median(depth_mm[~gaps]))
-        if not _PLAUSIBLE_MM[0] <= median <= _PLAUSIBLE_MM[1]:
-            own = _MM_PER_UNIT[unit]
-            fits = [
-                u
-                for u, mm in _MM_PER_UNIT.items()
-                if _PLAUSIBLE_MM[0] <= median / own * mm <= _PLAUSIBLE_MM[1]
-            ]
-            remedy = f"; give --depth-unit {' or '.join(fits)}" if fits else ""
-            raise FileProblem(
-                f"{what} has a median of {median:.3g} mm when read in {unit}; check the "
-                f"unit{remedy}",
-                path,
-                field=what,
-            )
+    depth_mm[~np.isfinite(depth_mm) | (raw <= 0)] = np.nan
+    if raw.dtype == np.uint16:
+        depth_mm[raw == 65535] = np.nan
+    median = _compute_median(depth_mm)
+    if median < _PLAUSIBLE_MM[0] or median > _PLAUSIBLE_MM[1]:
+        fits = _list_units(
+            median / _MM_PER_UNIT[unit], lambda mm: _PLAUSIBLE_MM[0] <= mm <= _PLAUSIBLE_MM[1]
+        )
+        remedy = f"; give --depth-unit {' or '.join(fits)}" if fits else ""
+        raise FileProblem(
+            f"{what} has a median of {median:.3g} mm when read in {unit}; check the unit{remedy}",
+            path,
+            field=what,
+        )
     return freeze(depth_mm)
 
 

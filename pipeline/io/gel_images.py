@@ -36,23 +36,6 @@ DIFFERENCE_NOTE = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ImpliedReference:
-    """The reference image that differences imply."""
-
-    reference: Image  # (rows, cols, 3)
-    no_change_grey: float  # grey level of no change
-
-    def restore_image(self, difference: NDArray[np.generic]) -> Image:
-        """The frame (rows, cols, 3) uint8 whose difference this is."""
-        image = (
-            self.reference.astype(np.float32)
-            + difference.astype(np.float32)
-            - np.float32(self.no_change_grey)
-        )
-        return freeze(np.clip(np.rint(image), 0, 255).astype(np.uint8))
-
-
 def estimate_no_change_grey(image: Image) -> float | None:
     """The grey level of no change in a difference image (rows, cols, 3).
 
@@ -60,20 +43,6 @@ def estimate_no_change_grey(image: Image) -> float | None:
     """
     near = (np.abs(image.astype(np.float32) - MID_GREY) <= _MAX_FROM_MID_GREY).all(axis=2)
     return float(np.median(image[near])) if near.mean() > _MIN_QUIET_SHARE else None
-
-
-def derive_implied_reference(
-    spec: SensorSpec | None, shape: tuple[int, int], no_change_grey: float
-) -> ImpliedReference:
-    """The described reference image without markers.
-
-    Plain mid-grey where the sensor or its optics are not known.
-    """
-    if spec is None or spec.optics is None or spec.camera.shape != shape:
-        light = np.full((*shape, 3), MID_GREY)
-    else:
-        light = np.clip(np.rint(compute_reference_light(spec.camera, spec.optics)), 0, 255)
-    return ImpliedReference(reference=freeze(light.astype(np.uint8)), no_change_grey=no_change_grey)
 
 
 def require_colour(images: Iterable[Image], path: Path) -> None:
@@ -96,10 +65,11 @@ class GelImageConverter:
     """Converts images of one size to the sensor's; made once for all frames of a stream."""
 
     sensor: str  # "" = not known
-    reference: Image | None  # (rows, cols, 3) of the sensor's size
-    notes: tuple[str, ...]
-    resampling_fit: ResamplingFit | None  # None = no resampling
-    implied_reference: ImpliedReference | None  # None = the images are no differences
+    # (rows, cols, 3) of the sensor's size; that which differences imply
+    reference: Image | None
+    notes: tuple[str, ...] = ()
+    resampling_fit: ResamplingFit | None = None  # None = no resampling
+    no_change_grey: float | None = None  # of a difference; None = the images are none
 
     def convert_image(self, raw: NDArray[np.generic]) -> Image:
         """The camera image (rows, cols, 3) uint8 of the sensor's size for a stored image.
@@ -107,26 +77,21 @@ class GelImageConverter:
         Of a difference, restored.
         """
         stored = self._convert_stored(raw)
-        return (
-            stored
-            if self.implied_reference is None
-            else self.implied_reference.restore_image(stored)
-        )
+        if self.no_change_grey is None or self.reference is None:
+            return stored
+        change = stored.astype(np.float32) - np.float32(self.no_change_grey)
+        return _round_grey(self.reference.astype(np.float32) + change)
 
     def _convert_stored(self, raw: NDArray[np.generic]) -> Image:
-        # signed difference in grey levels
-        if self.implied_reference is not None and raw.dtype != np.uint8:
-            raw = np.clip(
-                np.rint(raw.astype(np.float32) + self.implied_reference.no_change_grey), 0, 255
-            )
-        image = np.asarray(raw, np.uint8)
+        image = np.asarray(raw, np.uint8) if raw.dtype == np.uint8 else None
+        if image is None:  # a signed difference in grey levels
+            image = _round_grey(raw.astype(np.float32) + np.float32(self.no_change_grey or 0.0))
         return image if self.resampling_fit is None else self.resampling_fit.resample_image(image)
 
     def make_frame(
         self, raw: NDArray[np.generic], index: int, origin: str, time_s: float = math.nan
     ) -> TactileFrame:
         """The frame of a stored image, which holds a difference as it is stored too."""
-        stored = None if self.implied_reference is None else self._convert_stored(raw)
         return TactileFrame(
             sensor=self.sensor,
             image=self.convert_image(raw),
@@ -134,7 +99,7 @@ class GelImageConverter:
             index=index,
             time_s=time_s,
             origin=origin,
-            stored_image=stored,
+            stored_image=None if self.no_change_grey is None else self._convert_stored(raw),
         )
 
 
@@ -157,24 +122,35 @@ def make_gel_converter(
     first = read_first() if reference is None else reference
     example = np.asarray(first, np.uint8) if first.dtype == np.uint8 else None
     fit = None if spec is None else resampling.fit_resampling(spec, shape, example)
-    no_change_grey = None if reference is not None else _find_no_change_grey(first)
-    implied = None
+    no_change_grey = None
+    if reference is None:
+        # signed differences are shifted to mid-grey before resampling
+        no_change_grey = MID_GREY if example is None else estimate_no_change_grey(example)
+    if fit is not None:
+        notes += (fit.note,)
+        shape = fit.shape
+        reference = None if reference is None else fit.resample_image(reference)
     if no_change_grey is not None:
-        implied = derive_implied_reference(
-            spec, shape if fit is None else fit.shape, no_change_grey
-        )
-        reference = implied.reference
-    elif reference is not None and fit is not None:
-        reference = fit.resample_image(reference)
-    notes += () if fit is None else (fit.note,)
-    notes += () if implied is None else (DIFFERENCE_NOTE,)
+        notes += (DIFFERENCE_NOTE,)
+        reference = _render_reference(spec, shape)
     return GelImageConverter(
-        sensor=name, reference=reference, notes=notes, resampling_fit=fit, implied_reference=implied
+        sensor=name,
+        reference=reference,
+        notes=notes,
+        resampling_fit=fit,
+        no_change_grey=no_change_grey,
     )
 
 
-def _find_no_change_grey(image: NDArray[np.generic]) -> float | None:
-    """The grey level of no change; signed differences are shifted to mid-grey before resampling."""
-    if image.dtype != np.uint8:
-        return MID_GREY
-    return estimate_no_change_grey(np.asarray(image, np.uint8))
+def _render_reference(spec: SensorSpec | None, shape: tuple[int, int]) -> Image:
+    """The described reference image without markers.
+
+    Plain mid-grey where the sensor or its optics are not known.
+    """
+    if spec is None or spec.optics is None or spec.camera.shape != shape:
+        return _round_grey(np.full((*shape, 3), MID_GREY, np.float32))
+    return _round_grey(compute_reference_light(spec.camera, spec.optics))
+
+
+def _round_grey(grey: NDArray[np.floating]) -> Image:
+    return freeze(np.clip(np.rint(grey), 0, 255).astype(np.uint8))

@@ -124,13 +124,7 @@ def make_gel_stream(
             f"{name} names no sensor of touch; if it is one, say which with --stream {name} "
             "--sensor NAME"
         )
-        converter = GelImageConverter(
-            sensor="",
-            reference=reference,
-            notes=(note,),
-            resampling_fit=None,
-            implied_reference=None,
-        )
+        converter = GelImageConverter(sensor="", reference=reference, notes=(note,))
     notes = converter.notes + source.notes
     named = find_named_sensor((name,))
     if options.sensor and named not in ("", converter.sensor):
@@ -148,7 +142,7 @@ def make_gel_stream(
         frame=with_index_check(frame, source.n_frames, path),
         times_s=source.times_s,
     )
-    return stream, (*notes, *(about if converter.implied_reference is None else ()))
+    return stream, (*notes, *(about if converter.no_change_grey is None else ()))
 
 
 def make_film(

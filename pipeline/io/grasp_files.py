@@ -8,9 +8,9 @@ split. A split is the folder of both sensors' folders.
 
 import os
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pipeline.core.errors import FileProblem, escape_text
@@ -52,13 +52,8 @@ class GraspFolder:
     notes: tuple[str, ...]
 
 
-@dataclass(slots=True)
-class _Found:
-    """Files of one grasp by the name of their folder; "" = not in a folder of one sensor."""
-
-    files: dict[str, dict[str, Path]] = field(
-        default_factory=lambda: {sensor: {} for sensor in SENSORS}
-    )
+# sensor -> name of the folder -> file of one grasp; "" = not in a folder of one sensor
+_Found = dict[str, dict[str, Path]]
 
 
 def is_grasp_folder(folder: Path) -> bool:
@@ -78,7 +73,7 @@ def list_grasps(root: Path) -> GraspFolder:
 
     Of both sensors where it holds both. Raises FileProblem where there are none.
     """
-    found: dict[Grasp, _Found] = {}
+    found = defaultdict[Grasp, _Found](lambda: {sensor: {} for sensor in SENSORS})
     others: list[Path] = []
     for file in sorted(root.rglob("*.pt")):
         match = _NAME.match(file.stem)
@@ -89,7 +84,7 @@ def list_grasps(root: Path) -> GraspFolder:
             others.append(file)
             continue
         grasp = Grasp(tool=parse_tool(file), split=split, number=int(match["number"]))
-        found.setdefault(grasp, _Found()).files[sensor].setdefault(folder, file)
+        found[grasp][sensor].setdefault(folder, file)
     chosen, notes = _choose_folders(found)
     grasps = [
         GraspFiles(grasp=g, files=_pick(f, chosen), bubble_depth=_pick_depth(f, chosen))
@@ -176,7 +171,7 @@ def _choose_folders(found: Mapping[Grasp, _Found]) -> tuple[dict[str, str], list
     notes: list[str] = []
     for sensor in SENSORS:
         names = dict.fromkeys(
-            name for f in found.values() for name in f.files[sensor] if not name.endswith(_DEPTH)
+            name for f in found.values() for name in f[sensor] if not name.endswith(_DEPTH)
         )
         if names:
             chosen[sensor] = min(names, key=lambda name: (len(name), name))
@@ -185,7 +180,7 @@ def _choose_folders(found: Mapping[Grasp, _Found]) -> tuple[dict[str, str], list
                 f"{chosen[sensor]} is read; {', '.join(n for n in names if n != chosen[sensor])} "
                 "is left out"
             )
-    if any(name.endswith(_DEPTH) for f in found.values() for name in f.files[GEL]):
+    if any(name.endswith(_DEPTH) for f in found.values() for name in f[GEL]):
         notes.append(
             "depth of the GelSlim is left out: it is a distance from a camera whose distance to "
             "the gel is unknown"
@@ -194,11 +189,11 @@ def _choose_folders(found: Mapping[Grasp, _Found]) -> tuple[dict[str, str], list
 
 
 def _pick(found: _Found, chosen: Mapping[str, str]) -> dict[str, Path]:
-    return {s: found.files[s][folder] for s, folder in chosen.items() if folder in found.files[s]}
+    return {s: found[s][folder] for s, folder in chosen.items() if folder in found[s]}
 
 
 def _pick_depth(found: _Found, chosen: Mapping[str, str]) -> Path | None:
-    return found.files[BUBBLE].get(f"{chosen.get(BUBBLE, '')}{_DEPTH}")
+    return found[BUBBLE].get(f"{chosen.get(BUBBLE, '')}{_DEPTH}")
 
 
 def _apply_split_file(grasps: list[GraspFiles], root: Path) -> tuple[list[GraspFiles], list[str]]:

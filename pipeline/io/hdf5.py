@@ -21,7 +21,6 @@ from pipeline.core.geometry.camera import Camera, make_camera
 from pipeline.core.geometry.meshes import Mesh, validate_mesh
 from pipeline.core.values.frames import Pairing, Recording, Stream, TactileFrame, Truth
 from pipeline.io import hdf5_layout as layout
-from pipeline.io import hdf5_validation as validation
 from pipeline.io.formats import with_index_check
 
 if TYPE_CHECKING:  # imported on use
@@ -42,7 +41,7 @@ def read(path: Path) -> Recording:
 
     A truncated file opens with a note, and frames beyond its end raise FileProblem when read.
     Raises FileProblem for another kind of file, a newer version, a missing or wrong unit, and
-    content that `hdf5_validation` refuses.
+    content that `hdf5_layout` refuses.
     """
     require_file(path, "the recording", most_bytes=1 << 50)
     notes: list[str] = []
@@ -72,7 +71,7 @@ def _read_recording(file: Any, path: Path, notes: list[str]) -> Recording:
         raise FileProblem(
             "this HDF5 file is not a tactoscope recording: its attribute 'format' is missing", path
         )
-    validation.require_self_contained(file, path)
+    layout.require_self_contained(file, path)
     version = int(file.attrs.get("format_version", 0))
     if not 1 <= version <= layout.VERSION:
         raise FileProblem(
@@ -81,7 +80,7 @@ def _read_recording(file: Any, path: Path, notes: list[str]) -> Recording:
             path,
             field="format_version",
         )
-    notes += validation.read_text_lines(file, "notes", path)
+    notes += layout.read_text_lines(file, "notes", path)
     groups = sorted(file["streams"].items(), key=lambda item: int(item[1].attrs["order"]))
     lost: list[str] = []
     streams = tuple(_read_stream(group, name, path, lost) for name, group in groups)
@@ -127,22 +126,22 @@ def _read_stream(group: Any, name: str, path: Path, lost: list[str]) -> Stream:
                 ),
             ]
         )
-    sensor = validation.read_sensor_name(group, path)
+    sensor = layout.read_sensor_name(group, path)
     shown = escape_text(name)
 
     def table(key: str, kinds: str, default: float, what: str) -> NDArray[Any]:
-        stored = validation.require_dataset(
+        stored = layout.require_dataset(
             group, key, layout.UNITS[key], kinds, (None if grows else n,), path
         )
-        stored_type = np.float64 if kinds == validation.FLOAT_KINDS else np.int64
+        stored_type = np.float64 if kinds == layout.FLOAT_KINDS else np.int64
         what = f"{what} of {shown!r}"
         return _read_or_default(
             lambda: stored[:n].astype(stored_type), np.full(n, default, stored_type), what, lost
         )
 
-    times = table("timestamps", validation.FLOAT_KINDS, np.nan, "the timestamps")
-    rows = table("reference_index", validation.INTEGER_KINDS, -1, "the table of references")
-    known_truth = table("truth/known", validation.INTEGER_KINDS, 0, TRUTH_TABLE_TITLE)
+    times = table("timestamps", layout.FLOAT_KINDS, np.nan, "the timestamps")
+    rows = table("reference_index", layout.INTEGER_KINDS, -1, "the table of references")
+    known_truth = table("truth/known", layout.INTEGER_KINDS, 0, TRUTH_TABLE_TITLE)
     camera = _read_camera(group, path) if "camera_matrix" in group else None
 
     # consecutive frames mostly share their reference
@@ -205,19 +204,19 @@ def _validate_stream(group: Any, path: Path) -> tuple[int, type]:
     """
     frames = group["frames"]
     unit, kinds, dtype = (
-        ("rgb", validation.UINT8_KINDS, np.uint8)
+        ("rgb", layout.UINT8_KINDS, np.uint8)
         if frames.ndim == 4
-        else ("mm", validation.REAL_KINDS, np.float32)
+        else ("mm", layout.REAL_KINDS, np.float32)
     )
     image_shape = (None, None, 3) if frames.ndim == 4 else (None, None)
-    n, *shape = validation.require_dataset(
+    n, *shape = layout.require_dataset(
         group, "frames", unit, kinds, (None, *image_shape), path
     ).shape
-    validation.require_dataset(group, "references", unit, kinds, (None, *shape), path)
+    layout.require_dataset(group, "references", unit, kinds, (None, *shape), path)
     for field in layout.TRUTH_FIELDS:
         if field.key in group:
-            kinds = validation.REAL_KINDS if field.shape is None else validation.FLOAT_KINDS
-            validation.require_dataset(
+            kinds = layout.REAL_KINDS if field.shape is None else layout.FLOAT_KINDS
+            layout.require_dataset(
                 group,
                 field.key,
                 layout.UNITS[field.key],
@@ -255,9 +254,7 @@ def _read_row(
 def _read_camera(group: Any, path: Path) -> Camera:
     rows, cols = group["frames"].shape[1:3]
     key = f"{group.name}/camera_matrix".lstrip("/")
-    matrix = validation.require_dataset(
-        group, "camera_matrix", "px", validation.REAL_KINDS, (3, 3), path
-    )
+    matrix = layout.require_dataset(group, "camera_matrix", "px", layout.REAL_KINDS, (3, 3), path)
     try:
         return make_camera(matrix[()], rows, cols, what=key)
     except CalibrationError as error:
@@ -265,17 +262,17 @@ def _read_camera(group: Any, path: Path) -> Camera:
 
 
 def _read_mesh(group: Any, path: Path) -> Mesh:
-    vertices = validation.require_dataset(
-        group, "vertices", "mm", validation.FLOAT_KINDS, (None, 3), path
-    )[()].astype(np.float64)
-    triangles = validation.require_dataset(
-        group, "triangles", "1", validation.INTEGER_KINDS, (None, 3), path
+    vertices = layout.require_dataset(group, "vertices", "mm", layout.FLOAT_KINDS, (None, 3), path)[
+        ()
+    ].astype(np.float64)
+    triangles = layout.require_dataset(
+        group, "triangles", "1", layout.INTEGER_KINDS, (None, 3), path
     )[()].astype(np.int64)
     validate_mesh(vertices, triangles, path)
     return Mesh(
         vertices_mm=freeze(vertices),
         triangles=freeze(triangles.astype(np.int32)),
-        name=validation.read_text_line(group, "name", path),
+        name=layout.read_text_line(group, "name", path),
     )
 
 
@@ -290,8 +287,8 @@ def _read_symmetry(group: Any, path: Path) -> Symmetry | None:
     from pipeline.core.geometry.symmetry import Symmetry
 
     def load(key: str, shape: tuple[int | None, ...]) -> Doubles:
-        kinds = validation.FLOAT_KINDS
-        stored = validation.require_dataset(group["symmetry"], key, "1", kinds, shape, path)
+        kinds = layout.FLOAT_KINDS
+        stored = layout.require_dataset(group["symmetry"], key, "1", kinds, shape, path)
         return freeze(stored[: _MAX_ROTATIONS + 1].astype(np.float64))
 
     rotations = load("rotations", (None, 3, 3))
@@ -313,9 +310,9 @@ def _read_symmetry(group: Any, path: Path) -> Symmetry | None:
 
 
 def _read_pairing(pairs: Any, key: str, path: Path) -> Pairing:
-    dataset = validation.require_dataset(pairs, key, "mm", validation.FLOAT_KINDS, (4, 4), path)
-    source = validation.read_text_line(dataset, "source", path)
-    target = validation.read_text_line(dataset, "target", path)
+    dataset = layout.require_dataset(pairs, key, "mm", layout.FLOAT_KINDS, (4, 4), path)
+    source = layout.read_text_line(dataset, "source", path)
+    target = layout.read_text_line(dataset, "target", path)
     try:
         matrix = rigid.validate_within_reach(
             dataset[()], f"target_from_source of {source!r} and {target!r}"

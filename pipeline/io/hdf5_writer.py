@@ -211,25 +211,21 @@ class RecordingWriter:
         group = self._file["streams"].create_group(name)
         group.attrs["sensor"] = frame.sensor
         group.attrs["order"] = len(self._file["streams"]) - 1
+        step = self._depth_step_mm if frame.is_depth else 0.0
+        dtype: type = np.uint8
+        if frame.is_depth:
+            dtype = np.uint16 if step > 0 else np.float32
         for key in ("frames", "references"):
-            if frame.is_depth:
-                dtype, step = (
-                    (np.uint16, self._depth_step_mm)
-                    if self._depth_step_mm > 0
-                    else (np.float32, 0.0)
-                )
-                _create_stack(
-                    group,
-                    key,
-                    frame.image.shape,
-                    dtype,
-                    "mm",
-                    coding=self._coding,
-                    step_mm=step,
-                    nan_code=65535,
-                )
-            else:
-                _create_stack(group, key, frame.image.shape, np.uint8, "rgb", coding=self._coding)
+            _create_stack(
+                group,
+                key,
+                frame.image.shape,
+                dtype,
+                "mm" if frame.is_depth else "rgb",
+                coding=self._coding,
+                step_mm=step,
+                nan_code=65535,
+            )
         _create_stack(group, "timestamps", (), np.float64, "s", fill=np.nan)
         _create_stack(group, "reference_index", (), np.int32, "1", fill=-1)
         _create_stack(group, "truth/known", (), np.uint8, "1")
@@ -275,23 +271,19 @@ class RecordingWriter:
                 raise ShapeError(
                     f"{key} of frame {index} must have shape {want}, got {values.shape}"
                 )
-            if key not in group and field.dtype is np.float32:
-                coding: Coding = self._coding
+            if key not in group:
+                is_length = field.dtype is np.float32
                 _create_stack(
                     group,
                     key,
-                    shape,
-                    np.int16,
-                    "mm",
-                    coding=coding,
-                    step_mm=step,
+                    want,
+                    field.stored,
+                    layout.UNITS[key],
+                    coding=self._coding if is_length else "plain",
+                    step_mm=step if is_length else 0.0,
                     nan_code=-32768,
-                    fill=-32768,
+                    fill=field.fill,
                 )
-            elif key not in group and field.dtype is np.bool_:
-                _create_stack(group, key, shape, np.uint8, layout.UNITS[key])
-            elif key not in group:
-                _create_stack(group, key, want, field.dtype, layout.UNITS[key], fill=np.nan)
             _append_row(
                 group[key],
                 index,

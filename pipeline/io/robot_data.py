@@ -28,6 +28,7 @@ from pipeline.io.colour_arrays import make_array_source
 from pipeline.io.file_names import natural_sort_key
 from pipeline.io.formats import ReadOptions, RecordingFiles
 from pipeline.io.gel_streams import ImageSource, make_streams
+from pipeline.io.hdf5_layout import iterate_parts
 from pipeline.io.image_files import decode_rgb
 from pipeline.io.stored_arrays import ImageStack
 
@@ -251,32 +252,12 @@ def _walk_datasets(file: Any, path: Path) -> Iterator[tuple[str, Any]]:
     """
     import h5py
 
-    groups = [file]
-    n_objects = 0
-    while groups:
-        group = groups.pop()
-        for key in group:
-            n_objects += 1
-            if n_objects > _MAX_OBJECTS:  # also for a group that holds itself
-                raise FileProblem(f"the data set holds more than {_MAX_OBJECTS} parts", path)
-            if not isinstance(group.get(key, getlink=True), h5py.HardLink):
-                continue
-            part: Any = group[key]
-            place = str(part.name).lstrip("/")
-            if isinstance(part, h5py.Group):
-                groups.append(part)
-            elif _is_own_dataset(part) and not _LEFT_OUT.search(place):
-                yield place, part
-
-
-def _is_own_dataset(part: Any) -> bool:
-    import h5py
-
-    return (
-        isinstance(part, h5py.Dataset)
-        and part.shape is not None
-        and not (part.is_virtual or part.external)
-    )
+    for _, _, part in iterate_parts(file, path, _MAX_OBJECTS):
+        if not isinstance(part, h5py.Dataset) or part.shape is None:
+            continue
+        place = str(part.name).lstrip("/")
+        if not (part.is_virtual or part.external or _LEFT_OUT.search(place)):
+            yield place, part
 
 
 def _list_zarr_arrays(root: Path) -> list[Path]:

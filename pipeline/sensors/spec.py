@@ -17,14 +17,13 @@ import numpy as np
 from msgspec import Meta
 
 from pipeline.core.arrays import Doubles, freeze
-from pipeline.core.derived import derive_once
+from pipeline.core.derived import DERIVED, derive_once
 from pipeline.core.digests import UNDIGESTED, compute_cached_digest, compute_digest
 from pipeline.core.errors import CalibrationError, SettingProblem, TouchError
 from pipeline.core.files import read_bytes
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import MOST_FOCAL_PX, WIDEST_VIEW, Camera
-from pipeline.core.geometry.membrane import Membrane
-from pipeline.core.memo import Memo
+from pipeline.core.geometry.membrane import Membrane, load_membrane
 from pipeline.core.typed_data import FileName, convert
 from pipeline.sensors import descriptions
 from pipeline.sensors.descriptions import (
@@ -95,8 +94,6 @@ _SIDES_PX = (8, 10_000)  # range of an image side; smaller images show no slope 
 # beside sections that a kind reads
 _OPTIONAL_KEYS = ("title", "kind", "without", "rest", "markers", "depth_camera")
 
-_loaded: Memo[tuple[Path, str, str], SensorSpec] = Memo(32)
-
 
 @derive_once
 def _replace_camera(sensor: SensorSpec, camera: Camera) -> SensorSpec:
@@ -139,10 +136,8 @@ def load_sensor(name_or_file: str) -> SensorSpec:
         path = known[name_or_file]
     data = read_description(path)
     surface = load_rest_membrane(data, path)
-    return _loaded.get_or_make(
-        (path, repr(data), compute_cached_digest(surface)),
-        lambda: _build(path.stem, data, path, surface),
-    )
+    key = load_sensor, path, repr(data), compute_cached_digest(surface)
+    return DERIVED.get_or_make(key, lambda: (_build(path.stem, data, path, surface),))[0]
 
 
 def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None) -> SensorSpec:
@@ -217,9 +212,6 @@ class _RestMesh(msgspec.Struct, kw_only=True, frozen=True):
     step: Annotated[float, Meta(ge=0.01, le=10.0)] = 0.5  # mm
 
 
-_membranes: Memo[tuple[Path, str, str, float], Membrane] = Memo(8)
-
-
 def load_rest_membrane(data: Mapping[str, Any], path: Path) -> Membrane | None:
     """The membrane of `[rest] kind = "mesh"`; None where the section gives numbers.
 
@@ -231,11 +223,10 @@ def load_rest_membrane(data: Mapping[str, Any], path: Path) -> Membrane | None:
         return None
     descriptions.refuse_unknown_keys(section, _RestMesh.__struct_fields__, path, "rest.")
     rest = convert(section, _RestMesh, DESCRIPTION, path, within="rest")
-    from pipeline.core.geometry.membrane import load_membrane
-
     mesh = path.parent / rest.file
-    key = (mesh, compute_digest(read_bytes(mesh, "the mesh")), rest.unit, rest.step)
-    return _membranes.get_or_make(key, lambda: load_membrane(mesh, rest.unit, rest.step))
+    digest = compute_digest(read_bytes(mesh, "the mesh"))
+    key = load_membrane, mesh, digest, rest.unit, rest.step
+    return DERIVED.get_or_make(key, lambda: (load_membrane(mesh, rest.unit, rest.step),))[0]
 
 
 _MAX_RATIO = 3.0  # between two cameras of one kind of sensor; a factor of ten is a unit

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Indices, freeze
+from pipeline.core.derived import derive_once
 from pipeline.core.errors import FileProblem, MeshProblem, SettingProblem
 from pipeline.core.files import read_bytes
 from pipeline.core.geometry import urdf
@@ -112,7 +112,7 @@ def sample_surface(mesh: Mesh, n: int, seed: int) -> tuple[Doubles, Doubles]:
     return freeze(a + u * (b - a) + v * (c - a)), freeze(normals[chosen] / doubled[chosen, None])
 
 
-@lru_cache(maxsize=16)
+@derive_once
 def make_grid_triangles(rows: int, cols: int) -> Indices:
     """Triangles (n, 3) between the points of an image in row order, two for each four neighbours.
 

@@ -26,7 +26,7 @@ from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.errors import FileProblem, TouchError
 from pipeline.core.files import require_budget, require_file
 from pipeline.core.typed_data import convert
-from pipeline.io import hdf5, hdf5_validation
+from pipeline.io import hdf5, hdf5_layout
 from pipeline.io.hdf5_writer import RecordingWriter
 from pipeline.lab.recorder import BUBBLE_STEP_MM
 from pipeline.lab.tasks.task import RecordedRollout, Rollout, RolloutSummary, TrialPlan
@@ -152,7 +152,7 @@ def _open_group(path: Path) -> Generator[Any]:
     require_file(path, "the rollout", most_bytes=1 << 50)
     try:
         with h5py.File(path, "r") as file:
-            hdf5_validation.require_self_contained(file, path)
+            hdf5_layout.require_self_contained(file, path)
             if GROUP not in file:
                 raise FileProblem(
                     "this is no rollout of a task; `tactoscope task --record` writes some", path
@@ -190,8 +190,8 @@ def _read_summary(group: Any, path: Path) -> RolloutSummary:
 def _read_table(group: Any, key: str, unit: str, shape: tuple[int, ...], path: Path) -> Doubles:
     if key not in group:
         raise FileProblem(f"the rollout has no table {key!r}", path, field=f"{GROUP}/{key}")
-    table = hdf5_validation.require_dataset(
-        group, key, unit, hdf5_validation.FLOAT_KINDS, (None, *shape), path
+    table = hdf5_layout.require_dataset(
+        group, key, unit, hdf5_layout.FLOAT_KINDS, (None, *shape), path
     )[()]
     if not np.isfinite(table).all():
         raise FileProblem(

@@ -122,12 +122,10 @@ def package(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
 
     def find_folder() -> Path:
-        compiling.digest_sources.cache_clear()
         compiling.kernel_folder.cache_clear()
         return compiling.kernel_folder()
 
     yield source, find_folder
-    compiling.digest_sources.cache_clear()
     compiling.kernel_folder.cache_clear()
 
 
