@@ -485,6 +485,8 @@ TASK = ManipulationTask(
 
 
 _MAX_BYTES = 2 << 30  # of the demonstrations at hand
+_DEMONSTRATION_SEED = 1
+_NOISE_MM = 0.5  # deviation of the plate's steps from the expert's
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -500,16 +502,12 @@ class ClonedPolicyTask(Task):
         160, "Demonstrations", low=1, high=100_000, help="each with another sensor instance"
     )
     n_ticks: int = setting(25, "Ticks", low=1, high=1000, help="of each demonstration")
-    noise_mm: float = setting(
-        0.5, "Motion noise", unit="mm", low=0.0, high=10.0, help="deviation of the plate's steps"
-    )
-    demonstration_seed: int = setting(1, "Seed of presses", low=0, high=2**31 - 1)
 
     def sample(self, rng: np.random.Generator) -> Example:
         """An image of the target and the expert's step."""
         index = int(rng.integers(self.n_demonstrations))
         tick = int(rng.integers(self.n_ticks))
-        return self._make_example(self.demonstration_seed, index, tick)
+        return self._make_example(_DEMONSTRATION_SEED, index, tick)
 
     def make_validation_example(self, split: Split, index: int) -> Example:  # noqa: ARG002 - only new starts
         """A moment of a new demonstration."""
@@ -536,12 +534,12 @@ class ClonedPolicyTask(Task):
         return {"step error, mm": float(error.mean())}
 
     def _make_example(self, seed: int, index: int, tick: int) -> Example:
-        images, steps = demonstrate(seed, index, self.n_ticks, self.noise_mm)
+        images, steps = demonstrate(seed, index, self.n_ticks)
         return {"image": images[tick], "step": steps[tick]}
 
 
 @memoise(1 << 16, most_bytes=_MAX_BYTES)
-def demonstrate(seed: int, index: int, n_ticks: int, noise_mm: float) -> tuple[Floats, Floats]:
+def demonstrate(seed: int, index: int, n_ticks: int) -> tuple[Floats, Floats]:
     """Images (n, 3, 48, 64) of the target and the expert's steps (n, 2) in mm of one
     demonstration.
     """
@@ -555,5 +553,5 @@ def demonstrate(seed: int, index: int, n_ticks: int, noise_mm: float) -> tuple[F
         frame, _ = trial.record(TARGET, ball, tick)
         images.append(shrink_image(cast("Image", frame.image)))
         steps.append(step.astype(np.float32))
-        ball.move_plate(step + noise_mm * rng.normal(size=2))
+        ball.move_plate(step + _NOISE_MM * rng.normal(size=2))
     return np.stack(images), np.stack(steps)

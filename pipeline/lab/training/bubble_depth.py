@@ -270,6 +270,9 @@ def _sample_gaps(rng: np.random.Generator, shape: tuple[int, ...]) -> Mask:
 OBSERVED_GAP_MM = 0.5
 _UNTOUCHED_SHARE = 0.1
 _TIP_MM = 1.5  # decay of the weight behind the object's tip: a stiffer sensor feels the tip alone
+# weights in the loss
+_MEMBRANE_TERM = 0.5
+_UNCERTAINTY_TERM = 0.05
 _SMALL_CONTACT_PX = 50.0  # contacts of fewer pixels weigh less
 
 
@@ -286,9 +289,7 @@ class BubbleDepthTask(SimulatedPresses):
         step=2,
         help="of the square cut from a frame",
     )
-    membrane_weight: float = setting(0.5, "Membrane weight", low=0.0, high=100.0)
     mask_weight: float = setting(0.15, "Mask weight", low=0.0, high=100.0)
-    uncertainty_weight: float = setting(0.05, "Uncertainty weight", low=0.0, high=100.0)
     touch_weight: float = setting(
         0.0,
         "Touch weight",
@@ -357,9 +358,9 @@ class BubbleDepthTask(SimulatedPresses):
         return weigh_terms(
             {
                 "surface": (1.0, surface),
-                "membrane": (self.membrane_weight, membrane_error.mean()),
+                "membrane": (_MEMBRANE_TERM, membrane_error.mean()),
                 "masks": (self.mask_weight, masks),
-                "spread": (self.uncertainty_weight, spread),
+                "spread": (_UNCERTAINTY_TERM, spread),
                 "touch": (self.touch_weight, touch),
             }
         )

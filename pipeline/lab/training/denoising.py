@@ -80,7 +80,6 @@ _MAX_TRANSLATION = 0.03
 class DenoisingTask(AugmentedPresses):
     """Settings of every task whose network denoises a residual of the target's touch."""
 
-    contact_weight: float = setting(1.0, "Contact weight", low=0.0, high=100.0)
     slope_weight: float = setting(
         0.0, "Slope weight", low=0.0, high=1000.0, help="of the slopes a gel's image shows"
     )
@@ -101,7 +100,7 @@ class DenoisingTask(AugmentedPresses):
         """See `compute_denoising_loss` and `compute_uncertainty_loss`."""
         if self.uncertainty_only:
             return compute_uncertainty_loss(network, batch)
-        return compute_denoising_loss(network, batch, self.contact_weight, self.slope_weight)
+        return compute_denoising_loss(network, batch, self.slope_weight)
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
         """Errors in mm, in the target's contact and over all, and contact IoU: of one step, of a
@@ -335,13 +334,11 @@ def jitter_example(example: Example, rng: np.random.Generator) -> Example:
 def compute_denoising_loss(
     network: nn.Module,
     batch: Mapping[str, Tensor],
-    contact_weight: float,
-    slope_weight: float = 0.0,
+    slope_weight: float,
 ) -> tuple[Tensor, dict[str, Any]]:
     """Error of the clean residual, and likelihood of the predicted uncertainty.
 
-    `contact_weight`: additional weight of the residual in contact. `slope_weight`: weight of
-    squared differences between neighbouring pixels' errors.
+    `slope_weight`: weight of squared differences between neighbouring pixels' errors.
     """
     import torch
     from torch.nn import functional
@@ -369,7 +366,7 @@ def compute_denoising_loss(
         condition * per_example(kept)[:, None],
     )
     error, contact_error = (prediction[:, :2] - clean).unbind(1)
-    weight = 1.0 + contact_weight * batch["contact"][:, 0]
+    weight = 1.0 + batch["contact"][:, 0]  # the residual counts twice in contact
     level_weight = per_example(((1.0 + sigma**2) / sigma**2).clamp(max=5.0))
     robust = functional.huber_loss(error, torch.zeros_like(error), delta=_HUBER, reduction="none")
     squared = 0.5 * error**2 * level_weight
@@ -401,7 +398,7 @@ def compute_uncertainty_loss(
     sigma = torch.full((len(clean),), float(net.sigma_max), device=clean.device)
     prediction = network(torch.zeros_like(clean), sigma, batch["condition"][:, : net.inputs])
     spread = _compute_laplace_loss(prediction, prediction[:, 0] - clean[:, 0])
-    return spread, {"spread": spread}
+    return weigh_terms({"spread": (1.0, spread)})
 
 
 def _compute_laplace_loss(prediction: Tensor, error: Tensor) -> Tensor:

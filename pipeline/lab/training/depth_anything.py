@@ -52,12 +52,6 @@ class DepthAnythingTask(Task):
         high=1000.0,
         help="that the network's output 1 stands for",
     )
-    vary: float = setting(1.0, "Sensor variation", low=0.0, high=variation.MAX_STRENGTH)
-    silog_weight: float = setting(1.0, "SiLog weight", low=0.0, high=100.0)
-    contact_weight: float = setting(1.0, "Contact weight", low=0.0, high=100.0)
-    metric_weight: float = setting(
-        0.0, "Metric weight", low=0.0, high=100.0, help="of the error in mm; 0 in the paper"
-    )
 
     def sample(self, rng: np.random.Generator) -> Example:
         """A training object in one of the paper's poses, on another sensor instance."""
@@ -99,7 +93,7 @@ class DepthAnythingTask(Task):
     def _simulate_example(self, rng: np.random.Generator, names: Sequence[str]) -> Example:
         mesh = shapes.make_shape(names[int(rng.integers(len(names)))]).mesh
         seeds = [int(seed) for seed in rng.integers(2**31, size=4)]
-        sensor = variation.vary_sensor(load_sensor(self.sensor), seeds[0], self.vary)
+        sensor = variation.vary_sensor(load_sensor(self.sensor), seeds[0])
         press = simulate_press(
             mesh, poses.make_paper_grid(mesh, n=1, seed=seeds[1])[0], sensor, seed=seeds[2]
         )
@@ -147,9 +141,8 @@ class DepthAnythingTask(Task):
         entropy = functional.binary_cross_entropy_with_logits(logit, contact)
         return weigh_terms(
             {
-                "silog": (self.silog_weight, silog),
-                "contact": (self.contact_weight, entropy),
-                "metric": (self.metric_weight, (predicted - truth).abs().mean()),
+                "silog": (1.0, silog),
+                "contact": (1.0, entropy),
             }
         )
 

@@ -66,6 +66,9 @@ TrainedPart = Literal["both", "autoencoder", "denoiser"]
 _LATENT_CHANNELS = 4
 _LATENT_DOWNSAMPLING = 8
 _N_TIMES = 1000
+# weights in the loss
+_KL_TERM = 1e-4
+_COMMITMENT_TERM = 0.25
 _TOUCHED_SHARE = 0.05  # of the largest change: larger changes count as touched
 
 
@@ -211,7 +214,6 @@ class LatentTask(SquareTask):
         help="examples without a condition, for guidance",
     )
     reconstruction_weight: float = setting(4.0, "Reconstruction weight", low=0.0, high=100.0)
-    kl_weight: float = setting(1e-4, "KL weight", low=0.0, high=100.0)
 
     def simulate_example(
         self, split: DataSplit, seed: int, index: int, rng: np.random.Generator, augmented: float
@@ -293,7 +295,7 @@ class LatentTask(SquareTask):
             error = (output.reconstruction - batch["target"]).abs().mean()
             divergence = output.mean**2 + output.log_variance.exp() - 1.0 - output.log_variance
             terms["reconstruction"] = self.reconstruction_weight, error
-            terms["kl"] = self.kl_weight, 0.5 * divergence.mean()
+            terms["kl"] = _KL_TERM, 0.5 * divergence.mean()
         return weigh_terms(terms)
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
@@ -340,8 +342,6 @@ class VqVaeTask(SquareTask):
         "Reprojected sources",
         help="must equal `reprojects_input` of the network; off in the paper",
     )
-    codebook_weight: float = setting(1.0, "Codebook weight", low=0.0, high=100.0)
-    commitment_weight: float = setting(0.25, "Commitment weight", low=0.0, high=100.0)
 
     def make_example(self, pair: SquarePair) -> Example:
         """Both changes, normalised; the source's drawn where the target looks if so chosen."""
@@ -367,8 +367,8 @@ class VqVaeTask(SquareTask):
         return weigh_terms(
             {
                 "reconstruction": (1.0, mse_loss(output.generated, batch["target"])),
-                "codebook": (self.codebook_weight, codebook),
-                "commitment": (self.commitment_weight, commitment),
+                "codebook": (1.0, codebook),
+                "commitment": (_COMMITMENT_TERM, commitment),
             }
         )
 

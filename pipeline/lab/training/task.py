@@ -61,8 +61,7 @@ class Task(Protocol):
     def compute_loss(
         self, network: nn.Module, batch: Mapping[str, Tensor]
     ) -> tuple[Tensor, dict[str, Any]]:
-        """The loss, a mean over the examples, and its named terms (numbers or scalar tensors, also
-        of the graph).
+        """The loss, a mean over the examples, and its named terms (numbers or scalar tensors).
 
         `network` is only called: it may be wrapped for several processes.
         `distributed.unwrap_network` gives its configuration. Its output is float32 in any
@@ -116,7 +115,7 @@ TASKS: dict[str, TaskEntry] = {
 def weigh_terms(terms: Mapping[str, tuple[float, Tensor]]) -> tuple[Tensor, dict[str, Tensor]]:
     """The loss, a weighted sum, and its terms; `terms` are name -> (weight, term)."""
     loss: Any = sum(weight * term for weight, term in terms.values())
-    return loss, {name: term for name, (_, term) in terms.items()}
+    return loss, {name: term.detach() for name, (_, term) in terms.items()}
 
 
 def average_rows(names: Sequence[str], rows: Sequence[Sequence[float]]) -> dict[str, float]:

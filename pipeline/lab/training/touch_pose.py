@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from pipeline.lab.training.task import Example, Split
 
 _LEVER_MM = 10.0  # one radian of rotation weighs as this translation
+_UNNAMED_SHARE = 0.25  # examples without the object's class
 # errors below these count as squares
 _HUBER_MM = 0.3
 _HUBER_RAD = 0.05
@@ -61,9 +62,6 @@ class TouchPoseTask(AugmentedPresses):
         high=1.0,
         help="partial touches; half of them are mixed with the whole touch",
     )
-    unnamed_share: float = setting(
-        0.25, "Unnamed share", low=0.0, high=1.0, help="examples without the object's class"
-    )
 
     def sample(self, rng: np.random.Generator) -> Example:
         """A touch and its object's pose; a bubble's rotated or mirrored in a share of the
@@ -75,7 +73,7 @@ class TouchPoseTask(AugmentedPresses):
         example = self._make_example(index, self.press_seed, whole_share, rng)
         if self.sensor == BUBBLE and rng.random() < self.augmentation_share:
             example = flip_touch(example, int(rng.integers(1, 4)))
-        if rng.random() < self.unnamed_share:
+        if rng.random() < _UNNAMED_SHARE:
             example["object_one_hot"] = np.zeros_like(example["object_one_hot"])
         return example
 

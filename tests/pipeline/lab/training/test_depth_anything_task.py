@@ -12,7 +12,7 @@ from pipeline.lab.training.depth_anything import DepthAnythingTask
 from pipeline.lab.training.examples import make_batch
 from pipeline.stages.networks.network_factory import build_network
 
-TASK = DepthAnythingTask(sensor="digit", side=28, metric_weight=1.0)
+TASK = DepthAnythingTask(sensor="digit", side=28)
 
 
 def test_examples_are_images_of_whole_patches_with_the_truth():
@@ -45,7 +45,7 @@ def test_a_few_steps_lower_the_loss_and_change_the_encoder_less_than_the_head():
         stepper.step()
         losses.append(float(loss.detach()))
     assert losses[-1] < 0.9 * losses[0]
-    assert set(parts) == {"silog", "contact", "metric"}
+    assert set(parts) == {"silog", "contact"}
     moved = {name: float((t - start[name]).abs().max()) for name, t in net.state_dict().items()}
     head = max(size for name, size in moved.items() if name.startswith("depth_head."))
     encoder = max(size for name, size in moved.items() if name.startswith("pretrained."))

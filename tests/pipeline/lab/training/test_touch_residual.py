@@ -231,9 +231,7 @@ def test_the_slope_term_counts_differences_between_pixels():
         totals = []
         for slopes in (0.0, 10.0):
             torch.manual_seed(0)
-            totals.append(
-                float(denoising.compute_denoising_loss(net, batch, 0.0, slopes)[0].detach())
-            )
+            totals.append(float(denoising.compute_denoising_loss(net, batch, slopes)[0].detach()))
         assert totals[1] - totals[0] == pytest.approx(10.0 * costs, abs=1e-5), (
             "a new network predicts nothing"
         )
