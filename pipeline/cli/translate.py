@@ -416,20 +416,21 @@ def _translate_frame(
     A frame that fails has its problem in the report.
     """
     try:
-        key = compute_frame_key(translation, index, previous, with_force=run.force)
+        # read once: a frame and its truth are a tenth of the time of all stages
+        frame = translation.stream.frame(index)
+        truth = translation.read_ground_truth(index)
+        key = compute_frame_key(translation, frame, truth, previous, with_force=run.force)
         finished = load_finished_frame(run.out, index, key, sheet=run.sheets)
         if finished is not None:
             return True, finished
         results = translation.evaluate(
-            index, progress=progress, previous=previous.pose if previous else None
+            frame, progress=progress, previous=previous.pose if previous else None
         )
-        truth = translation.read_ground_truth(index)
         results = {name: add_truth_warnings(result, truth) for name, result in results.items()}
-        metrics = translation.compute_metrics(results, index)
+        metrics = translation.compute_metrics_against(results, truth)
         if run.force:
             metrics |= measure_force(results, index, translation)
         report = FrameReport(index=index, results=results, metrics=metrics)
-        frame = translation.stream.frame(index)
         write_frame(run.out, frame, report, translation, key, sheet=run.sheets)
         return False, FinishedFrame(report=report.without_arrays, key=key, pose=_get_pose(report))
     except Exception as error:  # noqa: BLE001 - whatever one frame does, the others are translated

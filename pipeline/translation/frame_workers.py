@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Future
+from concurrent.futures import BrokenExecutor, Future
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.core.errors import FileProblem
+from pipeline.core.errors import FileProblem, NotConverged
 from pipeline.core.graph import StageResult
 from pipeline.core.processes import WorkerPool
 from pipeline.core.shared_memory import Parcel, SharedBlock
@@ -83,12 +83,18 @@ class FrameWorkers:
     ) -> Future[Results]:
         """Have an idle worker compute stages of a frame, as `Translation.evaluate` does.
 
-        `draft`: methods that have cheaper parameters for dragging use them.
+        `draft`: methods that have cheaper parameters for dragging use them. Raises NotConverged
+        where a worker has died.
         """
         block = self._free.pop()
         answer: Future[Results] = Future()
         parcel = block.put((frame, previous))
-        task = self._pool.submit(_evaluate, self._opened, block.name, parcel, stages, draft)
+        try:
+            task = self._pool.submit(_evaluate, self._opened, block.name, parcel, stages, draft)
+        except BrokenExecutor as error:
+            raise NotConverged(
+                "a worker process died, perhaps out of memory; start the translation again"
+            ) from error
         task.add_done_callback(partial(self._finish, block, answer))
         return answer
 

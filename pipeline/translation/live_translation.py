@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Iterable
-from concurrent.futures import Future, wait
+from concurrent.futures import BrokenExecutor, Future, wait
 from dataclasses import dataclass
 from statistics import median
 
@@ -78,7 +78,8 @@ class LiveTranslation:
         """Return the results that have come, after at most `timeout_s` if there are none, and give
         idle workers the newest frame.
 
-        Raises what a worker raises, except for a frame that cannot be translated.
+        Raises NotConverged where a worker has died, and whatever nobody foresaw; a frame that
+        cannot be translated is the `problem` until the next one.
         """
         self._offer_newest()
         if self._offered:
@@ -125,6 +126,9 @@ class LiveTranslation:
         except TouchError as error:
             self.problem = str(error)
             return None
+        except BrokenExecutor:
+            return None  # the next frame that is offered says so
+        self.problem = ""
         if one.frame.index < self._last_shown:
             return None
         self._last_shown = one.frame.index

@@ -26,7 +26,7 @@ from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import ObjectPose
 from pipeline.stages.depth.contact_force import FORCE
 from pipeline.stages.metrics.stage_metrics import METRICS
-from pipeline.stages.stage import TRUTH
+from pipeline.stages.stage import TRUTH, GroundTruth
 from pipeline.translation.translate import Translation
 from pipeline.translation.translated_frame import FrameReport
 
@@ -164,24 +164,23 @@ class FinishedFrame:
 
 def compute_frame_key(
     translation: Translation,
-    index: int,
+    frame: TactileFrame,
+    truth: GroundTruth,
     before: FinishedFrame | None,
     *,
     with_force: bool,
 ) -> str:
     """Return the digest of everything a frame's results depend on: contents, truth, settings,
     versions, previous frame.
-
-    Raises FileProblem if the frame is damaged.
     """
     return compute_digest(
         (
             __version__,
             *((m.stage, m.name, m.version) for m in translation.methods),
             repr(translation.params),
-            dict(translation.read_inputs(index)),
-            translation.read_source_truth(index),
-            translation.read_target_observation(index),
+            dict(translation.read_inputs(frame)),
+            truth.source_truth,
+            truth.target_observation and (truth.target_observation, truth.target_truth),
             translation.symmetry,
             translation.force_scale,
             with_force and FORCE.version,

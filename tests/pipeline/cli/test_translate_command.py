@@ -279,14 +279,14 @@ def test_memory_does_not_grow_with_the_frames(typed, touches, monkeypatch):
 
 
 def test_whatever_one_frame_raises_the_others_are_translated(typed, tmp_path, monkeypatch, log):
-    whole = Translation.compute_metrics
+    whole = Translation.compute_metrics_against
 
     def sometimes(self, results, *rest):
         if results["depth"].output.contact.any():
             raise ZeroDivisionError("a frame\nthat nobody foresaw")
         return whole(self, results, *rest)
 
-    monkeypatch.setattr(Translation, "compute_metrics", sometimes)
+    monkeypatch.setattr(Translation, "compute_metrics_against", sometimes)
     code, out, err = typed()
     assert code == EXIT_UNEXPECTED
     assert "1 of 3 frames written" in out

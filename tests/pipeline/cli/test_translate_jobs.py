@@ -30,9 +30,9 @@ def test_frames_of_two_processes_are_those_of_one(follow, tmp_path, monkeypatch,
     followed = []
     evaluate = Translation.evaluate
 
-    def record(self, index, *given, previous=None, **more):
-        followed.extend([index] if previous is not None else [])
-        return evaluate(self, index, *given, previous=previous, **more)
+    def record(self, frame, *given, previous=None, **more):
+        followed.extend([frame.index] if previous is not None else [])
+        return evaluate(self, frame, *given, previous=previous, **more)
 
     monkeypatch.setattr(Translation, "evaluate", record)
     assert run_app(build_app(), [*common, "--jobs", "1", "--out", "one"]) == 0

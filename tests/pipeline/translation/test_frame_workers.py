@@ -1,5 +1,8 @@
 """Frames of a live sensor on worker processes: the values of one process, in order, none invented."""
 
+import multiprocessing
+import os
+import signal
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,6 +13,7 @@ import pytest
 
 from pipeline.cli import live as live_command
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
+from pipeline.core.errors import NotConverged
 from pipeline.core.shared_memory import SharedBlock
 from pipeline.io.live.reader import LiveReader
 from pipeline.io.live.source import LiveFrame
@@ -49,6 +53,12 @@ class RecordedSource:
         pass
 
 
+def poll_for(live, seconds):
+    ends_s = time.monotonic() + seconds
+    while time.monotonic() < ends_s:
+        live.poll(0.2)
+
+
 @pytest.mark.timeout(300)
 def test_a_live_sensor_is_translated_in_order_with_the_values_of_one_process():
     reader = LiveReader(RecordedSource(RECORDINGS_FOLDER / "digit_gelslim.h5", "digit"))
@@ -65,6 +75,9 @@ def test_a_live_sensor_is_translated_in_order_with_the_values_of_one_process():
             shown += live.poll(0.2)
             assert not live.problem
             assert time.monotonic() - started_s < 200.0
+        os.kill(multiprocessing.active_children()[-1].pid, signal.SIGKILL)
+        with pytest.raises(NotConverged, match="worker process died"):
+            poll_for(live, 50.0)
     finally:
         live.close()
         reader.stop(5.0)
