@@ -112,63 +112,82 @@ def rasterise_grid(flat, cells, lens, limits, image, counts, linked):
     """
     _, _, _, _, rows, cols, behind = lens
     longest_sq, _ = limits
+    # Arrays are passed one by one: a tuple of arrays is unpacked with reference counting.
+    inverse_z, veil, source = image
     n = linked.shape[0]
     vertices = np.empty(
         (n + 2, 7)
     )  # x, y, z, pixel coordinates, 1/z, point; the last two: of a rim
     is_visible = np.empty(n, np.bool_)
+    between = np.empty((n, 2), np.int32)
     for i in range(n):
         x = np.float64(flat[3 * i])
         y = np.float64(flat[3 * i + 1])
         z = np.float64(flat[3 * i + 2])
         is_visible[i] = (z > behind) & (z < np.inf) & (abs(x) < np.inf) & (abs(y) < np.inf)
         _write_vertex(vertices, i, x, y, z, i, lens)
-    u = vertices[:, 3]
-    v = vertices[:, 4]
+        between[i, 0] = _number_interval(vertices[i, 3], cols)
+        between[i, 1] = _number_interval(vertices[i, 4], rows)
     for r in range(cells.shape[0] - 1):
-        for rim in range(2):
-            for c in range(cells.shape[1] - 1):
-                # clockwise from the upper left
-                a = cells[r, c]
-                b = cells[r, c + 1]
-                d = cells[r + 1, c + 1]
-                e = cells[r + 1, c]
-                corners = (a, b, d, e)
-                n_there = (a >= 0) + (b >= 0) + (d >= 0) + (e >= 0)
-                if n_there == 0 or (n_there == 4 if rim else n_there < 3):
+        for c in range(cells.shape[1] - 1):
+            # clockwise from the upper left
+            a = cells[r, c]
+            b = cells[r, c + 1]
+            d = cells[r + 1, c + 1]
+            e = cells[r + 1, c]
+            n_there = (a >= 0) + (b >= 0) + (d >= 0) + (e >= 0)
+            if n_there < 3:
+                continue
+            corners = (a, b, d, e)
+            missing = 0 if a < 0 else 1 if b < 0 else 2 if d < 0 else 3
+            all_visible = True
+            for point in corners:
+                if point >= 0:
+                    linked[point] = True
+                    all_visible &= is_visible[point]
+            if not all_visible:
+                counts[0, BEHIND] += 1
+            elif n_there < 4:
+                _draw_quad_less(
+                    vertices, corners, missing, lens, limits, inverse_z, veil, source, counts
+                )
+            elif _may_cover(between, a, b, d, e, 0) and _may_cover(between, a, b, d, e, 1):
+                falling = _length_sq(flat, a, d)
+                rising = _length_sq(flat, b, e)
+                if min(falling, rising) > longest_sq:
+                    counts[0, JUMP] += 2
                     continue
-                all_visible = True
-                missing = 0
-                for k in range(4):
-                    if corners[k] < 0:
-                        missing = k
-                        continue
-                    all_visible &= is_visible[corners[k]]
-                    if not rim:
-                        linked[corners[k]] = True
-                if not all_visible:
-                    counts[0, BEHIND] += 1 - rim
-                elif rim:
-                    _draw_rim(vertices, cells, r, c, corners, lens, limits, image, counts)
-                elif n_there < 4:
-                    _draw_quad_less(vertices, corners, missing, lens, limits, image, counts)
-                else:
-                    left, right = _bracket_centres(
-                        min(u[a], u[b], u[d], u[e]), max(u[a], u[b], u[d], u[e]), cols
-                    )
-                    top, bottom = _bracket_centres(
-                        min(v[a], v[b], v[d], v[e]), max(v[a], v[b], v[d], v[e]), rows
-                    )
-                    if left > right or top > bottom:
-                        continue  # as most quads of a fine source
-                    falling = _length_sq(flat, a, d)
-                    rising = _length_sq(flat, b, e)
-                    if min(falling, rising) > longest_sq:
-                        counts[0, JUMP] += 2
-                        continue
-                    first = 3 if falling < rising else 2
-                    _draw_quad_less(vertices, corners, first, lens, limits, image, counts)
-                    _draw_quad_less(vertices, corners, first - 2, lens, limits, image, counts)
+                first = 3 if falling < rising else 2
+                _draw_quad_less(
+                    vertices, corners, first, lens, limits, inverse_z, veil, source, counts
+                )
+                _draw_quad_less(
+                    vertices, corners, first - 2, lens, limits, inverse_z, veil, source, counts
+                )
+        for c in range(cells.shape[1] - 1):
+            n_there = (cells[r, c] >= 0) + (cells[r, c + 1] >= 0)
+            n_there += (cells[r + 1, c] >= 0) + (cells[r + 1, c + 1] >= 0)
+            if 0 < n_there < 4:
+                _draw_rim(
+                    vertices, is_visible, cells, r, c, lens, limits, inverse_z, veil, source, counts
+                )
+
+
+@inner_kernel()
+def _number_interval(at, size):
+    """Number of the place of a coordinate among the pixel centres: odd between two of them."""
+    near = min(max(at, -1.5), size + 0.5)
+    return np.int32(np.ceil(near - SLACK)) + np.int32(np.floor(near + SLACK))
+
+
+@inner_kernel()
+def _may_cover(between, a, b, d, e, axis):
+    """Whether a pixel centre lies between a quad's corners along an axis: it does not for most
+    quads of a fine source.
+    """
+    place = between[a, axis]
+    same = place == between[b, axis] and place == between[d, axis] and place == between[e, axis]
+    return not same or place & 1 == 0
 
 
 @inner_kernel()
@@ -205,19 +224,23 @@ def _bracket_centres(low, high, size):
 
 
 @inner_kernel()
-def _draw_quad_less(vertices, corners, missing, lens, limits, image, counts):
+def _draw_quad_less(vertices, corners, missing, lens, limits, inverse_z, veil, source, counts):
     """Draw the triangle of a quad's corners but one."""
     i = corners[(missing + 1) & 3]
     j = corners[(missing + 2) & 3]
     k = corners[(missing + 3) & 3]
-    _draw_triangle(vertices, (i, j, k), 0, lens, limits, image, counts)
+    _draw_triangle(vertices, (i, j, k), 0, lens, limits, inverse_z, veil, source, counts)
 
 
 @inner_kernel()
-def _draw_rim(vertices, cells, r, c, corners, lens, limits, image, counts):
+def _draw_rim(vertices, is_visible, cells, r, c, lens, limits, inverse_z, veil, source, counts):
     """Draw the part of an incomplete quad that lies up to the middle of its edges."""
+    corners = (cells[r, c], cells[r, c + 1], cells[r + 1, c + 1], cells[r + 1, c])
     n = np.int32(vertices.shape[0] - 2)
     end = np.int32(n + 1)
+    for point in corners:
+        if point >= 0 and not is_visible[point]:
+            return
     for first in range(4):
         if corners[first] < 0 or corners[(first + 3) & 3] >= 0:
             continue
@@ -228,9 +251,11 @@ def _draw_rim(vertices, cells, r, c, corners, lens, limits, image, counts):
         _extend(vertices, end, cells, r, c, first, first + 3, lens, limits)
         if first != last:
             corners_of_run = (corners[first], corners[last], n)
-            _draw_triangle(vertices, corners_of_run, 1, lens, limits, image, counts)
+            _draw_triangle(
+                vertices, corners_of_run, 1, lens, limits, inverse_z, veil, source, counts
+            )
         at_end = (corners[first], n, end)
-        _draw_triangle(vertices, at_end, 1, lens, limits, image, counts)
+        _draw_triangle(vertices, at_end, 1, lens, limits, inverse_z, veil, source, counts)
 
 
 @inner_kernel()
@@ -295,7 +320,7 @@ def _classify_triangle(vertices, corners, limits):
 
 
 @inner_kernel()
-def _draw_triangle(vertices, corners, rim, lens, limits, image, counts):
+def _draw_triangle(vertices, corners, rim, lens, limits, inverse_z, veil, source, counts):
     """Draw one triangle in the pixels whose centres it covers: 1/z is linear on screen, the largest
     wins.
 
@@ -318,11 +343,11 @@ def _draw_triangle(vertices, corners, rim, lens, limits, image, counts):
     area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
     if left > right or top > bottom or area == 0.0:
         return
-    inverse_z, veil, source = image
     scale = 1.0 / area
-    outcome = _classify_triangle(vertices, corners, limits)
+    outcome = JUMP
     large = (right - left + 1) * (bottom - top + 1) > LARGE_PX
     if large:
+        outcome = _classify_triangle(vertices, corners, limits)
         if counts[rim, PIXELS_SPENT] > MAX_LAYERS * rows * cols:
             outcome = OVERFULL
         counts[rim, outcome] += 1
@@ -345,6 +370,7 @@ def _draw_triangle(vertices, corners, rim, lens, limits, image, counts):
             if wa < -SLACK or wb < -SLACK or wc < -SLACK:
                 continue
             if not counted:
+                outcome = _classify_triangle(vertices, corners, limits)
                 counted = True
                 counts[rim, outcome] += 1
             near = wa * vertices[i, 5] + wb * vertices[j, 5] + wc * vertices[k, 5]

@@ -160,10 +160,14 @@ def _lay_out_cells(cloud: Cloud) -> Indices:
 
     Of several points of one pixel the last is taken.
     """
-    row, col = np.divmod(cloud.source_index, cloud.grid_shape[1])
-    taken = np.flatnonzero((row % cloud.stride == 0) & (col % cloud.stride == 0))
-    row, col = (at[taken] // cloud.stride for at in (row, col))
-    row, col = (at - at.min(initial=max(cloud.grid_shape)) + 1 for at in (row, col))
+    row = cloud.source_index // cloud.grid_shape[1]
+    col = cloud.source_index - row * cloud.grid_shape[1]
+    cell_row = row // cloud.stride
+    cell_col = col // cloud.stride
+    taken = np.flatnonzero((cell_row * cloud.stride == row) & (cell_col * cloud.stride == col))
+    row, col = (
+        at[taken] - at.min(initial=max(cloud.grid_shape)) + 1 for at in (cell_row, cell_col)
+    )
     cells = np.full((row.max(initial=0) + 2, col.max(initial=0) + 2), -1, dtype=np.int32)
     cells[row, col] = taken
     return cells
