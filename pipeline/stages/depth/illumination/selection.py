@@ -199,17 +199,15 @@ def correct_surface(
     """The surface (rows, cols) in mm of a patch, corrected in an illumination from a first
     guess.
     """
-    # one more than where light is chosen: the surface is what counts
-    iterations = CONSTANTS.iterations + 1
     light = make_light(illumination, patch, source)
+    iterations = CONSTANTS.surface_iterations
     if illumination.is_trusted:
-        plain = led_light.make_led_light(
-            source, get_optics(illumination, source), patch, trusted=False
-        )
+        described = get_optics(illumination, source)
+        plain = led_light.make_led_light(source, described, patch, trusted=False)
         surface_mm, _ = refine_surface(
-            surface_mm, patch, plain, integrate, iterations, until_settled=True
+            surface_mm, patch, plain, integrate, CONSTANTS.first_iterations
         )
-        iterations *= CONSTANTS.trusted_iteration_factor
+        iterations = CONSTANTS.trusted_iterations
     return refine_surface(surface_mm, patch, light, integrate, iterations, until_settled=True)[0]
 
 
