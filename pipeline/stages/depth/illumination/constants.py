@@ -20,7 +20,6 @@ class IlluminationConstants:
     # The same in light that explains the image: walls rise for longer, after some in plain light.
     first_iterations: int = 2
     trusted_iterations: int = 10
-    trusted_iteration_factor: int = 2  # where light is chosen
     # largest change of an iteration that is the last: noise makes the next ones worse
     settled_mm: float = 0.005
     # the same as a share of the largest indentation, where that is less
@@ -69,7 +68,6 @@ class IlluminationConstants:
     field_gain: float = 2.57
     # of a recording, that decide on a field: one real Mini touch in 67 misses the gain alone
     field_touches: int = 2
-    hopeless_field_gain: float = 1.5  # after any iteration: two more gain a factor of 1.4 at most
 
 
 CONSTANTS = IlluminationConstants()

@@ -79,13 +79,11 @@ def fit_field(
     patch: ImagePatch,
     source: SensorSpec,
     integrate: Integrator,
-    described_misfit: float = math.inf,
 ) -> tuple[Doubles, float] | None:
     """Coefficients (m,) of the shading field that a touch determines, from a first guess of its
     surface; the misfit.
 
-    None where too few pixels have changed, and where the field will not explain far more than
-    described light does.
+    None where too few pixels have changed.
     """
     q = patch.change * slope_model.compute_gain(patch.reference)
     seen = patch.changed & (np.abs(q).max(axis=2) > CONSTANTS.min_relative_change)
@@ -103,8 +101,6 @@ def fit_field(
         surface_mm, misfit = refine_surface(
             surface_mm * np.float32(factor), patch, light, integrate, CONSTANTS.field_refinements
         )
-        if described_misfit <= CONSTANTS.hopeless_field_gain * misfit:
-            return None
     return coefficients, misfit
 
 

@@ -53,10 +53,11 @@ class Touch:
 
     def refine(self, illumination: Illumination, start_mm: Floats) -> tuple[Floats, float]:
         """The surface (rows, cols) in an illumination, and what that leaves of the image."""
-        factor = CONSTANTS.trusted_iteration_factor if illumination.is_trusted else 1
+        trusted = illumination.is_trusted
+        iterations = CONSTANTS.trusted_iterations if trusted else CONSTANTS.iterations
         light = make_light(illumination, self.patch, self.source)
         integrate = self.make_integrator(self.patch)
-        return refine_surface(start_mm, self.patch, light, integrate, factor * CONSTANTS.iterations)
+        return refine_surface(start_mm, self.patch, light, integrate, iterations)
 
     def observe(self, surface_mm: Floats) -> LedObservation:
         """The touch with a surface (rows, cols), on the coarser grid of the LED fit."""
@@ -129,23 +130,20 @@ def _try_field(touches: Sequence[Touch]) -> Illumination | None:
     """
     decisive = touches[: CONSTANTS.field_touches]
     described = sum(touch.described[1] for touch in decisive)
-    fits = [
-        _fit_field(touch, touch.described[1] if len(touches) == 1 else math.inf)
-        for touch in decisive
-    ]
+    fits = [_fit_field(touch) for touch in decisive]
     gain = 1.0 if casts_shadows(touches[0].source) else CONSTANTS.field_gain
     if described <= gain * sum(fit[1] for fit in fits):
         return None
     return pack_leds("field", fits[0][0]) if len(touches) == 1 else Illumination(model="field")
 
 
-def _fit_field(touch: Touch, described_misfit: float = math.inf) -> tuple[Doubles | None, float]:
+def _fit_field(touch: Touch) -> tuple[Doubles | None, float]:
     """Coefficients (m,) of the shading field of one touch and its misfit.
 
     None and infinity where it has none.
     """
     integrate = touch.make_integrator(touch.patch)
-    fit = fit_field(touch.guess_mm, touch.patch, touch.source, integrate, described_misfit)
+    fit = fit_field(touch.guess_mm, touch.patch, touch.source, integrate)
     return (None, math.inf) if fit is None else fit
 
 
