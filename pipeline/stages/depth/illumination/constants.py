@@ -68,6 +68,7 @@ class IlluminationConstants:
     field_gain: float = 2.57
     # of a recording, that decide on a field: one real Mini touch in 67 misses the gain alone
     field_touches: int = 2
+    hopeless_field_gain: float = 1.5  # after any iteration: two more gain a factor of 1.4 at most
 
 
 CONSTANTS = IlluminationConstants()

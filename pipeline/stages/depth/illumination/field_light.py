@@ -79,11 +79,13 @@ def fit_field(
     patch: ImagePatch,
     source: SensorSpec,
     integrate: Integrator,
+    described_misfit: float = math.inf,
 ) -> tuple[Doubles, float] | None:
     """Coefficients (m,) of the shading field that a touch determines, from a first guess of its
     surface; the misfit.
 
-    None where too few pixels have changed.
+    None where too few pixels have changed, and where the field will not explain far more than
+    described light does.
     """
     q = patch.change * slope_model.compute_gain(patch.reference)
     seen = patch.changed & (np.abs(q).max(axis=2) > CONSTANTS.min_relative_change)
@@ -101,6 +103,8 @@ def fit_field(
         surface_mm, misfit = refine_surface(
             surface_mm * np.float32(factor), patch, light, integrate, CONSTANTS.field_refinements
         )
+        if described_misfit <= CONSTANTS.hopeless_field_gain * misfit:
+            return None
     return coefficients, misfit
 
 

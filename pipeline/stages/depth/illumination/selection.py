@@ -130,20 +130,21 @@ def _try_field(touches: Sequence[Touch]) -> Illumination | None:
     """
     decisive = touches[: CONSTANTS.field_touches]
     described = sum(touch.described[1] for touch in decisive)
-    fits = [_fit_field(touch) for touch in decisive]
+    alone = len(touches) == 1
+    fits = [_fit_field(touch, touch.described[1] if alone else math.inf) for touch in decisive]
     gain = 1.0 if casts_shadows(touches[0].source) else CONSTANTS.field_gain
     if described <= gain * sum(fit[1] for fit in fits):
         return None
-    return pack_leds("field", fits[0][0]) if len(touches) == 1 else Illumination(model="field")
+    return pack_leds("field", fits[0][0]) if alone else Illumination(model="field")
 
 
-def _fit_field(touch: Touch) -> tuple[Doubles | None, float]:
+def _fit_field(touch: Touch, described_misfit: float = math.inf) -> tuple[Doubles | None, float]:
     """Coefficients (m,) of the shading field of one touch and its misfit.
 
     None and infinity where it has none.
     """
     integrate = touch.make_integrator(touch.patch)
-    fit = fit_field(touch.guess_mm, touch.patch, touch.source, integrate)
+    fit = fit_field(touch.guess_mm, touch.patch, touch.source, integrate, described_misfit)
     return (None, math.inf) if fit is None else fit
 
 
