@@ -161,7 +161,7 @@ class FrameChange:
 
 
 _SMOOTH_DENT = (
-    "the touch is wide and smooth: measured on blocks of the image, by the pressure "
+    "the touch is smooth and gentle: measured on blocks of the image, by the pressure "
     "that explains it"
 )
 
@@ -173,7 +173,7 @@ def detect_press(
 
     The depth map where nothing touches, nobody can tell, or all is known.
 
-    All is known of a wide, smooth dent: no finer surface is better than the coarse one that
+    All is known of a smooth, gentle dent: no finer surface is better than the coarse one that
     explains it.
     """
     progress.step(0.0, "telling press from drift")
