@@ -50,10 +50,14 @@ def press_soft_ball(name, *, radius_mm, depth_mm=0.3, unit_seed=0):
 
 
 @pytest.mark.parametrize("name", GELS)
-@pytest.mark.parametrize(("radius_mm", "unit_seed"), [(120.0, 0), (60.0, 4)])
-def test_a_large_soft_ball_is_found_with_its_depth_and_contact(name, radius_mm, unit_seed):
+@pytest.mark.parametrize(
+    ("radius_mm", "unit_seed", "depth_mm"), [(120.0, 0, 0.3), (60.0, 4, 0.3), (60.0, 4, 0.13)]
+)
+def test_a_large_soft_ball_is_found_with_its_depth_and_contact(
+    name, radius_mm, unit_seed, depth_mm
+):
     source, image, reference, pressed = press_soft_ball(
-        name, radius_mm=radius_mm, unit_seed=unit_seed
+        name, radius_mm=radius_mm, unit_seed=unit_seed, depth_mm=depth_mm
     )
     found = estimate_depth(
         TactileFrame(sensor=name, image=image, reference=reference), source, None, DepthParams()

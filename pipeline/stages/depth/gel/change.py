@@ -73,12 +73,16 @@ class ChangeSettings:
     # at half its depth in distances of knots (soft balls of .13 mm from 2.3), its steepest slope,
     # and that times the radius over the depth. A paraboloid has 1.4; balls of 30 to 120 mm up to
     # 1.9, faces and tools of every gel 2.0 to 7.4. Small balls are steeper than .3 mm/mm.
+    # at half its depth in distances of knots (soft balls of .13 mm from 2.3), and its steepest
+    # slope (small balls have more than .3 mm/mm).
     smooth_knots: float = 2.0
-    smooth_slope: float = 0.25  # mm/mm
-    smooth_steepness: float = 1.95
-    smooth_residual: float = (
-        0.095  # share of the squared change left: tools from .1, soft balls .09
-    )
+    smooth_slope: float = 0.25
+    # That slope times the radius over the depth: 1.4 for a paraboloid, more where the view cuts it:
+    # the second by the share of the view. Balls of 30 to 120 mm have 1.1 to 1.9, light presses of
+    # tools from 1.8 at a tenth of the view, faces and tools of every gel 2.0 to 7.4.
+    smooth_steepness: tuple[float, float] = (1.5, 2.0)
+    # share of the squared change that is left: tools from .1, soft balls up to .09
+    smooth_residual: float = 0.095
     # Beside a smooth dent, drift as costly as this is nearly none. It is held back where the
     # residual grows by less than the first factor, not at all from the second: most without drift
     # grow by up to 1.4, with drift by 1.3 to 60.
@@ -160,7 +164,7 @@ class FrameChange:
 
 
 _SMOOTH_DENT = (
-    "the touch is wide and smooth: measured on blocks of the image, by the pressure "
+    "the touch is smooth and gentle: measured on blocks of the image, by the pressure "
     "that explains it"
 )
 
@@ -172,7 +176,7 @@ def detect_press(
 
     The depth map where nothing touches, nobody can tell, or all is known.
 
-    All is known of a wide, smooth dent: no finer surface is better than the coarse one that
+    All is known of a smooth, gentle dent: no finer surface is better than the coarse one that
     explains it.
     """
     progress.step(0.0, "telling press from drift")
@@ -298,9 +302,10 @@ def compare_explanations(
         return replace(alone, verdict=verdict, dent_evidence=evidence)
     is_smooth = _is_smooth(fit, model.basis)
     if is_smooth:
-        left = change if compare_with_rest is None else compare_with_rest()
-        held = _fit_dent(left, prior.columns.T @ left, model, CHANGE.still_stiffness)
-        fit = _hold_drift(fit, held)
+        rests = [change] if compare_with_rest is None else [compare_with_rest(), change]
+        for left in rests:  # no drift at all is the likeliest
+            held = _fit_dent(left, prior.columns.T @ left, model, CHANGE.still_stiffness)
+            fit = _hold_drift(fit, held)
     return Change(
         verdict=verdict,
         dent_evidence=evidence,
@@ -335,13 +340,14 @@ def _is_smooth(fit: _DentFit, basis: DentBasis) -> bool:
     dent_mm = basis.heights @ fit.pressures
     slopes = basis.slopes @ fit.pressures
     deepest_mm = float(dent_mm.max())
-    cells = np.count_nonzero(dent_mm > 0.5 * deepest_mm)
-    radius_mm = math.sqrt(cells / math.pi) * basis.block_mm
+    share = float((dent_mm > 0.5 * deepest_mm).mean())
+    radius_mm = math.sqrt(share * dent_mm.size / math.pi) * basis.block_mm
     slope = float(np.hypot(slopes[..., 0], slopes[..., 1]).max())
+    least, by_share = CHANGE.smooth_steepness
     return (
         radius_mm > CHANGE.smooth_knots * basis.knot_mm
         and slope < CHANGE.smooth_slope
-        and slope * radius_mm < CHANGE.smooth_steepness * deepest_mm
+        and slope * radius_mm < (least + by_share * share) * deepest_mm
         and fit.residual < CHANGE.smooth_residual * fit.mean_square
     )
 

@@ -14,7 +14,13 @@ from pipeline.stages.depth.gel.change import FrameChange
 from pipeline.stages.depth.gel.result import NOT_SCALED
 from pipeline.stages.depth.gel.slopes import ChangedImage, FrameSlopes
 from pipeline.stages.depth.illumination import selection
-from pipeline.stages.depth.illumination.light import FrameLight, Illumination, upsample_surface
+from pipeline.stages.depth.illumination.light import (
+    FrameLight,
+    Illumination,
+    ImagePatch,
+    compute_cell_means,
+    upsample_surface,
+)
 
 # 42 balls on a real DIGIT: a reach of 1 mm, or .4 of the deepest point, measures them as well
 # (`docs/experiments.md`). of the deepest point of a coarse dent: surely indented; and around that
@@ -47,13 +53,7 @@ def estimate_surface(
     window = changed.window
     calibration = changed.calibration
     notes = tuple[str, ...]()
-    surface = _integrate(slopes, light.illumination, progress)
-    if (
-        light.illumination is not None
-        and light.illumination.model == "field"
-        and selection.casts_shadows(changed.source)
-    ):
-        surface = _flatten_far(surface, change.press.dent_mm, changed, progress)
+    surface = _integrate(slopes, light.illumination, change.press.dent_mm, progress)
     if light.illumination is not None and light.illumination.is_bound_to_place:
         corner = (window.rows.start, window.cols.start)
         surface = surface * np.float32(calibration.compute_depth_scale(surface, corner))
@@ -63,7 +63,7 @@ def estimate_surface(
 
 
 def _integrate(
-    slopes: FrameSlopes, illumination: Illumination | None, progress: Progress
+    slopes: FrameSlopes, illumination: Illumination | None, dent_mm: Floats, progress: Progress
 ) -> Floats:
     changed = slopes.changed
     patch, cells = changed.patches
@@ -72,6 +72,10 @@ def _integrate(
     integrate = changed.make_integrator(cells, progress)
     guess = integrate(slopes.gx, slopes.gy)
     surface = selection.correct_surface(guess, cells, changed.source, illumination, integrate)
+    if illumination.model == "field" and selection.casts_shadows(changed.source):
+        near = _weigh_by_distance(dent_mm, changed, cells)
+        gx, gy = compute_slopes(surface, cells.pixel_mm)
+        surface = integrate(gx * near, gy * near)
     surface = upsample_surface(surface, cells.downsampling, changed.window.changed.shape)
     if not illumination.is_trusted:
         return surface
@@ -79,10 +83,8 @@ def _integrate(
     return selection.add_walls(surface, patch, changed.source, illumination, integrate)
 
 
-def _flatten_far(
-    surface_mm: Floats, dent_mm: Floats, changed: ChangedImage, progress: Progress
-) -> Floats:
-    """The surface (rows, cols) whose slopes fall to 0 within a reach of the coarse dent (rows,
+def _weigh_by_distance(dent_mm: Floats, changed: ChangedImage, cells: ImagePatch) -> Floats:
+    """Weights of the cells (rows, cols) that fall to 0 within a reach of the coarse dent (rows,
     cols) of the image.
     """
     import cv2
@@ -91,11 +93,9 @@ def _flatten_far(
         cv2.resize(dent_mm, changed.image.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     )
     outside = (dent < _DENT_SHARE * dent.max()).astype(np.uint8)
-    pixel_mm = changed.calibration.pixel_mm
-    away_mm = (
-        pixel_mm
-        * cv2.distanceTransform(outside, cv2.DIST_L2, 5)[changed.window.rows, changed.window.cols]
+    away_px = np.asarray(cv2.distanceTransform(outside, cv2.DIST_L2, 5), np.float32)
+    away_px = compute_cell_means(
+        away_px[changed.window.rows, changed.window.cols], cells.downsampling
     )
-    near = np.clip(1.0 - away_mm / _REACH_MM, 0.0, 1.0).astype(np.float32)
-    gx, gy = compute_slopes(surface_mm, pixel_mm)
-    return changed.make_integrator(changed.patches[0], progress, 0.8)(gx * near, gy * near)
+    reach_px = np.float32(_REACH_MM / changed.calibration.pixel_mm)
+    return np.clip(np.float32(1.0) - away_px / reach_px, np.float32(0.0), np.float32(1.0))

@@ -15,14 +15,17 @@ class IlluminationConstants:
     """Grey levels are those of 8-bit images; slopes are in mm/mm; shares are of 1."""
 
     # Surface refinement
-    iterations: int = 4  # two leave 20 % more error on a GelSlim, whose LEDs are low
-    trusted_iteration_factor: int = 2  # walls rise for longer in light that explains the image
+    iterations: int = 4  # where light is chosen; two leave 20 % more error on a GelSlim
+    surface_iterations: int = 5  # of a frame's surface
+    # The same in light that explains the image: walls rise for longer, after some in plain light.
+    first_iterations: int = 2
+    trusted_iterations: int = 10
     # largest change of an iteration that is the last: noise makes the next ones worse
     settled_mm: float = 0.005
     # the same as a share of the largest indentation, where that is less
     settled_share: float = 0.02
-    cg_steps: int = 6  # conjugate-gradient steps of an iteration; 12 come no nearer
-    fine_cg_steps: int = 2  # the same at full resolution, where only walls are raised
+    cg_steps: int = 4  # conjugate-gradient steps of an iteration; 12 come no nearer
+    fine_cg_steps: int = 3  # the same at full resolution, where only walls are raised
     grid_cells: int = 160  # along the longer side of the refinement grid (chosen)
     # larger residuals are dust, reflections, or another sensor instance (chosen)
     huber_grey: float = 20.0

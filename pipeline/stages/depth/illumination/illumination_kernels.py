@@ -92,26 +92,15 @@ def render_led_light(gx, gy, place, light, line, change, rate_x, rate_y):
                     line[t + _L6] += down * led[3]
                     line[t + _L7] += down * led[4]
                     line[t + _L8] += down * led[5]
-            for i in range(n):
-                t = np.uint64(i)
-                red = _COLOURS * (np.uint64(i) + first)
-                green = red + _GREEN
-                blue = red + _BLUE
-                dark = reference[r, red]
-                by = gain[r, red] * share[r, red]
-                change[r, red] = dark * (share[r, red] - one) + line[t] * by
-                rate_x[r, red] = line[t + _L3] * by
-                rate_y[r, red] = line[t + _L6] * by
-                dark = reference[r, green]
-                by = gain[r, green] * share[r, green]
-                change[r, green] = dark * (share[r, green] - one) + line[t + _L1] * by
-                rate_x[r, green] = line[t + _L4] * by
-                rate_y[r, green] = line[t + _L7] * by
-                dark = reference[r, blue]
-                by = gain[r, blue] * share[r, blue]
-                change[r, blue] = dark * (share[r, blue] - one) + line[t + _L2] * by
-                rate_x[r, blue] = line[t + _L5] * by
-                rate_y[r, blue] = line[t + _L8] * by
+            for k in range(3):
+                more_at = np.uint64(k * TILE_PX)
+                for i in range(n):
+                    t = np.uint64(i) + more_at
+                    c = _COLOURS * (np.uint64(i) + first) + np.uint64(k)
+                    by = gain[r, c] * share[r, c]
+                    change[r, c] = reference[r, c] * (share[r, c] - one) + line[t] * by
+                    rate_x[r, c] = line[t + _L3] * by
+                    rate_y[r, c] = line[t + _L6] * by
 
 
 @kernel(fastmath=FAST)
@@ -269,40 +258,19 @@ def update_slopes(
             first = np.uint64(start)
             for i in range(n):
                 t = np.uint64(i)
-                k = _COLOURS * (np.uint64(i) + first)
+                first_colour = _COLOURS * (np.uint64(i) + first)
                 sums = (pull, zero, pull, zero, zero, zero)
-                sums = _accumulate(
-                    sums,
-                    confidence[r, k],
-                    rate_x[r, k],
-                    rate_y[r, k],
-                    rendered[r, k],
-                    change[r, k],
-                    reference[r, k],
-                    huber,
-                )
-                k += _GREEN
-                sums = _accumulate(
-                    sums,
-                    confidence[r, k],
-                    rate_x[r, k],
-                    rate_y[r, k],
-                    rendered[r, k],
-                    change[r, k],
-                    reference[r, k],
-                    huber,
-                )
-                k += _GREEN
-                sums = _accumulate(
-                    sums,
-                    confidence[r, k],
-                    rate_x[r, k],
-                    rate_y[r, k],
-                    rendered[r, k],
-                    change[r, k],
-                    reference[r, k],
-                    huber,
-                )
+                for k in range(first_colour, first_colour + _COLOURS):
+                    sums = _accumulate(
+                        sums,
+                        confidence[r, k],
+                        rate_x[r, k],
+                        rate_y[r, k],
+                        rendered[r, k],
+                        change[r, k],
+                        reference[r, k],
+                        huber,
+                    )
                 (
                     line[t],
                     line[t + _L1],

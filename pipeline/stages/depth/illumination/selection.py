@@ -53,10 +53,11 @@ class Touch:
 
     def refine(self, illumination: Illumination, start_mm: Floats) -> tuple[Floats, float]:
         """The surface (rows, cols) in an illumination, and what that leaves of the image."""
-        factor = CONSTANTS.trusted_iteration_factor if illumination.is_trusted else 1
+        trusted = illumination.is_trusted
+        iterations = CONSTANTS.trusted_iterations if trusted else CONSTANTS.iterations
         light = make_light(illumination, self.patch, self.source)
         integrate = self.make_integrator(self.patch)
-        return refine_surface(start_mm, self.patch, light, integrate, factor * CONSTANTS.iterations)
+        return refine_surface(start_mm, self.patch, light, integrate, iterations)
 
     def observe(self, surface_mm: Floats) -> LedObservation:
         """The touch with a surface (rows, cols), on the coarser grid of the LED fit."""
@@ -129,14 +130,12 @@ def _try_field(touches: Sequence[Touch]) -> Illumination | None:
     """
     decisive = touches[: CONSTANTS.field_touches]
     described = sum(touch.described[1] for touch in decisive)
-    fits = [
-        _fit_field(touch, touch.described[1] if len(touches) == 1 else math.inf)
-        for touch in decisive
-    ]
+    alone = len(touches) == 1
+    fits = [_fit_field(touch, touch.described[1] if alone else math.inf) for touch in decisive]
     gain = 1.0 if casts_shadows(touches[0].source) else CONSTANTS.field_gain
     if described <= gain * sum(fit[1] for fit in fits):
         return None
-    return pack_leds("field", fits[0][0]) if len(touches) == 1 else Illumination(model="field")
+    return pack_leds("field", fits[0][0]) if alone else Illumination(model="field")
 
 
 def _fit_field(touch: Touch, described_misfit: float = math.inf) -> tuple[Doubles | None, float]:
@@ -199,17 +198,15 @@ def correct_surface(
     """The surface (rows, cols) in mm of a patch, corrected in an illumination from a first
     guess.
     """
-    # one more than where light is chosen: the surface is what counts
-    iterations = CONSTANTS.iterations + 1
     light = make_light(illumination, patch, source)
+    iterations = CONSTANTS.surface_iterations
     if illumination.is_trusted:
-        plain = led_light.make_led_light(
-            source, get_optics(illumination, source), patch, trusted=False
-        )
+        described = get_optics(illumination, source)
+        plain = led_light.make_led_light(source, described, patch, trusted=False)
         surface_mm, _ = refine_surface(
-            surface_mm, patch, plain, integrate, iterations, until_settled=True
+            surface_mm, patch, plain, integrate, CONSTANTS.first_iterations
         )
-        iterations *= CONSTANTS.trusted_iteration_factor
+        iterations = CONSTANTS.trusted_iterations
     return refine_surface(surface_mm, patch, light, integrate, iterations, until_settled=True)[0]
 
 

@@ -20,7 +20,7 @@ surface is therefore the one nearest to the slopes by their certainty,
 after what stands on walls has been raised as a whole. A wall determines its slope weakly, and what
 stands between walls strongly: springs in series, of which the weak ones yield last when a surface
 approaches its slopes step by step. So the surface is first moved as a whole: scaled, its walls
-raised low, in the middle or high up, and each of its dents by itself. In light that is not the
+raised low, in the middle or high up. In light that is not the
 instance's own, colours are less certain than they are clear, and this would follow the clearest.
 """
 
@@ -37,10 +37,6 @@ from pipeline.stages.depth.illumination.light import (
 from pipeline.stages.depth.poisson import Integrator, solve_weighted_slopes
 
 _WALL_RANGES = ((0.1, 0.5), (0.3, 0.8), (0.6, 1.0))  # of the depth: where a wall is raised
-# dents that are raised by themselves; their depth as a share of the deepest
-_MAX_DENTS = 4
-_DENT_SHARE = 0.5
-_REACH_PX = 5  # of a dent's walls
 _DEEPEST = 99.5  # percentile that stands for the depth
 _MIN_DEPTH_MM = 0.02
 _RIDGE = 1e-6  # of the normal equations' trace
@@ -151,27 +147,11 @@ def raise_walls(
 
 def _make_shapes(surface_mm: Floats) -> list[Floats]:
     """Ways of moving a surface as a whole, each (rows, cols)."""
-    import cv2
-
     depth_mm = float(percentile(surface_mm, _DEEPEST))
     if depth_mm <= _MIN_DEPTH_MM:
         return []
-    shapes = [
-        surface_mm,
-        *(_make_ramp(surface_mm, depth_mm, low, high) for low, high in _WALL_RANGES),
-    ]
-    n, labels = cv2.connectedComponents(
-        (surface_mm > _DENT_SHARE * depth_mm).astype(np.uint8), connectivity=8
-    )
-    if n > 2:  # the background and one dent
-        dents = np.asarray(labels, np.int32)
-        areas = np.bincount(dents.ravel(), minlength=n)[1:]
-        for k in 1 + np.argsort(-areas, kind="stable")[:_MAX_DENTS]:
-            mask = cv2.dilate(
-                (dents == k).astype(np.uint8), np.ones((_REACH_PX, _REACH_PX), np.uint8)
-            )
-            shapes.append(np.asarray(shapes[2] * mask, np.float32))
-    return shapes
+    ramps = (_make_ramp(surface_mm, depth_mm, low, high) for low, high in _WALL_RANGES)
+    return [surface_mm, *ramps]
 
 
 def _make_ramp(surface_mm: Floats, depth_mm: float, low: float, high: float) -> Floats:
