@@ -88,7 +88,8 @@ def estimate_load(
     y = np.zeros_like(z)
     load = np.zeros_like(z)
     for k in range(_ITERATIONS):
-        known = u + read * (moved_mm - u)  # the estimate where nothing was measured
+        # the estimate where nothing was measured
+        known = np.asarray(u + read * (moved_mm - u), np.float32)
         u = _update_displacement(known, penalty * _compute_laplacian(z - y), damping)
         v = y + (1 - _OVER_RELAXATION) * z - _OVER_RELAXATION * _compute_laplacian(u)
         uniform = np.float32(
