@@ -7,6 +7,7 @@ Constants without a source have no better neighbour in a sweep (docs/experiments
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.core.arrays import Floats, Mask, freeze
 from pipeline.core.derived import derive_once
@@ -25,6 +26,7 @@ _WORKING_PIXELS_MAX = 25_000  # more would only resolve noise
 # of the untouched membrane of soft_bubble.toml: pressure over tension; no result depends on its
 # exact value
 _USUAL_CURVATURE_PER_MM = 0.027
+_GAP_MM = 1.2  # of a contact, closed
 _LOAD_MIN = 1.0  # times the inner pressure: a flat face carries 1, an edge 10 and more
 
 
@@ -96,9 +98,15 @@ def _detect_candidates(indentation: Floats, least_mm: float, pixel_mm: float) ->
         for share in (_CANDIDATE_SHARE, _CERTAIN_SHARE)
     )
     weak = contact.select_seeded(weak, strong)
-    side = 2 * max(1, round(_CANDIDATE_MARGIN_MM / pixel_mm)) + 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    disc = _make_disc(_CANDIDATE_MARGIN_MM / pixel_mm)
     return np.asarray(cv2.dilate(weak.astype(np.uint8), disc), np.bool_)
+
+
+def _make_disc(radius_px: float) -> NDArray[np.uint8]:
+    import cv2
+
+    side = 2 * max(1, round(radius_px)) + 1
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)), np.uint8)
 
 
 def _solve_load(
@@ -110,6 +118,8 @@ def _solve_load(
     noise_factor: float,
 ) -> tuple[Floats, Mask]:
     """(indentation, contact) by `membrane_load`, on at most about `_WORKING_PIXELS_MAX` pixels."""
+    import cv2
+
     shape = moved.shape
     by = math.ceil(math.sqrt(moved.size / _WORKING_PIXELS_MAX))
     small, small_seen, small_candidates, start = (
@@ -124,5 +134,10 @@ def _solve_load(
         curvature_per_mm=_USUAL_CURVATURE_PER_MM,
         noise_factor=noise_factor,
     )
-    touched = upsample((solution.load > _LOAD_MIN).astype(np.float32), shape) > 0.5
+    closed = cv2.morphologyEx(
+        (solution.load > _LOAD_MIN).astype(np.float32),
+        cv2.MORPH_CLOSE,
+        _make_disc(_GAP_MM / (source.pixel_mm * by)),
+    )
+    touched = upsample(np.asarray(closed, np.float32), shape) > 0.5
     return upsample(solution.displacement_mm, shape), touched

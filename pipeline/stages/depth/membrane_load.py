@@ -28,11 +28,14 @@ import numpy as np
 
 from pipeline.core.arrays import Floats, Mask, freeze
 from pipeline.core.derived import derive_once
+from pipeline.stages.depth.rest_level import downsample
 
-# the weight a in mm^2, for depth cameras whose mean over one square mm has a standard deviation of
-# 0.39 mm (soft_bubble)
-_L1_WEIGHT = 0.039
-# fourth root of ADMM's penalty: membrane waves of this length converge first
+_NOISE = 0.39  # standard deviation of a mean over one square mm, times mm^2: soft_bubble
+_BLOCK_PX = 8
+_BLOCK_SHARE_MIN = 0.7  # of a block's pixels, free of contact
+_BLOCKS_MIN = 8  # with 8 blocks the standard error of the median is two fifths
+_L1_WEIGHT = 0.039  # the weight a in mm^2 at that noise
+# fourth root of ADMM's penalty at that noise: membrane waves of this length converge first
 _PENALTY_MM = 2.9
 _PENALTY_RANGE_PX = (2.1, 18.0)
 _ITERATIONS = 60  # twice as many reduce the error by 0.6 %; half add 1.2 %
@@ -65,19 +68,20 @@ def estimate_load(
 
     `moved_mm` must be finite; it is used where `seen`. `start_mm` is a smooth initial guess.
     `curvature_per_mm` is -lap of the untouched membrane: pressure over tension. `noise_factor`
-    multiplies the noise of usual depth cameras.
+    multiplies the noise measured in the image.
     """
     kappa = np.float32(curvature_per_mm * pixel_mm**2)
+    inner = np.pad(np.ones(np.subtract(start_mm.shape, 2), np.bool_), 1)
+    read, sought, free = (
+        mask.astype(np.float32) for mask in (seen, inner & candidates, inner & ~candidates)
+    )
+    known = start_mm + read * (moved_mm - start_mm)
+    noise_factor *= _estimate_noise(np.asarray(known, np.float32), read * free, pixel_mm)
     step_px = min(
         max(_PENALTY_MM * noise_factor**0.25 / pixel_mm, _PENALTY_RANGE_PX[0]), _PENALTY_RANGE_PX[1]
     )
     penalty = np.float32(step_px**4)
     damping = _compute_damping(start_mm.shape, float(penalty))
-    # masks of 0 and 1, since products are faster than selections
-    inner = np.pad(np.ones(np.subtract(start_mm.shape, 2), np.bool_), 1)
-    read, sought, free = (
-        mask.astype(np.float32) for mask in (seen, inner & candidates, inner & ~candidates)
-    )
     outer = np.where(inner, np.float32(0.0), penalty / (penalty + 1))
     n_free = max(float(free.sum(dtype=np.float64)), 1.0)
     lowest = -_PRESSURE_RISE_MAX * kappa
@@ -103,6 +107,23 @@ def estimate_load(
             kept = (load > _LOAD_MIN * kappa).astype(np.float32)
             threshold = np.float32(0.0)
     return MembraneLoad(displacement_mm=freeze(u), load=freeze(load / kappa))
+
+
+def _estimate_noise(moved_mm: Floats, free: Floats, pixel_mm: float) -> float:
+    """Noise of an image (rows, cols) over `_NOISE`, from blocks of pixels, so that it holds for
+    coarse noise, too; as usual where few are `free` of contact.
+
+    Fourth differences leave out the membrane's shape.
+    """
+    shares = np.lib.stride_tricks.sliding_window_view(downsample(free, _BLOCK_PX), 5, axis=1)
+    whole = shares.min(axis=-1) > _BLOCK_SHARE_MIN
+    differences = np.abs(np.diff(downsample(moved_mm, _BLOCK_PX), 4, axis=1)[whole])
+    if len(differences) < _BLOCKS_MIN:
+        return 1.0
+    # 1.4826: standard deviation over median absolute value; 70 = 1 + 16 + 36 + 16 + 1: variance of
+    # the difference
+    blocks = 1.4826 * float(np.median(differences)) / math.sqrt(70.0)
+    return blocks * _BLOCK_PX * pixel_mm / _NOISE
 
 
 def _update_displacement(target: Floats, pull: Floats, damping: Floats) -> Floats:
