@@ -38,7 +38,7 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.photometric import DepthParams, estimate_gel_depth
 
 _MEASURED_MAX = 8  # presses that a calibration measures to be judged
-_CHANCE = 0.05  # with which a table that gains nothing would be taken
+_CHANCE = 0.025  # with which a table that gains nothing would be taken
 _COVERAGE_MIN = 0.5  # of the image
 
 
@@ -161,12 +161,15 @@ def has_coverage(coverage: Mask) -> bool:
 
 def is_significantly_better(held: Doubles, errors: Doubles) -> bool:
     """Whether errors `held` (n,) are smaller than `errors`, press by press (Wilcoxon's signed
-    ranks, which four presses are too few for).
+    ranks, which five presses are too few for).
     """
     from scipy.stats import wilcoxon
 
     gain = clip_sizes(errors) - clip_sizes(held)
-    return bool(gain.any()) and float(wilcoxon(gain, alternative="greater").pvalue) < _CHANCE
+    if not gain.any():
+        return False
+    _, chance = np.asarray(wilcoxon(gain, alternative="greater"), np.float64)
+    return float(chance) < _CHANCE
 
 
 def add_depth_scale(

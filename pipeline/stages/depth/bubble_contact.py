@@ -13,6 +13,7 @@ from pipeline.core.arrays import Floats, Mask, freeze
 from pipeline.core.derived import derive_once
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import contact, membrane_load
+from pipeline.stages.depth.rest_level import downsample, upsample
 
 _MEDIAN_PX = 5  # of the median that removes single outliers: the widest that OpenCV has for floats
 _SMOOTHING_MM = 1.25  # shorter waves of a taut membrane are smaller than a depth camera's noise
@@ -22,7 +23,10 @@ _CANDIDATE_SHARE = 0.15  # of the peak: leaves out 2 % of a contact at most
 _SPECK_MM2 = 20.0  # of a smoothed region: noise alone makes smaller ones
 _CANDIDATE_MARGIN_MM = 1.6
 _WORKING_PIXELS_MAX = 25_000  # more would only resolve noise
-_USUAL_CURVATURE_PER_MM = 0.027  # of soft_bubble.toml
+# of the untouched membrane of soft_bubble.toml: pressure over tension; no result depends on its
+# exact value
+_USUAL_CURVATURE_PER_MM = 0.027
+_GAP_MM = 1.2  # of a contact, closed
 _LOAD_MIN = 1.0  # times the inner pressure: a flat face carries 1, an edge 10 and more
 
 
@@ -94,9 +98,15 @@ def _detect_candidates(indentation: Floats, least_mm: float, pixel_mm: float) ->
         for share in (_CANDIDATE_SHARE, _CERTAIN_SHARE)
     )
     weak = contact.select_seeded(weak, strong)
-    return np.asarray(
-        cv2.dilate(weak.astype(np.uint8), _make_disc(_CANDIDATE_MARGIN_MM / pixel_mm)), np.bool_
-    )
+    disc = _make_disc(_CANDIDATE_MARGIN_MM / pixel_mm)
+    return np.asarray(cv2.dilate(weak.astype(np.uint8), disc), np.bool_)
+
+
+def _make_disc(radius_px: float) -> NDArray[np.uint8]:
+    import cv2
+
+    side = 2 * max(1, round(radius_px)) + 1
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)), np.uint8)
 
 
 def _solve_load(
@@ -108,59 +118,26 @@ def _solve_load(
     noise_factor: float,
 ) -> tuple[Floats, Mask]:
     """(indentation, contact) by `membrane_load`, on at most about `_WORKING_PIXELS_MAX` pixels."""
-    rows, cols = moved.shape
-    factor = math.ceil(math.sqrt(rows * cols / _WORKING_PIXELS_MAX))
-    work_mm = source.pixel_mm * factor
+    import cv2
+
+    shape = moved.shape
+    by = math.ceil(math.sqrt(moved.size / _WORKING_PIXELS_MAX))
+    small, small_seen, small_candidates, start = (
+        downsample(np.asarray(image, np.float32), by) for image in (moved, seen, candidates, smooth)
+    )
     solution = membrane_load.estimate_load(
-        *_downsample(moved, seen, candidates, smooth, factor),
-        pixel_mm=work_mm,
-        curvature_per_mm=_compute_curvature_per_mm(source),
+        small,
+        small_seen > 0.5,
+        small_candidates > 0.0,
+        start,
+        pixel_mm=source.pixel_mm * by,
+        curvature_per_mm=_USUAL_CURVATURE_PER_MM,
         noise_factor=noise_factor,
     )
-    touched = (solution.load > _LOAD_MIN).astype(np.float32)
-    return _upsample(solution.displacement_mm, (rows, cols), cubic=True), _upsample(
-        touched, (rows, cols)
-    ) > 0.5
-
-
-def _compute_curvature_per_mm(source: SensorSpec) -> float:
-    """Curvature of the untouched membrane: pressure over tension. No result depends on its exact
-    value.
-    """
-    shape = source.bubble
-    if shape is None or shape.height_mm <= 0:
-        return _USUAL_CURVATURE_PER_MM
-    return 2.0 * shape.height_mm * (shape.half_width_mm**-2 + shape.half_height_mm**-2)
-
-
-def _make_disc(radius_px: float) -> NDArray[np.uint8]:
-    import cv2
-
-    side = 2 * max(1, round(radius_px)) + 1
-    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)), np.uint8)
-
-
-def _downsample(
-    moved: Floats, seen: Mask, candidates: Mask, smooth: Floats, by: int
-) -> tuple[Floats, Mask, Mask, Floats]:
-    """Means over about `by` x `by` pixels."""
-    import cv2
-
-    if by == 1:
-        return moved, seen, candidates, smooth
-    size = (max(1, round(moved.shape[1] / by)), max(1, round(moved.shape[0] / by)))
-    images = (moved, smooth, seen.astype(np.float32), candidates.astype(np.float32))
-    small = [
-        np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
-        for image in images
-    ]
-    return small[0], small[2] > 0.5, small[3] > 0.0, small[1]
-
-
-def _upsample(image: Floats, shape: tuple[int, int], *, cubic: bool = False) -> Floats:
-    import cv2
-
-    if image.shape == shape:
-        return image
-    how = cv2.INTER_CUBIC if cubic else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(image, shape[::-1], interpolation=how), np.float32)
+    closed = cv2.morphologyEx(
+        (solution.load > _LOAD_MIN).astype(np.float32),
+        cv2.MORPH_CLOSE,
+        _make_disc(_GAP_MM / (source.pixel_mm * by)),
+    )
+    touched = upsample(np.asarray(closed, np.float32), shape) > 0.5
+    return upsample(solution.displacement_mm, shape), touched

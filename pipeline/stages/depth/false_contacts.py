@@ -27,9 +27,9 @@ def remove_false_contacts(
     touched: Mask,
     surface_mm: Floats,
     pixel_mm: float,
-    border: Mask | None = None,
-    changed: Mask | None = None,
-    change_grey: Floats | None = None,
+    border: Mask,
+    changed: Mask,
+    change_grey: Floats,
 ) -> Mask:
     """The contact `touched` (rows, cols) without false regions; the deepest region stays.
 
@@ -53,19 +53,17 @@ def remove_false_contacts(
     slope = np.asarray(cv2.magnitude(*compute_slopes(surface_mm, pixel_mm)), np.float32)
     steepest = float(percentile(slope, 90.0, regions == deepest))
     steep = np.asarray(slope > min(_FLANK, _FLANK_OF_DEEPEST * steepest), np.bool_)
-    if changed is not None:
-        steep &= _erode_inside(changed)
+    steep &= _erode_inside(changed)
     keep = np.bincount(regions[touched & steep], minlength=n) > _FLANK_SHARE * np.bincount(
         regions.ravel(), minlength=n
     )
-    if border is not None:
-        cut = np.unique(regions[touched & border])
-        keep[cut[depths[cut - 1] < _BORDER_SHARE * float(depths.max())]] = False
+    cut = np.unique(regions[touched & border])
+    keep[cut[depths[cut - 1] < _BORDER_SHARE * float(depths.max())]] = False
     keep[0] = keep[deepest] = False
     for k in np.flatnonzero(keep):
         region = np.equal(regions, k)
-        keep[k] = _stands_out(region, touched, surface_mm, pixel_mm) and not (
-            change_grey is not None and _has_one_direction(change_grey, region, pixel_mm)
+        keep[k] = _stands_out(region, touched, surface_mm, pixel_mm) and not _has_one_direction(
+            change_grey, region, pixel_mm
         )
     keep[deepest] = True
     return np.asarray(keep[regions], np.bool_)

@@ -64,9 +64,8 @@ def test_four_presses_measure_another_ball_where_none_of_them_was(another_unit):
     unit, still, known = another_unit
     errors = errors_elsewhere(fit_table(known), unit, still)
     assert np.median(errors) < FEW_PRESSES_TOLERANCE
-    assert np.median(errors) < np.median(
-        errors_elsewhere(make_built_in(load_sensor("gelsight_mini")).model, unit, still)
-    )
+    described = errors_elsewhere(make_built_in(load_sensor("gelsight_mini")).model, unit, still)
+    assert errors.mean() < 0.9 * described.mean()
 
 
 def test_the_expected_error_is_of_the_size_of_the_error(another_unit):
@@ -100,7 +99,7 @@ def test_a_table_that_is_better_by_luck_is_not_taken(count, share, seed):
     luck = np.concatenate([held, without]), np.concatenate([without, held])
     assert not is_significantly_better(*luck)
     assert not is_significantly_better(without, held)
-    assert is_significantly_better(held, without) == (count >= 5)
+    assert is_significantly_better(held, without) == (count >= 6)
     assert not is_significantly_better(without, without)
     assert not is_significantly_better(np.full(count, np.nan), without)  # detects no ball
 

@@ -69,8 +69,8 @@ def find(pictures, still):
 def test_the_errors_that_a_table_has_to_beat_are_those_of_the_depth_stage(another_unit):
     unit, pictures = another_unit
     known = find(pictures, optics.render_reference(unit))
-    nothing_seen = np.full(len(PLACES), np.nan)
-    held = np.full(len(PLACES), 0.05)
+    nothing_seen = np.full(6, np.nan)
+    held = np.full(6, 0.05)
     table = replace_table(of_presses(), known, nothing_seen, held)
     assert table is not None
     assert not table.is_built_in
@@ -85,7 +85,7 @@ def test_presses_in_one_corner_give_no_table(another_unit):
         for x, y in ((60, 60), (85, 70), (60, 90), (90, 95))
     ]
     known = find(corner, optics.render_reference(unit))
-    assert replace_table(of_presses(), known, np.full(4, np.nan), np.full(4, 0.05)) is None
+    assert replace_table(of_presses(), known, np.full(6, np.nan), np.full(6, 0.05)) is None
 
 
 def test_pixels_of_another_width_are_compared_in_that_width():

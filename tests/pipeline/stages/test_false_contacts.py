@@ -7,6 +7,18 @@ import pytest
 from pipeline.stages.depth import false_contacts
 
 
+def remove_false_contacts(
+    touched, surface_mm, pixel_mm, border=False, changed=True, change_grey=None
+):
+    """The contact that stays; by default of a change that tells nothing, away from any border."""
+    border, changed = (np.broadcast_to(mask, touched.shape) for mask in (border, changed))
+    if change_grey is None:
+        change_grey = np.zeros((*touched.shape, 3), np.float32)
+    return false_contacts.remove_false_contacts(
+        touched, surface_mm, pixel_mm, border, changed, change_grey
+    )
+
+
 def test_a_shallow_plate_is_removed_and_a_second_touch_stays():
     y, x = np.mgrid[:120, :200].astype(np.float32)
     balls = [
@@ -15,7 +27,7 @@ def test_a_shallow_plate_is_removed_and_a_second_touch_stays():
     plate = 0.1 * np.exp(-(((x - 170) / 25) ** 2 + ((y - 60) / 25) ** 2))
     surface = (balls[0] + balls[1] + plate).astype(np.float32)
     touched = (balls[0] > 0) | (balls[1] > 0) | (plate > 0.08)
-    remaining = false_contacts.remove_false_contacts(touched, surface, 0.05)
+    remaining = remove_false_contacts(touched, surface, 0.05)
     assert remaining[60, 40]
     assert remaining[60, 100]
     assert not remaining[60, 170]
@@ -32,8 +44,8 @@ def test_a_step_at_the_end_of_the_changed_region_is_removed():
     )
     surface = (ball + cv2.GaussianBlur(raised, (0, 0), 1.0)).astype(np.float32)
     touched = (ball > 0) | (raised > 0.06)
-    assert false_contacts.remove_false_contacts(touched, surface, 0.05)[60, 140]
-    remaining = false_contacts.remove_false_contacts(touched, surface, 0.05, None, changed)
+    assert remove_false_contacts(touched, surface, 0.05)[60, 140]
+    remaining = remove_false_contacts(touched, surface, 0.05, changed=changed)
     assert remaining[60, 40]
     assert not remaining[60, 140]
 
@@ -44,7 +56,7 @@ def test_a_bump_on_raised_gel_is_removed_and_a_light_touch_stays(around_mm, rema
     ball = np.maximum(0.9 - ((x - 50) ** 2 + (y - 60) ** 2) / 1000, 0)
     bump = np.maximum(0.08 - ((x - 180) ** 2 + (y - 60) ** 2) / 1000, 0)
     high = around_mm * np.exp(-(((x - 180) / 40) ** 4) - ((y - 60) / 40) ** 4)
-    remaining = false_contacts.remove_false_contacts(
+    remaining = remove_false_contacts(
         (ball > 0) | (bump > 0), (ball + bump + high).astype(np.float32), 0.05
     )
     assert remaining[60, 50]
@@ -58,7 +70,7 @@ def test_parts_of_a_light_touch_stay_without_steep_flanks():
         for cx, depth in ((50, 0.06), (130, 0.05))
     ]
     surface = (balls[0] + balls[1]).astype(np.float32)
-    remaining = false_contacts.remove_false_contacts(surface > 0, surface, 0.05)
+    remaining = remove_false_contacts(surface > 0, surface, 0.05)
     assert remaining[60, 50]
     assert remaining[60, 130]
 
@@ -73,11 +85,11 @@ def test_a_region_at_the_border_has_a_good_part_of_the_deepest_depth(centre, sha
     border = np.pad(np.zeros((118, 198), np.bool_), 1, constant_values=True)
     surface = (deep + other).astype(np.float32)
     touched = (deep > 0) | (other > 0)
-    remaining = false_contacts.remove_false_contacts(touched, surface, 0.05, border)
+    remaining = remove_false_contacts(touched, surface, 0.05, border)
     assert remaining[60, 140]
     assert remaining[60, centre] == remains
     # only the border tells
-    assert false_contacts.remove_false_contacts(touched, surface, 0.05)[60, centre]
+    assert remove_false_contacts(touched, surface, 0.05)[60, centre]
 
 
 @pytest.mark.parametrize("colours", ["of a dent", "of a spot of light"])
@@ -90,7 +102,7 @@ def test_a_region_whose_colours_all_rise_is_light(colours):
     change = np.repeat(np.gradient(surface, axis=1)[..., None], 3, axis=2)
     if colours == "of a spot of light":
         change[:, :95] = surface[:, :95, None]
-    remaining = false_contacts.remove_false_contacts(
+    remaining = remove_false_contacts(
         surface > 0, surface, 0.05, change_grey=change.astype(np.float32)
     )
     assert remaining[60, 140]

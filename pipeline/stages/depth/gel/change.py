@@ -70,9 +70,6 @@ class ChangeSettings:
     # 25 to 50.
     unlikely_drift: float = 12.0
     # A smooth dent, which the linear light of the blocks measures as well as anything: its radius
-    # at half its depth in distances of knots (soft balls of .13 mm from 2.3), its steepest slope,
-    # and that times the radius over the depth. A paraboloid has 1.4; balls of 30 to 120 mm up to
-    # 1.9, faces and tools of every gel 2.0 to 7.4. Small balls are steeper than .3 mm/mm.
     # at half its depth in distances of knots (soft balls of .13 mm from 2.3), and its steepest
     # slope (small balls have more than .3 mm/mm).
     smooth_knots: float = 2.0

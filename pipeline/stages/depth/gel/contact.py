@@ -90,14 +90,12 @@ def detect_contact(
     )
     pressed = contact.fill_small_holes(pressed, round(_HOLE_MM2 / pixel_mm**2))
     touched = np.zeros(shape, np.bool_)
-    indentation = np.zeros(shape, np.float32)
     touched[here] = pressed
-    distance = (
-        None if source.gel is None else _compute_distance(touched[here], pixel_mm, source.gel)
-    )
-    if used is not None and used.is_trusted:
-        z = _level_far_field(z, touched[here], distance, window, source, pixel_mm)
-    indentation[here] = _relax_surface(z, touched[here], distance, window, source, pixel_mm)
+    indentation = np.zeros(shape, np.float32)
+    indentation[here] = z * window.blend_weight
+    if source.gel is not None and pressed.any():
+        is_lit = used is not None and used.is_trusted
+        indentation[here] = _relax_surface(z, pressed, window, source.gel, pixel_mm, levels=is_lit)
     by_near_leds = used is not None and used.model in {"field", "near"}
     if by_near_leds and near_led_prior.has_weak_shading(touched, change.rest.image, source):
         notes.append(_WEAK_SHADING)
@@ -140,49 +138,28 @@ def _level_surface(
 def _relax_surface(
     surface: Floats,
     touched: Mask,
-    distance: Floats | None,
     window: ImageWindow,
-    source: SensorSpec,
+    gel: Gel,
     pixel_mm: float,
+    *,
+    levels: bool,
 ) -> Floats:
     """The surface (rows, cols) without what the gel cannot do.
 
     Outside a contact a nearly incompressible layer of thickness t, bonded to its back, falls to its
     rest within about t / 2 and bulges beyond: between t / 5 and 3 t / 5 from the contact, the
-    measured surface passes into the mechanical one. Without a contact the surface stays as
-    measured.
+    measured surface passes into the mechanical one. `levels`: the surface is shifted to the height
+    that mechanics give it far from the contact; only for light whose LEDs are known, as other light
+    is estimated from surfaces that are at rest outside the contact.
     """
-    if source.gel is None or not touched.any():
-        return surface * window.blend_weight
-    thicknesses = _compute_distance(touched, pixel_mm, source.gel) if distance is None else distance
-    keep = np.clip((_FADE_END - thicknesses) / (_FADE_END - _FADE_START), 0.0, 1.0)
-    keep = np.maximum(keep * window.blend_weight, touched)
-    beyond = rest_level.compute_far_field(surface, touched, pixel_mm, source.gel)
-    return np.asarray(beyond + (surface - beyond) * keep, np.float32)
-
-
-def _level_far_field(
-    surface: Floats,
-    touched: Mask,
-    distance: Floats | None,
-    window: ImageWindow,
-    source: SensorSpec,
-    pixel_mm: float,
-) -> Floats:
-    """The surface (rows, cols), shifted to the height that mechanics give it far from the contact.
-
-    Only for light whose LEDs are known: other light is estimated from surfaces that are at rest
-    outside the contact.
-    """
-    if source.gel is None or distance is None or not touched.any():
-        return surface
-    far = (distance > _FAR) & window.changed
-    return rest_level.level_by_far_field(surface, touched, far, pixel_mm, source.gel)
-
-
-def _compute_distance(touched: Mask, pixel_mm: float, gel: Gel) -> Floats:
-    """Distance of each pixel (rows, cols) from the contact, in gel thicknesses."""
     import cv2
 
-    distance_px = cv2.distanceTransform((~touched).astype(np.uint8), cv2.DIST_L2, 5)
-    return np.asarray(distance_px, np.float32) * np.float32(pixel_mm / gel.thickness_mm)
+    away_px = np.asarray(cv2.distanceTransform((~touched).astype(np.uint8), cv2.DIST_L2, 5))
+    thicknesses = away_px * np.float32(pixel_mm / gel.thickness_mm)
+    if levels:
+        far = (thicknesses > _FAR) & window.changed
+        surface = rest_level.level_by_far_field(surface, touched, far, pixel_mm, gel)
+    keep = np.clip((_FADE_END - thicknesses) / (_FADE_END - _FADE_START), 0.0, 1.0)
+    keep = np.maximum(keep * window.blend_weight, touched)
+    beyond = rest_level.compute_far_field(surface, touched, pixel_mm, gel)
+    return np.asarray(beyond + (surface - beyond) * keep, np.float32)
