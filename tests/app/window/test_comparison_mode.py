@@ -72,6 +72,7 @@ def test_one_comparison_mode_at_a_time(window):
 
 
 def test_the_truth_lies_right_of_the_wipe_handle(window):
+    window.window.look.dims_chosen.emit(1, "both")
     _choose(window, "wipe")
     view = window.window.columns["touch_depth"].view
     overlay = view.overlay
