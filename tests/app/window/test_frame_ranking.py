@@ -171,6 +171,7 @@ def test_a_row_has_a_thumbnail_and_the_cause_of_its_error(qtbot, monkeypatch):
     model.show_metric("frame.round_trip_mm", "error")
     cells = [model.data(model.index(0, column)) for column in (METRIC, CAUSE, WARNINGS)]
     assert cells == ["0.040", "depth", "1"]
+    monkeypatch.setattr("widgets.frames.frames_model.is_dark", lambda _palette: False)
     pixmap = model.data(model.index(0, FRAME), Qt.ItemDataRole.DecorationRole).pixmap(40, 30)
     assert (pixmap.width(), pixmap.height()) == (40, 30)
     assert model.thumbnails.keys() == {0}
