@@ -33,9 +33,9 @@ from widgets.frames.error_attribution_panel import ErrorAttributionPanel
 from widgets.frames.frames_panel import FramesPanel
 from widgets.shell.banner import Banner
 from widgets.shell.command_bar import ActionTabs
+from widgets.shell.inspector import Inspector
 from widgets.shell.log_panel import LogPanel
 from widgets.shell.panes import LookPage
-from widgets.stages.inspector import Inspector
 from widgets.stages.parameters_panel import ParametersPanel
 from widgets.stages.probes_panel import ProbesPanel, TracePanel
 from widgets.stages.section_panel import SectionPanel

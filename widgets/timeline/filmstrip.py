@@ -19,9 +19,8 @@ from PyQt6.QtWidgets import (
 )
 
 from pipeline.views.preview import Preview
-from widgets.stages.stage_column import PENDING
 from widgets.style.base import EventListener
-from widgets.style.icons import is_trouble, paint_state
+from widgets.style.icons import PENDING, is_trouble, paint_state
 from widgets.style.styling import fill, make_command_button, set_spacing
 from widgets.style.theme import ThemeColours, get_theme_colours, to_qcolor
 from widgets.views.preview_renderer import MAX_ZOOM, PreviewRenderer
