@@ -9,7 +9,6 @@ from app.document.evaluator import EvaluatedFrame
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
 from app.frames.error_attribution import ErrorAttributionController
-from app.session.layout import Dims
 from pipeline.core.graph import StageResult
 from pipeline.core.values.results import DepthMap
 from pipeline.stages.metrics.stage_metrics import METRICS
@@ -110,8 +109,7 @@ class VerdictController(Feature):
         def show() -> None:
             look = self._window.look
             look.choose_stage(stage)
-            both: Dims = "both"
-            look.dims_chosen.emit(look.active_pane, both)
+            look.dims_chosen.emit(look.active_pane, "both")
             self._controller.set_comparison_mode("difference")
 
         return show

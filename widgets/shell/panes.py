@@ -146,8 +146,11 @@ class Pane(QFrame):
     def release_contents(self) -> None:
         """Hide and release the widgets before they move to another pane."""
         if self._held is not None:
-            for widget in (*self._held, self._held[0].head):
-                widget.setParent(self)  # out of splitter and head, which hides it
+            head = self._held[0].head
+            self._head.removeWidget(head)
+            for widget in (*self._held, head):
+                widget.setParent(self)  # out of the splitter
+                widget.hide()
         self._both.release_contents()
         self._held = None
 
