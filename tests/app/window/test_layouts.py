@@ -225,6 +225,7 @@ def test_align_shows_the_target_depth_minus_the_observation(window):
 def test_a_session_stores_the_layout(window, open_window, tmp_path):
     window.window.look.stage_chosen.emit(0, "pose")
     window.save_session(tmp_path / "s.touch.json")
+    assert "s.touch.json" in window.window.said
     kept = load_session(tmp_path / "s.touch.json").layout
     assert kept == window.session.layout
     assert kept.panes[0][0] == "pose"
