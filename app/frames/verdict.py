@@ -120,7 +120,8 @@ class VerdictController(Feature):
         metrics = {} if latest is None else latest.metrics
         chosen = self._window.look.active_stage
         shown: list[tuple[str, str, str]] = []
-        for name, value in sorted(metrics.items(), key=lambda pair: pair[0] != DEFAULT_METRIC):
+        for name in sorted(metrics, key=lambda name: name != DEFAULT_METRIC):
+            value = metrics[name]
             stage, _, figure = name.partition(".")
             if (name == DEFAULT_METRIC or stage == chosen) and math.isfinite(value):
                 metric = METRICS[figure]
