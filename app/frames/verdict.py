@@ -122,7 +122,7 @@ class VerdictController(Feature):
         shown: list[tuple[str, str, str]] = []
         for name in sorted(metrics, key=lambda name: name != DEFAULT_METRIC):
             value = metrics[name]
-            stage, _, figure = name.partition(".")
+            stage, figure = name.split(".", 1)
             if (name == DEFAULT_METRIC or stage == chosen) and math.isfinite(value):
                 metric = METRICS[figure]
                 text = f"{value:.3f} {metric.unit}".rstrip()
