@@ -353,7 +353,7 @@ class MainWindow(QMainWindow):
         return (
             bool(self.presented_columns)
             or self.current_layout.name == "task"
-            or self.columns["touch"].isVisible()
+            or any(name == "touch" and column.isVisible() for name, column in self.columns.items())
         )
 
     def connect_command(self, name: str, function: Callable[[], object]) -> None:
