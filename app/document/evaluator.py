@@ -118,15 +118,16 @@ class Evaluator:
         report: JobReporter,
         *,
         with_observation: bool = False,
-        with_truth: bool = False,
+        truth_of: tuple[str, ...] = (),
         get_current: Callable[[], Translation | None] | None = None,
     ) -> EvaluatedFrame:
         """Compute `stages` of the session's frame, delivering each part as soon as it is done.
 
         Raises TouchError.
 
-        `with_observation` outlines what the target sensor itself recorded, `with_truth` adds each
-        stage's truth and the difference to it, where the recording holds them. The translation is
+        `with_observation` outlines what the target sensor itself recorded, `truth_of` names
+        the stages that are shown with their truth and the difference to it, where the recording
+        holds them. The translation is
         delivered when it opens, and again if `get_current()` is another one by then: a newer
         request drops the parts of an older one.
         """
@@ -150,7 +151,8 @@ class Evaluator:
         report.deliver(source)
         results: dict[str, StageResult] = {}
         stages = tuple(name for name in translation.stages if name in stages)
-        truths = self._get_true_outputs(translation, index, stages) if with_truth else None
+        compared = tuple(name for name in stages if name in truth_of)
+        truths = self._get_true_outputs(translation, index, compared) if compared else None
 
         def on_stage(result: StageResult) -> None:
             result = add_truth_warnings(result, truth)
@@ -161,7 +163,7 @@ class Evaluator:
                 if compares
                 else None
             )
-            known = truths if result.name in stages else None
+            known = truths if result.name in compared else None
             report.deliver(
                 self._previews.draw_stage(result, results, translation, session, other, known)
             )

@@ -413,9 +413,7 @@ class SessionController(SessionDocument):
             self.evaluator.evaluate_frame,
             with_observation="observation" in self._extras,
             get_current=lambda: self.views.translation,
-            with_truth=bool(self.views.comparison_mode)
-            or self.window.shows_true_touch
-            or "truth" in self._extras,
+            truth_of=self._list_compared_stages(stages),
         )
         now_s = time.monotonic()
         interrupts = self.requests.must_interrupt(now_s, opens=other_request)
@@ -433,6 +431,12 @@ class SessionController(SessionDocument):
         self.window.timeline.show_ready(ready=False)
         if not self._stale_timer.isActive():
             self._stale_timer.start()
+
+    def _list_compared_stages(self, stages: tuple[str, ...]) -> tuple[str, ...]:
+        """List the stages to show with their truth."""
+        if self.views.comparison_mode or "truth" in self._extras:
+            return stages
+        return ("touch",) if self.window.shows_true_touch else ()
 
     def _session_to_compute(self) -> Session:
         """Return the session; while a parameter is dragged, with draft parameters from its stage

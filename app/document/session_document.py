@@ -220,6 +220,7 @@ class SessionDocument(QObject):
             self.undo_stack.setClean()
             self.window.setWindowModified(False)
             log.info("session saved: '%s'", path)
+            self.window.say(f"saved as {path.name}")
 
     def _is_session_file(self, path: Path) -> bool:
         """Whether a path is that of the open session's file, by whatever spelling."""

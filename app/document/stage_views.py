@@ -193,7 +193,7 @@ class StageViews:
         """
         view = self._window.columns[_PREVIEWED].view
         view.show_preview(before)
-        view.overlay.show_wipe(after)
+        view.overlay.show_wipe(after, "before", "after")
 
     def show_drag_preview(
         self, preview: Preview, other: TruthView | None, layers: tuple[Layer, ...]

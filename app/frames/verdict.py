@@ -9,7 +9,6 @@ from app.document.evaluator import EvaluatedFrame
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
 from app.frames.error_attribution import ErrorAttributionController
-from app.session.layout import Dims
 from pipeline.core.graph import StageResult
 from pipeline.core.values.results import DepthMap
 from pipeline.stages.metrics.stage_metrics import METRICS
@@ -110,8 +109,7 @@ class VerdictController(Feature):
         def show() -> None:
             look = self._window.look
             look.choose_stage(stage)
-            both: Dims = "both"
-            look.dims_chosen.emit(look.active_pane, both)
+            look.dims_chosen.emit(look.active_pane, "both")
             self._controller.set_comparison_mode("difference")
 
         return show
@@ -122,8 +120,9 @@ class VerdictController(Feature):
         metrics = {} if latest is None else latest.metrics
         chosen = self._window.look.active_stage
         shown: list[tuple[str, str, str]] = []
-        for name, value in sorted(metrics.items(), key=lambda pair: pair[0] != DEFAULT_METRIC):
-            stage, _, figure = name.partition(".")
+        for name in sorted(metrics, key=lambda name: name != DEFAULT_METRIC):
+            value = metrics[name]
+            stage, figure = name.split(".", 1)
             if (name == DEFAULT_METRIC or stage == chosen) and math.isfinite(value):
                 metric = METRICS[figure]
                 text = f"{value:.3f} {metric.unit}".rstrip()

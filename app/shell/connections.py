@@ -251,7 +251,9 @@ def _connect_view(controller: SessionController) -> None:
             f"show_{mode}", lambda mode=mode: _toggle_comparison_mode(controller, mode)
         )
     window.connect_command("cancel", controller.cancel)
-    window.look.filmstrip.thumbnails["pose"].offer_remedy(window.actions_by_name["open_mesh"])
+    for stage, card in window.look.filmstrip.thumbnails.items():
+        if stage == "pose":
+            card.offer_remedy(window.actions_by_name["open_mesh"])
     window.connect_command("inspector", window.show_inspector_if_checked)
 
 

@@ -25,9 +25,7 @@ class LayoutController(Feature):
         for i, name in enumerate(window.columns):
             window.connect_command(f"stage_{i + 1}", partial(self.show_stage, name))
         window.look.stage_chosen.connect(self._choose_stage)
-        window.look.stage_toggled.connect(
-            lambda stage: self._arrange(self._resolved_layout.with_toggled(stage))
-        )
+        window.look.stage_toggled.connect(self._toggle_stage)
         window.look.dims_chosen.connect(self._choose_dims)
         window.verdict.finding_chosen.connect(self.show_stage)
         window.show_layout(controller.session.layout)
@@ -57,6 +55,9 @@ class LayoutController(Feature):
 
     def _choose_stage(self, pane: int, stage: str) -> None:
         self._arrange(self._resolved_layout.with_stage(pane, stage))
+
+    def _toggle_stage(self, stage: str) -> None:
+        self._arrange(self._resolved_layout.with_toggled(stage))
 
     def _choose_dims(self, pane: int, dims: str) -> None:
         chosen: Dims = next(d for d in DIMS if d == dims)

@@ -82,7 +82,7 @@ def _draw_frames(
     for index in range(opened.n_frames):
         report.step(index / opened.n_frames, f"frame {index}")
         parts = _Parts(report)
-        evaluator.evaluate_frame(session.with_updates(frame=index), stages, parts, with_truth=True)
+        evaluator.evaluate_frame(session.with_updates(frame=index), stages, parts, truth_of=stages)
         yield _to_array(compose(make_panes(opened, parts.shown, contrast), size))
 
 

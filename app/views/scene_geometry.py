@@ -91,13 +91,13 @@ _SOURCE_LEGEND = "image on the sensor surface"
 
 def show_captions(window: MainWindow, opened: Translation, display: DisplayParams) -> None:
     """Update the captions, with the axes in the colours of the theme."""
-    _show_caption(window.view_panels["source"], _SOURCE_LEGEND, opened.source.name, 1.0)
+    _show_caption(window.view_panels["source"], _SOURCE_LEGEND, opened.source.title, 1.0)
     for stage in opened.catalogue.stages:
         stretch = get_depth_stretch(stage.name, opened, display)
         _show_caption(
             window.view_panels[stage.name],
             opened.catalogue.views[stage.name].legend,
-            opened.get_sensor(stage.name).name,
+            opened.get_sensor(stage.name).title,
             stretch,
         )
 

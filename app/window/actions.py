@@ -284,13 +284,13 @@ COMPARISON_MODE_COMMANDS = (
 VARIANT_COMMANDS = (
     Command(
         "set_variant_settings",
-        "Set B to settings",
+        "Keep these settings as B",
         "Keep the current settings as session B of Compare",
         key="Ctrl+H",
     ),
     Command(
         "set_variant_recording",
-        "Set B to recording…",
+        "Open recording as B…",
         "Use another recording with the current settings as session B of Compare",
     ),
     Command("clear_variant", "Clear B", "Remove session B of Compare"),

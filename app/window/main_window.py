@@ -4,8 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 
-from PyQt6.QtCore import QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent, QResizeEvent
+from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent
 from PyQt6.QtWidgets import (
     QComboBox,
     QDockWidget,
@@ -33,9 +33,9 @@ from widgets.frames.error_attribution_panel import ErrorAttributionPanel
 from widgets.frames.frames_panel import FramesPanel
 from widgets.shell.banner import Banner
 from widgets.shell.command_bar import ActionTabs
+from widgets.shell.inspector import Inspector
 from widgets.shell.log_panel import LogPanel
 from widgets.shell.panes import LookPage
-from widgets.stages.inspector import Inspector
 from widgets.stages.parameters_panel import ParametersPanel
 from widgets.stages.probes_panel import ProbesPanel, TracePanel
 from widgets.stages.section_panel import SectionPanel
@@ -43,7 +43,7 @@ from widgets.stages.stage_column import StageColumn
 from widgets.stages.steps_panel import StepsPanel
 from widgets.stages.timings_panel import TimingsPanel
 from widgets.stages.verdict_line import VerdictLine
-from widgets.style.base import ChoiceBox
+from widgets.style.base import ChoiceBox, EventListener
 from widgets.style.run_bar import RunBar
 from widgets.style.styling import fill, set_spacing
 from widgets.task.task_page import TaskPage
@@ -57,7 +57,7 @@ _FRAME = QSize(2, 40)  # that a desktop draws around a window: borders and title
 # width of a sensor chooser; of its list, which cuts no name off
 _CHOOSER_LETTERS = 11
 _SENSOR_LIST_PX = 240
-_INSPECTOR_FROM_PX = 1500  # a narrower window folds the inspector
+_INSPECTOR_FROM_PX = 1400  # a narrower page folds the inspector
 _STATUS_PX = 4  # of the status bar around its highest part: it never moves the panes
 _SAY_MS = 5000  # until a sentence of the status bar leaves
 
@@ -194,6 +194,8 @@ class MainWindow(QMainWindow):
         for page in (self.look, self.comparison, self.track, self.task):
             self.pages.addWidget(page)
         self.look.active_changed.connect(self.inspector.show_stage)
+        self._is_wide = False
+        EventListener(self.look, self._fold_inspector, QEvent.Type.Resize)
         centre = QWidget()
         layout = set_spacing(QVBoxLayout(centre), 4, (4, 4, 4, 0))
         self.strips = set_spacing(QVBoxLayout(), 4)  # what is to be acted on, over no view
@@ -267,14 +269,12 @@ class MainWindow(QMainWindow):
         """The sentence in the status bar; "" while there is none."""
         return self._status.currentMessage()
 
-    def resizeEvent(self, a0: QResizeEvent | None) -> None:  # noqa: N802
-        """Fold the inspector where there is little room, and unfold it again."""
-        super().resizeEvent(a0)
-        action = self.actions_by_name["inspector"]
-        was_wide = a0 is None or a0.oldSize().width() >= _INSPECTOR_FROM_PX
-        is_wide = self.width() >= _INSPECTOR_FROM_PX
-        if is_wide != was_wide or a0 is None or not a0.oldSize().isValid():
-            action.setChecked(is_wide)
+    def _fold_inspector(self) -> None:
+        """Fold the inspector where the page becomes narrow, and unfold it where it becomes wide."""
+        is_wide = self.look.width() >= _INSPECTOR_FROM_PX
+        if is_wide != self._is_wide:
+            self._is_wide = is_wide
+            self.actions_by_name["inspector"].setChecked(is_wide)
             self.show_inspector_if_checked()
 
     def show_inspector(self) -> None:
@@ -353,7 +353,7 @@ class MainWindow(QMainWindow):
         return (
             bool(self.presented_columns)
             or self.current_layout.name == "task"
-            or self.columns["touch"].isVisible()
+            or any(name == "touch" and column.isVisible() for name, column in self.columns.items())
         )
 
     def connect_command(self, name: str, function: Callable[[], object]) -> None:

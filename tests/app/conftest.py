@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PyQt6.QtWidgets import QApplication
 
 from app.main import prepare_environment
 from pipeline.core.arrays import freeze
@@ -20,6 +21,7 @@ from app.document.session_controller import SessionController  # noqa: E402 - th
 from app.main import show_window  # noqa: E402
 from app.session.state import Session  # noqa: E402
 from app.shell.tour import wait_until_shown  # noqa: E402
+from widgets.style.theme import use_palette  # noqa: E402
 
 N_FRAMES = 3
 
@@ -101,10 +103,13 @@ def open_window(qtbot) -> Iterator[Callable[..., SessionController]]:
         qtbot.addWidget(controller.window, before_close_func=lambda _: controller.close())
         return controller
 
+    font = QApplication.font()
     yield open_one
     for controller in made:
         controller.close()
         controller.window.close()
+    use_palette(dark=False)  # of other tests
+    QApplication.setFont(font)
 
 
 @pytest.fixture

@@ -24,6 +24,7 @@ _STILL = 1.08
 _WAY = Qt.Orientation
 DIMS = ("2D", "3D", "both")
 MAX_PANES = 3
+_LEAST_WIDE_PX = 480
 _COLLAPSED_BELOW_PX = 550  # a lower page collapses the cards to names
 
 
@@ -145,8 +146,11 @@ class Pane(QFrame):
     def release_contents(self) -> None:
         """Hide and release the widgets before they move to another pane."""
         if self._held is not None:
-            for widget in (*self._held, self._held[0].head):
-                widget.setParent(self)  # out of splitter and head, which hides it
+            head = self._held[0].head
+            self._head.removeWidget(head)
+            for widget in (*self._held, head):
+                widget.setParent(self)  # out of the splitter
+                widget.hide()
         self._both.release_contents()
         self._held = None
 
@@ -230,11 +234,12 @@ class LookPage(QWidget):
         self.activate_pane(self.active_pane)
 
     def minimumSizeHint(self) -> QSize:  # noqa: N802
-        """Return the height with collapsed cards: a hidden page must not keep the window from
-        being low.
+        """Return little: neither the cards, which collapse, nor three heads keep the window from
+        being small.
         """
         hint = super().minimumSizeHint()
-        return QSize(hint.width(), hint.height() - self.filmstrip.collapsible_px)
+        least_px = min(hint.width(), _LEAST_WIDE_PX)
+        return QSize(least_px, hint.height() - self.filmstrip.collapsible_px)
 
     def _collapse_cards(self) -> None:
         self.filmstrip.set_collapsed(self.height() < _COLLAPSED_BELOW_PX)

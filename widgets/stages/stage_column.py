@@ -19,12 +19,11 @@ from PyQt6.QtWidgets import (
 
 from pipeline.stages.stage import TRUTH
 from widgets.style.base import ChoiceBox
-from widgets.style.icons import StateIcon, is_trouble
+from widgets.style.icons import PENDING, StateIcon, is_trouble
 from widgets.style.styling import fill, make_bold, set_spacing
 from widgets.style.theme import get_theme_colours, to_hex
 from widgets.views.preview_view import PreviewView
 
-PENDING = ("stale", "running")  # states of a stage that is being computed again
 _LINE_PX = 2
 _METHOD_PX = 48  # least width of the chooser
 

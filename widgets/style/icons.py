@@ -15,6 +15,7 @@ from widgets.style.theme import get_theme_colours, to_hex
 
 # one SVG per icon, in currentColor; `state_*` are signs of states
 DRAWINGS = Path(__file__).with_name("drawings")
+PENDING = ("stale", "running")  # states of a stage that is being computed again
 _FAINT = 0.35  # opacity of a disabled command
 
 

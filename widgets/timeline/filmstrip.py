@@ -19,9 +19,8 @@ from PyQt6.QtWidgets import (
 )
 
 from pipeline.views.preview import Preview
-from widgets.stages.stage_column import PENDING
 from widgets.style.base import EventListener
-from widgets.style.icons import is_trouble, paint_state
+from widgets.style.icons import PENDING, is_trouble, paint_state
 from widgets.style.styling import fill, make_command_button, set_spacing
 from widgets.style.theme import ThemeColours, get_theme_colours, to_qcolor
 from widgets.views.preview_renderer import MAX_ZOOM, PreviewRenderer
@@ -48,7 +47,7 @@ class Thumbnail(QAbstractButton):
         self.state = "waiting"
         self.method = ""
         self.share: tuple[float, str] | None = None  # of the error (0 to 1), and its value
-        self.is_in_pane = self.is_active = self.is_collapsed = False
+        self.is_in_pane = self.is_active = self.is_collapsed = self.is_feedable = False
         self.remedy: QToolButton | None = None
         self._picture: Preview | None = None
         self._pixmap: QPixmap | None = None
@@ -87,17 +86,15 @@ class Thumbnail(QAbstractButton):
     def show_feedable(self, *, feedable: bool) -> None:
         """Set whether the stage lacks what its remedy gives it."""
         if self.remedy is not None:
-            self.remedy.setVisible(feedable)
+            self.is_feedable = feedable
+            self.remedy.setVisible(feedable and not self.is_collapsed)
             across = QSizePolicy.Policy.Fixed if feedable else QSizePolicy.Policy.Expanding
             self.setSizePolicy(across, QSizePolicy.Policy.Fixed)
-
-    @property
-    def _is_narrow(self) -> bool:
-        return self.remedy is not None and not self.remedy.isHidden()
 
     def set_collapsed(self, folded: bool) -> None:
         """Show sign and title only."""
         self.is_collapsed = folded
+        self.show_feedable(feedable=self.is_feedable)
         self.updateGeometry()
 
     def show_pane_state(self, *, shown: bool, active: bool) -> None:
@@ -149,9 +146,9 @@ class Thumbnail(QAbstractButton):
             said = metrics.elidedText(text, end, int(room.width()))
             painter.drawText(room, Qt.AlignmentFlag.AlignVCenter, said)
             left += metrics.horizontalAdvance(text) + 2 * _EDGE_PX
-            if self.width() - left < 4 * _SIGN_PX or self._is_narrow:
+            if self.width() - left < 4 * _SIGN_PX or self.is_feedable:
                 break
-        if self.is_collapsed or self._is_narrow:
+        if self.is_collapsed or self.is_feedable:
             return
         if self._picture is not None:
             size = QSize(self.width() - 2 * _EDGE_PX, _PICTURE_PX.height())

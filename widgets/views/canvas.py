@@ -57,7 +57,7 @@ class Canvas(QWidget):
         self.line: tuple[QPointF, QPointF] | None = None  # section line, in image pixels
         # share of the width where the overlay begins, None = no handle
         self.handle_share: float | None = None
-        self.handle_words = "", ""  # what is at its left and right
+        self.handle_words: tuple[str, str] = ("", "")  # what is at its left and right
         self._pressed: QPointF | None = None
         self._dragged: QPointF | None = None
         self.n_renders = 0  # number of times the image was rendered

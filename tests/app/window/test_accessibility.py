@@ -109,8 +109,8 @@ def test_no_letters_are_smaller_than_a_caption(opened):
     assert min(w.font().pointSizeF() for w in _widgets()) == TEXT_PT
 
 
-def test_the_tab_key_reaches_every_button_of_tool_bar_and_rail(opened):
-    for name in ("tool_bar", "rail"):
+def test_the_tab_key_reaches_every_button_of_the_tool_bar(opened):
+    for name in ("tool_bar",):
         bar = opened.findChild(QToolBar, name)
         buttons = [b for b in bar.findChildren(QToolButton) if b.defaultAction() is not None]
         assert len(buttons) >= 4

@@ -14,6 +14,7 @@ import pytest
 
 from app.align.alignment import AlignmentController
 from app.document.session_controller import SessionController
+from app.session.layout import Layout
 from app.session.sample import SAMPLE_RECORDING
 from app.session.state import Session
 from app.shell.tour import wait_until_shown
@@ -54,9 +55,7 @@ def aligned(open_window, qtbot) -> SessionController:
 def _window_with_dock(open_window, qtbot, recording: Path, **session) -> SessionController:
     gl = bool(session.pop("gl", False))
     controller = open_window(gl=gl)
-    controller.window.show_only("target_depth")
-    controller.window.drawers.alignment.show()
-    controller.show_session(Session(recording=recording, **session))
+    controller.show_session(Session(recording=recording, layout=Layout(name="align"), **session))
     panel = controller.window.alignment
     qtbot.waitUntil(
         lambda: bool(panel.no_score_reason.text()) or bool(panel.bars.axes), timeout=WAIT_MS
@@ -124,7 +123,7 @@ def test_stages_dropped_by_a_drag_are_computed_when_it_ends(aligned, qtbot, sett
 
     with monkeypatch.context() as patched:
         patched.setattr(evaluator, "evaluate_frame", for_ever)
-        aligned.window.show_only(None)
+        aligned.change("lay out", layout=Layout())
         aligned.choose_frame(TOUCHED + 1)
         qtbot.waitUntil(
             lambda: begun.is_set() and columns["source"].state == "running", timeout=WAIT_MS
@@ -136,7 +135,7 @@ def test_stages_dropped_by_a_drag_are_computed_when_it_ends(aligned, qtbot, sett
         )
         assert columns["source"].state == "stale", "nothing runs"
         assert not aligned.is_idle, "the new frame has not come"
-    aligned.window.show_only("target_depth")
+    aligned.change("lay out", layout=Layout(name="align"))
     _let_go(aligned, "x")
     settled(aligned)
     assert aligned.latest_frame.index == TOUCHED + 1
@@ -207,7 +206,6 @@ def test_offsets_are_saved_in_the_session_file(aligned, open_window, tmp_path, s
     path = tmp_path / "s.touch.json"
     aligned.save_session(path)
     other = open_window()
-    other.show_only("target_depth")
     other.open_path(path)
     assert wait_until_shown(other, LIMIT_S)
     assert other.session.offsets == aligned.session.offsets
@@ -320,7 +318,6 @@ def test_an_alignment_of_other_sensors_is_reported_and_undone(aligned, qtbot):
 
 def test_nothing_is_assessed_while_the_dock_is_hidden(open_window):
     controller = open_window()
-    controller.show_only("target_depth")
     controller.show_session(
         Session(recording=PAIRED, source="digit", target="gelslim", frame=TOUCHED)
     )

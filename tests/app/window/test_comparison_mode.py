@@ -31,7 +31,7 @@ def _grey(image):
     return np.array(
         [
             [image.pixelColor(x, y).green() for x in range(image.width())]
-            for y in range(0, image.height(), 4)
+            for y in range(28, image.height(), 4)  # under the words at the handle
         ],
         np.float64,
     )
@@ -74,6 +74,7 @@ def test_one_comparison_mode_at_a_time(window):
 
 
 def test_the_truth_lies_right_of_the_wipe_handle(window):
+    window.window.look.dims_chosen.emit(1, "both")
     _choose(window, "wipe")
     view = window.window.columns["touch_depth"].view
     overlay = view.overlay
@@ -103,6 +104,7 @@ def test_the_truth_lies_right_of_the_wipe_handle(window):
 
 
 def test_blink_alternates_until_it_is_switched_off(window, qtbot):
+    window.window.actions_by_name["stage_2"].trigger()
     _choose(window, "blink")
     overlay = window.window.columns["depth"].view.overlay
     seen = set()
@@ -124,13 +126,13 @@ def test_truth_is_not_computed_unless_requested(window, monkeypatch):
     monkeypatch.setattr(
         translation,
         "read_true_outputs",
-        lambda self, index, shown: asked.append(index) or honest(self, index, shown),
+        lambda self, index, shown=None: asked.append((index, shown)) or honest(self, index, shown),
     )
     window.choose_frame(7)
     assert wait_until_shown(window, LIMIT_S)
-    assert not asked
+    assert [stages for _, stages in asked if stages is not None] == [("touch",)]
     _choose(window, "truth")
-    assert asked == [7]
+    assert "depth" in next(stages for _, stages in reversed(asked) if stages is not None)
 
 
 def test_a_recording_without_truth_shows_the_result(bubble_window):

@@ -171,10 +171,12 @@ def test_a_row_has_a_thumbnail_and_the_cause_of_its_error(qtbot, monkeypatch):
     model.show_metric("frame.round_trip_mm", "error")
     cells = [model.data(model.index(0, column)) for column in (METRIC, CAUSE, WARNINGS)]
     assert cells == ["0.040", "depth", "1"]
-    pixmap = model.data(model.index(0, FRAME), Qt.ItemDataRole.DecorationRole)
+    monkeypatch.setattr("widgets.frames.frames_model.is_dark", lambda _palette: False)
+    pixmap = model.data(model.index(0, FRAME), Qt.ItemDataRole.DecorationRole).pixmap(40, 30)
     assert (pixmap.width(), pixmap.height()) == (40, 30)
+    assert model.thumbnails.keys() == {0}
     monkeypatch.setattr("widgets.frames.frames_model.is_dark", lambda _palette: True)
-    dark = model.data(model.index(0, FRAME), Qt.ItemDataRole.DecorationRole)
+    dark = model.data(model.index(0, FRAME), Qt.ItemDataRole.DecorationRole).pixmap(40, 30)
     assert dark.toImage().pixelColor(0, 0).red() < 100 < pixmap.toImage().pixelColor(0, 0).red()
     assert model.get_values("frame.n_warnings")[:2] == (1.0, 0.0)
     assert model.get_values("frame.contact_area_mm2")[0] == 3.0

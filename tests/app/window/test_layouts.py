@@ -210,6 +210,8 @@ def test_a_changed_parameter_marks_the_stages_from_it_on_and_dims_none(window, q
 def test_align_shows_the_target_depth_minus_the_observation(window):
     _arrange(window, "align")
     assert _large(window) == ["target_depth"]
+    heads = [name for name, c in window.window.columns.items() if c.head.isVisible()]
+    assert heads == ["target_depth"]
     assert window.window.view_panels["target_depth"].isVisible()
     assert window.window.drawers.alignment.isVisible()
     assert wait_until_shown(window, LIMIT_S)
@@ -223,6 +225,7 @@ def test_align_shows_the_target_depth_minus_the_observation(window):
 def test_a_session_stores_the_layout(window, open_window, tmp_path):
     window.window.look.stage_chosen.emit(0, "pose")
     window.save_session(tmp_path / "s.touch.json")
+    assert "s.touch.json" in window.window.said
     kept = load_session(tmp_path / "s.touch.json").layout
     assert kept == window.session.layout
     assert kept.panes[0][0] == "pose"

@@ -29,7 +29,6 @@ def test_what_the_command_line_asks_for_is_no_change(open_window, touch_file):
     controller = open_window(
         touch_file, target="gelslim", frame=2, methods={"target_depth": "paper"}
     )
-    controller.show_only("depth")
     assert wait_until_shown(controller, 240), controller.window.banner.text
     assert controller.session.methods == {"target_depth": "paper"}
     assert not controller.window.isWindowModified()

@@ -35,7 +35,7 @@ def test_five_pixels_are_marked_in_every_preview_and_follow_the_frames(bubble_wi
     for row, col in PIXELS:
         probe.toggle_pin("depth", row, col)
     probe.toggle_pin("depth", 130, 40)  # a sixth
-    assert "5 pixels are pinned" in window.readout.text()
+    assert "5 pixels are pinned" in window.said
     qtbot.waitUntil(lambda: panel.table.rowCount() == 5)
     assert wait_until_shown(bubble_window, LIMIT_S)
     assert _marks(window, "depth") == dict(enumerate(PIXELS, 1))

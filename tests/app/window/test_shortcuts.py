@@ -48,7 +48,7 @@ def test_arrow_keys_move_the_probe_and_tab_changes_the_image(bubble_window, pres
     assert source.canvas.crosshair == (row + 10, col + 2)
     assert window.actions_by_name["pin_probe"].isChecked()
     press(_Key.Key_Tab)
-    assert window.columns["depth"].view.canvas.hasFocus()
+    assert window.columns["touch"].view.canvas.hasFocus()
     press(_Key.Key_Backtab)
     assert source.canvas.hasFocus()
     scale = source.canvas.scale

@@ -24,6 +24,7 @@ def posed(open_window, touch_file, ball_file):
 
 def test_steps_are_kept_on_request_and_shown_everywhere(posed, qtbot):
     window = posed.window
+    window.actions_by_name["stage_7"].trigger()
     tab = posed.window.steps_panel
     slider = window.steps["pose"]
     view = window.columns["pose"].view

@@ -72,6 +72,7 @@ def test_captions_and_trace_follow_the_theme(bubble_window, qtbot):
 def test_3d_views_have_the_background_of_the_theme(open_window, touch_file, qtbot):
     controller = open_window(touch_file, gl=True, target="gelslim", frame=2)
     assert wait_until_shown(controller, LIMIT_S)
+    controller.window.actions_by_name["stage_3"].trigger()
     scene = controller.views
     qtbot.waitUntil(lambda: hasattr(scene.scene, "n_renders"), timeout=LIMIT_S * 1000)
     for name in ("dark", "light"):

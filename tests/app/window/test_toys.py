@@ -27,7 +27,8 @@ def toys(qapp):
 
 
 def shown(window) -> list[str]:
-    return [name for name, column in window.columns.items() if not column.isHidden()]
+    cards = window.look.filmstrip.thumbnails
+    return [name for name, card in cards.items() if not card.isHidden()]
 
 
 def test_the_window_shows_a_custom_route(toys):
@@ -35,6 +36,7 @@ def test_the_window_shows_a_custom_route(toys):
     assert shown(window) == ["source", "brightness", "touch", "touch_depth", "pose"]
     assert np.ptp(window.columns["brightness"].view.preview.pixels) > 0
     assert window.columns["brightness"].view.preview.caption == "toy brightness"
+    window.inspector.all_button.setChecked(True)
     assert window.parameters.findChild(object, "touch/melt.gain").isVisibleTo(window.parameters)
     assert [window.route.itemData(i) for i in range(window.route.count())] == [
         "t2d2",

@@ -70,8 +70,7 @@ def test_current_settings_are_compared_with_held_ones(held, qtbot):
     # the difference, without asking
     assert _grid(instrument).views[2].view.preview is less.difference
     own = [
-        instrument.views.scene._stage.get_camera(len(instrument.window.columns) + 1 + k)
-        for k in (0, 1)
+        instrument.views.scene._stage.get_camera(len(instrument.window.columns) + k) for k in (0, 1)
     ]
     assert own[0] == own[1]  # one view
     assert all(cell.view.image is not None for cell in instrument.window.comparison.views_3d)
@@ -82,7 +81,7 @@ def test_current_settings_are_compared_with_held_ones(held, qtbot):
         )
         _settle(qtbot, instrument, comparing)
     assert instrument.window.banner.isHidden(), instrument.window.banner.text
-    assert own[0] == instrument.views.scene._stage.get_camera(len(instrument.window.columns) + 1)
+    assert own[0] == instrument.views.scene._stage.get_camera(len(instrument.window.columns))
     _choose_stage(qtbot, instrument, comparing, "")
     tiles = _grid(instrument).tiles
     assert len(tiles) == 2 * len(instrument.window.columns)

@@ -12,7 +12,7 @@ from widgets.stages.parameters_panel import ALL_STAGES, ParametersPanel
 from widgets.style.base import enlarge_font
 from widgets.style.styling import fill, make_bold, make_button, set_spacing
 
-_WIDTH_PX = 252
+_WIDTH_PX = 260
 _FIGURE_PT = 2.0  # by which figures are larger than text
 
 
