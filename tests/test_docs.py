@@ -73,7 +73,7 @@ def test_the_choice_says_what_the_sample_shows():
         assert "pressed at this one" in " ".join(answers.notes)
         assert touches[5].result("touch").method.name == "object"
         counts = [
-            len(touches.with_(method=name)[5].pose.alternatives) for name in ("t2d2", "physics")
+            len(touches.with_(method=name)[5].pose.alternatives) for name in ("t2t", "physics")
         ]
     assert counts == [1, 0]
     assert "frame.pose.alternatives" in page

@@ -71,6 +71,9 @@ def is_frozen(value: object) -> bool:
     """
     if isinstance(value, np.ndarray):
         array = cast("NDArray[Any]", value)
+        if isinstance(array, np.ma.MaskedArray):  # masked values are no content, the mask is
+            _feed(state, ("masked", np.ma.getmaskarray(array)))
+            array = array.filled(0)
         base: object = array.base
         return not array.flags.writeable and (
             base is None or isinstance(base, bytes) or is_frozen(base)
@@ -99,6 +102,9 @@ def _digest_array(array: NDArray[Any]) -> bytes:
 def _feed(state: xxhash.xxh3_128, value: object) -> None:
     if isinstance(value, np.ndarray):
         array = cast("NDArray[Any]", value)
+        if isinstance(array, np.ma.MaskedArray):  # masked values are no content, the mask is
+            _feed(state, ("masked", np.ma.getmaskarray(array)))
+            array = array.filled(0)
         state.update(f"a{array.dtype.str}{array.shape}".encode())
         state.update(_digest_array(array))
     elif value is None or isinstance(value, (bool, int, float, str, Path)):

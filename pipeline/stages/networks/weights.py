@@ -278,17 +278,16 @@ def _read_entries(path: Path) -> tuple[dict[str, str], dict[str, Mapping[str, An
     from safetensors import SafetensorError, deserialize, safe_open
 
     _refuse_torch_archive(path)
-    require_file(path, _WHAT, most_bytes=MOST_NETWORK_BYTES)
     try:
         with safe_open(path, framework="numpy") as file:
             metadata = file.metadata() or {}
+            sizes = [math.prod(file.get_slice(name).get_shape()) for name in file.keys()]  # noqa: SIM118
+        require_budget(4 * sum(sizes), _WHAT, path, most=MOST_NETWORK_BYTES)
         entries = dict(deserialize(path.read_bytes()))
     except (SafetensorError, ValueError, RecursionError, OSError) as error:
         raise FileProblem(
             f"cannot read {_WHAT}: the file is truncated, damaged or not safetensors", path
         ) from error
-    n_bytes = 4 * sum(math.prod(entry["shape"]) for entry in entries.values())
-    require_budget(n_bytes, _WHAT, path, most=MOST_NETWORK_BYTES)
     return metadata, entries
 
 

@@ -44,7 +44,7 @@ def corner(spec, share=0.5):
 
 
 @pytest.mark.parametrize("name", SENSORS)
-def test_no_contact_gives_the_reference_image_at_no_cost(name):
+def test_no_contact_gives_the_reference_image(name):
     spec = load_sensor(name)
     empty = view_of(spec, np.zeros(spec.camera.shape, bool), 0.0)
     touch = render_touch(empty, spec, PhysicalRenderParams())
@@ -56,8 +56,8 @@ def test_no_contact_gives_the_reference_image_at_no_cost(name):
     assert np.array_equal(touch.image, wanted)
     assert not touch.membrane.indentation_mm.any()
     assert (touch.source_index == -1).all()
-    # kept, not made again
-    assert skip_without_contact(empty, spec, PhysicalRenderParams()).image is touch.image
+    skipped = skip_without_contact(empty, spec, PhysicalRenderParams())
+    assert np.array_equal(skipped.image, wanted)
 
 
 @pytest.mark.parametrize("name", SENSORS)

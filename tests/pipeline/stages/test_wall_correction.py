@@ -33,26 +33,6 @@ def test_a_face_behind_steep_walls_is_as_deep_as_it_was_pressed():
     assert error_mm < MAX_ERROR_MM
 
 
-def make_two_dents():
-    y, x = np.mgrid[:40, :80].astype(np.float32)
-    return sum(np.clip(1.5 - np.hypot(x - at, y - 20) / 8, 0.0, 1.0) for at in (20, 60)).astype(
-        np.float32
-    )
-
-
-def test_dents_behind_uncertain_walls_are_raised_one_by_one():
-    true = make_two_dents()
-    gx, gy = compute_slopes(true, PIXEL_MM)
-    low = true.copy()
-    low[:, :40] *= np.float32(0.6)
-    low[:, 40:] *= np.float32(0.8)
-    weights = np.zeros((3, *true.shape), np.float32)
-    weights[0] = weights[2] = np.where(np.hypot(gx, gy) > 0.3, 1.0, 100.0)
-    raised = surface_refinement.raise_walls(low, (gx, gy), weights, PIXEL_MM)
-    for part in (np.s_[:, :40], np.s_[:, 40:]):
-        assert np.abs(raised - true)[part].max() < 0.25 * np.abs(low - true)[part].max()
-
-
 def test_a_level_surface_is_left_unchanged():
     flat = np.zeros((20, 30), np.float32)
     assert (

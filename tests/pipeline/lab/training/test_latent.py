@@ -168,6 +168,7 @@ def test_a_bubbles_surface_is_measured_from_the_gels_at_rest():
 
 
 def test_training_pairs_may_touch_the_bubble_alone(folder, monkeypatch):
+    monkeypatch.setattr(simulated_touches, "_PLACED_AS_RECORDED_SHARE", 1.0)
     monkeypatch.setattr(simulated_touches, "_ABOVE_SHARE", 1.0)
     monkeypatch.setattr(simulated_touches, "_ABOVE_MM", (-0.2, -0.1))
     found = [simulate_touch_pair("training", 6, k, folder, bubble_alone=True) for k in range(3)]

@@ -118,7 +118,7 @@ def test_truth_of_a_recording_is_what_is_trained_on():
         stream = recording.stream_of_sensor(target)
         truths = [stream.truth(k) for k in range(stream.n_frames)]
     shape = make_working_sensor(load_sensor(target)).camera.shape
-    assert example["condition"].shape == (13, *shape)
+    assert example["condition"].shape == (14, *shape)
     touch = example["residual"][0] * 3.0
     assert (
         min(float(np.abs(touch - resample_to_grid(t.indentation_mm, shape)).max()) for t in truths)

@@ -74,7 +74,7 @@ def test_reprojected_sources_equal_those_of_the_method(target, folder):
     )
     square, example = (task.sample(np.random.default_rng(0))["source"] for task in (plain, drawn))
     pair = simulate_touch_pair("training", 1, 0, folder, bubble_alone=True)
-    sensors = place_nominal_sensors(float(pair.deeper_mm[0]))
+    sensors = place_nominal_sensors(pair.placement)
     source, other = sensors if target == "soft_bubble" else sensors[::-1]
     change = denormalise(square, source.kind)
     expected = reproject_square(change, source, other, alignment.resolve_alignment(source, other))

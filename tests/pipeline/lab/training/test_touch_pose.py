@@ -47,7 +47,7 @@ def test_folds_are_those_of_the_catalogue():
 
 def make_example(name, x, y, turn):
     """Example of an object pressed on the nominal bubble."""
-    bubble = place_nominal_sensors(BUBBLE_DEEPER_MM)[1]
+    bubble = place_nominal_sensors(rigid.translation(0.0, 0.0, BUBBLE_DEEPER_MM))[1]
     mesh = make_shape(name).mesh
     pose = rigid.translation(x, y, 0.0) @ rigid.rotation((0.0, 0.0, turn))
     pose[2, 3] = -0.6 - float(mesh.vertices_mm[:, 2].min())

@@ -145,11 +145,11 @@ def test_a_mirrored_pair_is_that_of_the_mirrored_object(monkeypatch):
     pose = rigid.translation(1.0, -2.0, -0.6)
     monkeypatch.setattr(simulated_touches, "sample_object", lambda *_, **__: ("", mesh))
     monkeypatch.setattr(simulated_touches.poses, "sample_press_pose", lambda *_, **__: pose)
-    pair = simulated_touches._simulate_pair("unseen_tools", np.random.default_rng(0), 0)
+    pair = simulated_touches._simulate_pair("unseen_tools", np.random.default_rng(0), 0, "gelslim")
     turned = replace(mesh, vertices_mm=freeze(rigid.apply(pose, mesh.vertices_mm) @ over))
     monkeypatch.setattr(simulated_touches, "sample_object", lambda *_, **__: ("", turned))
     monkeypatch.setattr(simulated_touches.poses, "sample_press_pose", lambda *_, **__: np.eye(4))
-    true = simulated_touches._simulate_pair("unseen_tools", np.random.default_rng(0), 0)
+    true = simulated_touches._simulate_pair("unseen_tools", np.random.default_rng(0), 0, "gelslim")
 
     class Both:
         """A generator that asks for both mirrors."""
