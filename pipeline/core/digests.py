@@ -71,9 +71,6 @@ def is_frozen(value: object) -> bool:
     """
     if isinstance(value, np.ndarray):
         array = cast("NDArray[Any]", value)
-        if isinstance(array, np.ma.MaskedArray):  # masked values are no content, the mask is
-            _feed(state, ("masked", np.ma.getmaskarray(array)))
-            array = array.filled(0)
         base: object = array.base
         return not array.flags.writeable and (
             base is None or isinstance(base, bytes) or is_frozen(base)

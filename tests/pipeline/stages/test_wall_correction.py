@@ -7,7 +7,6 @@ import numpy as np
 from pipeline.core.geometry import rigid
 from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import optics
-from pipeline.physics.optics import compute_slopes
 from pipeline.physics.simulation import shapes
 from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors.spec import load_sensor
