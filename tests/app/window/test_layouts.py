@@ -26,7 +26,9 @@ ROOM = {(1366, 768): (370, 0.5), (1600, 950): (420, 0.6), (2560, 1440): (700, 0.
 
 @pytest.fixture
 def window(open_window):
-    controller = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
+    controller = open_window(
+        SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5, route="t2d2"
+    )
     assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
     return controller
 
