@@ -7,7 +7,7 @@ Points are flat (3 n) float32, images flat in row-major order. Related arguments
 (numba's cache does not survive the renaming of named tuples):
 
     lens   fx, fy, cx, cy, rows, cols, and the depth up to which a point is behind the lens
-    rest   the target's membrane at rest: x0, y0, 1 / step, z (ny, nx)
+    rest   the target's membrane at rest: x0, y0, 1 / step, z (ny nx,), nx, ny
     image  drawing buffers, the largest 1/z wins its pixel: 1/z, 0 = nothing; 1/z of the veil
            (omitted triangles, which still hide what lies behind them); the point drawn, -1 = none
 
@@ -37,6 +37,10 @@ LARGE_PX = 16  # pixels of the box from which on a triangle counts as large
 # Times that large triangles may fill the image: surfaces overlap once or twice, noise close to the
 # lens endlessly.
 MAX_LAYERS = 8
+# Places of a point that is behind the lens or not finite, and of none; those in view are -3 or
+# more. Even and odd as the places on a pixel centre and between two: quads of hidden points are
+# visited, empty ones are not.
+HIDDEN, ABSENT = np.int32(-6), np.int32(-7)
 
 
 @inner_kernel()
@@ -100,107 +104,232 @@ def splat_points(flat, pixel, order, image):
 
 
 @kernel()
-def rasterise_grid(flat, cells, lens, limits, image, counts, linked):
+def measure_steps(flat, index, order, every, stride, behind, lengths):
+    """Write the lengths of the steps between neighbours, mm; of the points in `order` every
+    `every`-th is asked for its next. Returns their number.
+    """
+    n = 0
+    for k in range(0, order.shape[0] - 1, every):
+        i = order[k]
+        j = order[k + 1]
+        if n == lengths.shape[0] or index[j] - index[i] != stride:
+            continue
+        dx = np.float64(flat[3 * j]) - flat[3 * i]
+        dy = np.float64(flat[3 * j + 1]) - flat[3 * i + 1]
+        dz = np.float64(flat[3 * j + 2]) - flat[3 * i + 2]
+        lengths[n] = np.sqrt(dx * dx + dy * dy + dz * dz)
+        n += flat[3 * i + 2] > behind and flat[3 * j + 2] > behind and lengths[n] < np.inf
+    return n
+
+
+@kernel()
+def lay_out_cells(index, grid_cols, stride):
+    """The point of every `stride`-th source pixel (rows, cols), -1 = none, inside a frame of empty
+    cells.
+
+    Of several points of one pixel the last is taken.
+    """
+    place = np.empty((2, index.shape[0]), np.int32)
+    row = index[0] // grid_cols if index.shape[0] else 0
+    left = right = index[0] - row * grid_cols if index.shape[0] else 0
+    top = bottom = row
+    for i in range(index.shape[0]):
+        col = index[i] - row * grid_cols
+        if col < 0 or col >= grid_cols:  # rarely: a division takes long
+            row = index[i] // grid_cols
+            col = index[i] - row * grid_cols
+            top = min(top, row)
+            bottom = max(bottom, row)
+        left = min(left, col)
+        right = max(right, col)
+        place[0, i] = row
+        place[1, i] = col
+    top //= stride
+    left //= stride
+    cells = np.full((bottom // stride - top + 3, right // stride - left + 3), -1, np.int32)
+    for i in range(index.shape[0]):
+        row = place[0, i]
+        col = place[1, i]
+        if stride > 1:
+            if row % stride or col % stride:
+                continue
+            row //= stride
+            col //= stride
+        cells[row - top + 1, col - left + 1] = i
+    return cells
+
+
+@kernel()
+def rasterise_grid(flat, cells, lens, limits, image, counts, loose):
     """Rasterise the triangles between neighbouring cells of the source grid, row by row.
 
     cells (rows, cols): the point of each cell, -1 = none, inside a frame of empty ones. limits: the
     longest edge, mm^2, and the least cosine between a triangle's normal and the line of sight.
     counts (2, N_COUNTS): triangles by outcome that cover a pixel centre, those of the rim
-    separately. linked (n,): becomes True for points that are corners of a triangle, drawn or not.
+    separately. loose (n,): becomes less than 4 for points that are corners of a triangle, drawn or
+    not.
 
-    A complete quad is split along its shorter diagonal, which follows a crease.
+    A complete quad is split along its shorter diagonal, which follows a crease. Most quads of a
+    fine source hold no pixel centre: they are found in vectorised loops, and never visited.
     """
     _, _, _, _, rows, cols, behind = lens
     longest_sq, _ = limits
     # Arrays are passed one by one: a tuple of arrays is unpacked with reference counting.
     inverse_z, veil, source = image
-    n = linked.shape[0]
-    vertices = np.empty(
-        (n + 2, 7)
-    )  # x, y, z, pixel coordinates, 1/z, point; the last two: of a rim
-    is_visible = np.empty(n, np.bool_)
-    between = np.empty((n, 2), np.int32)
-    for i in range(n):
-        x = np.float64(flat[3 * i])
-        y = np.float64(flat[3 * i + 1])
-        z = np.float64(flat[3 * i + 2])
-        is_visible[i] = (z > behind) & (z < np.inf) & (abs(x) < np.inf) & (abs(y) < np.inf)
-        _write_vertex(vertices, i, x, y, z, i, lens)
-        between[i, 0] = _number_interval(vertices[i, 3], cols)
-        between[i, 1] = _number_interval(vertices[i, 4], rows)
+    n = loose.shape[0]
+    # Vertices: the points, two of a rim, and the last one for cells without a point (-1).
+    screen = np.empty((3, n + 3))  # pixel coordinates, 1/z
+    between = np.empty((2, n + 3), np.int32)
+    rim = np.empty((2, 4))  # x, y, z and point of the vertices of a rim
+    _project_vertices(flat, lens, screen[0], screen[1], screen[2], between[0], between[1], n)
+    between[:, n + 2] = ABSENT
+    across = np.empty(cells.shape, np.int32)
+    down = np.empty(cells.shape, np.int32)
+    for r in range(cells.shape[0]):
+        for c in range(cells.shape[1]):
+            i = cells[r, c]
+            across[r, c] = between[0, i]
+            down[r, c] = between[1, i]
+            if i >= 0:
+                loose[i] = 0
+    holds_centre = np.empty(cells.shape[1], np.uint8)
+    todo = np.empty(cells.shape[1], np.int32)
     for r in range(cells.shape[0] - 1):
-        for c in range(cells.shape[1] - 1):
+        _find_centres(across[r], across[r + 1], down[r], down[r + 1], holds_centre)
+        n_todo = 0
+        for c in range(cells.shape[1] - 1):  # branch-free: which quads hold one is unpredictable
+            todo[n_todo] = c
+            n_todo += holds_centre[c]
+        n_incomplete = 0
+        for k in range(n_todo):
+            c = todo[k]
             # clockwise from the upper left
             a = cells[r, c]
             b = cells[r, c + 1]
             d = cells[r + 1, c + 1]
             e = cells[r + 1, c]
-            n_there = (a >= 0) + (b >= 0) + (d >= 0) + (e >= 0)
-            if n_there < 3:
-                continue
-            corners = (a, b, d, e)
-            missing = 0 if a < 0 else 1 if b < 0 else 2 if d < 0 else 3
-            all_visible = True
-            for point in corners:
-                if point >= 0:
-                    linked[point] = True
-                    all_visible &= is_visible[point]
-            if not all_visible:
-                counts[0, BEHIND] += 1
-            elif n_there < 4:
-                _draw_quad_less(
-                    vertices, corners, missing, lens, limits, inverse_z, veil, source, counts
-                )
-            elif _may_cover(between, a, b, d, e, 0) and _may_cover(between, a, b, d, e, 1):
+            n_triangles = 2
+            if min(across[r, c], across[r, c + 1], across[r + 1, c + 1], across[r + 1, c]) >= -3:
                 falling = _length_sq(flat, a, d)
                 rising = _length_sq(flat, b, e)
                 if min(falling, rising) > longest_sq:
                     counts[0, JUMP] += 2
                     continue
-                first = 3 if falling < rising else 2
-                _draw_quad_less(
-                    vertices, corners, first, lens, limits, inverse_z, veil, source, counts
+                if not falling < rising:
+                    a, b, d, e = e, a, b, d
+            else:
+                corners = (a, b, d, e)
+                n_there = (a >= 0) + (b >= 0) + (d >= 0) + (e >= 0)
+                if n_there < 4:
+                    todo[n_incomplete] = c
+                    n_incomplete += 1
+                if n_there < 3:
+                    for point in corners:
+                        if point >= 0:
+                            loose[point] += 1
+                    continue
+                if _is_any_hidden(between, corners):
+                    counts[0, BEHIND] += 1
+                    continue
+                missing = 0 if a < 0 else 1 if b < 0 else 2 if d < 0 else 3
+                a = corners[(missing + 1) & 3]
+                b = corners[(missing + 2) & 3]
+                d = corners[(missing + 3) & 3]
+                n_triangles = 1
+            for _ in range(n_triangles):
+                _draw_triangle(
+                    flat, screen, between, rim, a, b, d, lens, limits, inverse_z, veil, source, counts
                 )
-                _draw_quad_less(
-                    vertices, corners, first - 2, lens, limits, inverse_z, veil, source, counts
-                )
-        for c in range(cells.shape[1] - 1):
-            n_there = (cells[r, c] >= 0) + (cells[r, c + 1] >= 0)
-            n_there += (cells[r + 1, c] >= 0) + (cells[r + 1, c + 1] >= 0)
-            if 0 < n_there < 4:
-                _draw_rim(
-                    vertices, is_visible, cells, r, c, lens, limits, inverse_z, veil, source, counts
-                )
+                a, b, d = d, e, a
+        # The part of incomplete quads that lies up to the middle of their edges.
+        for k in range(n_incomplete):
+            c = todo[k]
+            corners = (cells[r, c], cells[r, c + 1], cells[r + 1, c + 1], cells[r + 1, c])
+            if _is_any_hidden(between, corners):
+                continue
+            for first in range(4):
+                if corners[first] < 0 or corners[(first + 3) & 3] >= 0:
+                    continue
+                last = first  # of a run of corners
+                while corners[(last + 1) & 3] >= 0:
+                    last = (last + 1) & 3
+                for to in range(2):
+                    here = first if to else last
+                    missing = (here + 1 + 2 * to) & 3
+                    row = r + (here >> 1)
+                    col = c + ((here ^ (here >> 1)) & 1)
+                    i = cells[row, col]
+                    # the point behind, seen from the missing corner
+                    j = cells[
+                        2 * row - r - (missing >> 1), 2 * col - c - ((missing ^ (missing >> 1)) & 1)
+                    ]
+                    j = i if j < 0 else j
+                    x, y, z = _extrapolate(
+                        _locate(flat, rim, i), _locate(flat, rim, j), longest_sq, behind
+                    )
+                    at = n + to
+                    rim[to, 0] = x
+                    rim[to, 1] = y
+                    rim[to, 2] = z
+                    rim[to, 3] = i
+                    screen[0, at], screen[1, at], screen[2, at] = _project(x, y, z, lens)
+                    between[0, at] = _number_interval(screen[0, at], cols)
+                    between[1, at] = _number_interval(screen[1, at], rows)
+                for half in range(1 if first == last else 0, 2):
+                    j = np.int32(n if half else corners[last])
+                    d = np.int32(n + half)
+                    _draw_triangle(
+                        flat, screen, between, rim, corners[first], j, d, lens, limits, inverse_z, veil, source, counts
+                    )
+@inner_kernel()
+def _project_vertices(flat, lens, u, v, w, across, down, n):
+    """Project the points; vectorised."""
+    _, _, _, _, rows, cols, behind = lens
+    for i in range(n):
+        x = np.float64(flat[3 * i])
+        y = np.float64(flat[3 * i + 1])
+        z = np.float64(flat[3 * i + 2])
+        u[i], v[i], w[i] = _project(x, y, z, lens)
+        ok = (z > behind) & (z < np.inf) & (abs(x) < np.inf) & (abs(y) < np.inf)
+        at_x = _number_interval(u[i] if ok else 0.0, cols)
+        at_y = _number_interval(v[i] if ok else 0.0, rows)
+        across[i] = at_x if ok else HIDDEN
+        down[i] = at_y if ok else HIDDEN
+
+
+@inner_kernel()
+def _find_centres(above_x, below_x, above_y, below_y, holds_centre):
+    """Whether a pixel centre lies between the corners of each quad of a row, along both axes.
+
+    True also where a corner is absent or hidden, unless all are absent; vectorised.
+    """
+    for c in range(holds_centre.shape[0] - 1):
+        x = above_x[c]
+        y = above_y[c]
+        in_x = (x ^ above_x[c + 1]) | (x ^ below_x[c]) | (x ^ below_x[c + 1]) | (~x & 1)
+        in_y = (y ^ above_y[c + 1]) | (y ^ below_y[c]) | (y ^ below_y[c + 1]) | (~y & 1)
+        holds_centre[c] = (in_x != 0) & (in_y != 0)
+
+
+@inner_kernel(forceinline=True)
+def _is_any_hidden(between, corners):
+    hidden = False
+    for point in corners:
+        hidden |= between[0, point] == HIDDEN
+    return hidden
 
 
 @inner_kernel()
 def _number_interval(at, size):
-    """Number of the place of a coordinate among the pixel centres: odd between two of them."""
-    near = min(max(at, -1.5), size + 0.5)
-    return np.int32(np.ceil(near - SLACK)) + np.int32(np.floor(near + SLACK))
+    """Number of the place of a coordinate among the pixel centres: odd between two of them.
 
-
-@inner_kernel()
-def _may_cover(between, a, b, d, e, axis):
-    """Whether a pixel centre lies between a quad's corners along an axis: it does not for most
-    quads of a fine source.
+    Half of it, rounded up and down, are the first centre not before and the last not after it.
+    Clamped as floats, to one centre beyond either border: values beyond the integer range would
+    wrap.
     """
-    place = between[a, axis]
-    same = place == between[b, axis] and place == between[d, axis] and place == between[e, axis]
-    return not same or place & 1 == 0
-
-
-@inner_kernel()
-def _write_vertex(vertices, to, x, y, z, point, lens):
-    fx, fy, cx, cy, _, _, _ = lens
-    w = 1.0 / z
-    vertices[to, 0] = x
-    vertices[to, 1] = y
-    vertices[to, 2] = z
-    vertices[to, 3] = fx * x * w + cx
-    vertices[to, 4] = fy * y * w + cy
-    vertices[to, 5] = w
-    vertices[to, 6] = point
+    near = at if at > -1.5 else -1.5
+    near = near if near < size + 0.5 else size + 0.5
+    return np.int32(np.ceil(near - SLACK)) + np.int32(np.floor(near + SLACK))
 
 
 @inner_kernel()
@@ -213,91 +342,49 @@ def _length_sq(flat, i, j):
 
 
 @inner_kernel()
-def _bracket_centres(low, high, size):
-    """First and last pixel centre from `low` to `high`, at most one beyond either border.
+def _project(x, y, z, lens):
+    """Pixel coordinates and 1/z."""
+    fx, fy, cx, cy, _, _, _ = lens
+    w = 1.0 / z
+    return fx * x * w + cx, fy * y * w + cy, w
 
-    Clamped as floats: values beyond the integer range would wrap.
+
+@inner_kernel()
+def _extrapolate(border, inner, longest_sq, behind):
+    """The point half a step beyond a border point, on the line from the one behind it; the border
+    point itself where those two are too far apart.
     """
-    low = min(max(low, -1.5), size + 0.5)
-    high = min(max(high, -1.5), size + 0.5)
-    return np.int64(np.ceil(low - SLACK)), np.int64(np.floor(high + SLACK))
+    x, y, z = border
+    dx = x - inner[0]
+    dy = y - inner[1]
+    dz = z - inner[2]
+    if inner[2] > behind and dx * dx + dy * dy + dz * dz <= longest_sq and z + 0.5 * dz > behind:
+        return x + 0.5 * dx, y + 0.5 * dy, z + 0.5 * dz
+    return border
 
 
-@inner_kernel()
-def _draw_quad_less(vertices, corners, missing, lens, limits, inverse_z, veil, source, counts):
-    """Draw the triangle of a quad's corners but one."""
-    i = corners[(missing + 1) & 3]
-    j = corners[(missing + 2) & 3]
-    k = corners[(missing + 3) & 3]
-    _draw_triangle(vertices, (i, j, k), 0, lens, limits, inverse_z, veil, source, counts)
+@inner_kernel(forceinline=True)
+def _locate(flat, rim, i):
+    """Position of a vertex."""
+    n = flat.shape[0] // 3
+    if i < n:
+        return np.float64(flat[3 * i]), np.float64(flat[3 * i + 1]), np.float64(flat[3 * i + 2])
+    return rim[i - n, 0], rim[i - n, 1], rim[i - n, 2]
 
 
-@inner_kernel()
-def _draw_rim(vertices, is_visible, cells, r, c, lens, limits, inverse_z, veil, source, counts):
-    """Draw the part of an incomplete quad that lies up to the middle of its edges."""
-    corners = (cells[r, c], cells[r, c + 1], cells[r + 1, c + 1], cells[r + 1, c])
-    n = np.int32(vertices.shape[0] - 2)
-    end = np.int32(n + 1)
-    for point in corners:
-        if point >= 0 and not is_visible[point]:
-            return
-    for first in range(4):
-        if corners[first] < 0 or corners[(first + 3) & 3] >= 0:
-            continue
-        last = first  # of a run of corners
-        while corners[(last + 1) & 3] >= 0:
-            last = (last + 1) & 3
-        _extend(vertices, n, cells, r, c, last, last + 1, lens, limits)
-        _extend(vertices, end, cells, r, c, first, first + 3, lens, limits)
-        if first != last:
-            corners_of_run = (corners[first], corners[last], n)
-            _draw_triangle(
-                vertices, corners_of_run, 1, lens, limits, inverse_z, veil, source, counts
-            )
-        at_end = (corners[first], n, end)
-        _draw_triangle(vertices, at_end, 1, lens, limits, inverse_z, veil, source, counts)
-
-
-@inner_kernel()
-def _extend(vertices, to, cells, r, c, here, missing, lens, limits):
-    """Write a vertex half a step from corner `here` of a quad toward the `missing` one: on the line
-    from the point behind, or the corner itself without one.
-    """
-    longest_sq, _ = limits
-    behind = lens[6]
-    row = r + (here >> 1)
-    col = c + ((here ^ (here >> 1)) & 1)
-    missing &= 3
-    i = cells[row, col]
-    j = cells[2 * row - r - (missing >> 1), 2 * col - c - ((missing ^ (missing >> 1)) & 1)]
-    x = vertices[i, 0]
-    y = vertices[i, 1]
-    z = vertices[i, 2]
-    if j >= 0 and vertices[j, 2] > behind:
-        dx = x - vertices[j, 0]
-        dy = y - vertices[j, 1]
-        dz = z - vertices[j, 2]
-        if dx * dx + dy * dy + dz * dz <= longest_sq and z + 0.5 * dz > behind:
-            x = x + 0.5 * dx
-            y = y + 0.5 * dy
-            z = z + 0.5 * dz
-    _write_vertex(vertices, to, x, y, z, i, lens)
-
-
-@inner_kernel()
-def _classify_triangle(vertices, corners, limits):
+@inner_kernel(forceinline=True)
+def _classify_triangle(flat, rim, i, j, k, limits):
     """Outcome by the lengths of the edges and the angle between normal and line of sight."""
     longest_sq, least_cos = limits
-    i, j, k = corners
-    x = vertices[i, 0]
-    y = vertices[i, 1]
-    z = vertices[i, 2]
-    bx = vertices[j, 0] - x
-    by = vertices[j, 1] - y
-    bz = vertices[j, 2] - z
-    cx = vertices[k, 0] - x
-    cy = vertices[k, 1] - y
-    cz = vertices[k, 2] - z
+    x, y, z = _locate(flat, rim, i)
+    bx, by, bz = _locate(flat, rim, j)
+    cx, cy, cz = _locate(flat, rim, k)
+    bx -= x
+    by -= y
+    bz -= z
+    cx -= x
+    cy -= y
+    cz -= z
     dx = cx - bx
     dy = cy - by
     dz = cz - bz
@@ -319,38 +406,41 @@ def _classify_triangle(vertices, corners, limits):
     return DRAWN if along > 0.0 else FLIPPED
 
 
-@inner_kernel()
-def _draw_triangle(vertices, corners, rim, lens, limits, inverse_z, veil, source, counts):
+@inner_kernel(forceinline=True)
+def _draw_triangle(
+    flat, screen, between, rim, i, j, k, lens, limits, inverse_z, veil, source, counts
+):
     """Draw one triangle in the pixels whose centres it covers: 1/z is linear on screen, the largest
     wins.
 
     It is counted if it covers one, or if its box is large.
     """
     _, _, _, _, rows, cols, _ = lens
-    i, j, k = corners
-    xa = vertices[i, 3]
-    ya = vertices[i, 4]
-    xb = vertices[j, 3]
-    yb = vertices[j, 4]
-    xc = vertices[k, 3]
-    yc = vertices[k, 4]
-    left, right = _bracket_centres(min(xa, xb, xc), max(xa, xb, xc), cols)
-    top, bottom = _bracket_centres(min(ya, yb, yc), max(ya, yb, yc), rows)
-    left = max(left, 0)
-    right = min(right, cols - 1)
-    top = max(top, 0)
-    bottom = min(bottom, rows - 1)
+    n = flat.shape[0] // 3
+    left = max((min(between[0, i], between[0, j], between[0, k]) + 1) >> 1, 0)
+    right = min(max(between[0, i], between[0, j], between[0, k]) >> 1, cols - 1)
+    top = max((min(between[1, i], between[1, j], between[1, k]) + 1) >> 1, 0)
+    bottom = min(max(between[1, i], between[1, j], between[1, k]) >> 1, rows - 1)
+    if left > right or top > bottom:
+        return
+    xa = screen[0, i]
+    ya = screen[1, i]
+    xb = screen[0, j]
+    yb = screen[1, j]
+    xc = screen[0, k]
+    yc = screen[1, k]
     area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
-    if left > right or top > bottom or area == 0.0:
+    if area == 0.0:
         return
     scale = 1.0 / area
     outcome = JUMP
+    row_of_counts = 1 if max(j, k) >= n else 0
     large = (right - left + 1) * (bottom - top + 1) > LARGE_PX
     if large:
-        outcome = _classify_triangle(vertices, corners, limits)
-        if counts[rim, PIXELS_SPENT] > MAX_LAYERS * rows * cols:
+        outcome = _classify_triangle(flat, rim, i, j, k, limits)
+        if counts[row_of_counts, PIXELS_SPENT] > MAX_LAYERS * rows * cols:
             outcome = OVERFULL
-        counts[rim, outcome] += 1
+        counts[row_of_counts, outcome] += 1
         if outcome < GRAZING:
             return
     counted = large
@@ -362,18 +452,18 @@ def _draw_triangle(vertices, corners, rim, lens, limits, inverse_z, veil, source
             wa = ((xb - left) * (yc - y) - (xc - left) * (yb - y)) * scale
             wb = ((xc - left) * (ya - y) - (xa - left) * (yc - y)) * scale
             begin, end = _clip_row((wa, wb, 1.0 - wa - wb), slopes, left, right)
-            counts[rim, PIXELS_SPENT] += max(end - begin + 1, 0) + 1
+            counts[row_of_counts, PIXELS_SPENT] += max(end - begin + 1, 0) + 1
         for x in range(begin, end + 1):
             wa = ((xb - x) * (yc - y) - (xc - x) * (yb - y)) * scale
             wb = ((xc - x) * (ya - y) - (xa - x) * (yc - y)) * scale
             wc = 1.0 - wa - wb
-            if wa < -SLACK or wb < -SLACK or wc < -SLACK:
+            if min(wa, wb, wc) < -SLACK:
                 continue
             if not counted:
-                outcome = _classify_triangle(vertices, corners, limits)
+                outcome = _classify_triangle(flat, rim, i, j, k, limits)
                 counted = True
-                counts[rim, outcome] += 1
-            near = wa * vertices[i, 5] + wb * vertices[j, 5] + wc * vertices[k, 5]
+                counts[row_of_counts, outcome] += 1
+            near = wa * screen[2, i] + wb * screen[2, j] + wc * screen[2, k]
             p = y * cols + x
             if outcome == GRAZING:
                 veil[p] = max(veil[p], near)
@@ -381,7 +471,8 @@ def _draw_triangle(vertices, corners, rim, lens, limits, inverse_z, veil, source
                 inverse_z[p] = near
                 # The corner with the largest weight is nearest on screen.
                 nearest = j if wb > wa else i
-                source[p] = np.int32(vertices[k if wc > max(wa, wb) else nearest, 6])
+                nearest = k if wc > max(wa, wb) else nearest
+                source[p] = nearest if nearest < n else np.int32(rim[nearest - n, 3])
 
 
 @inner_kernel()
@@ -434,12 +525,11 @@ def mark_hidden_points(flat, depth, lens, tolerance, pixel):
     return hidden
 
 
-@inner_kernel()
+@inner_kernel(forceinline=True)
 def sample_rest_surface(x, y, rest):
     """Rest surface at (x, y): bilinear, constant beyond the border."""
-    x0, y0, per_mm, z = rest
-    ny, nx = z.shape
-    return sample_height(z.reshape(-1), nx, ny, (x - x0) * per_mm, (y - y0) * per_mm)[0]
+    x0, y0, per_mm, z, nx, ny = rest
+    return sample_height(z, nx, ny, (x - x0) * per_mm, (y - y0) * per_mm)[0]
 
 
 @kernel()
