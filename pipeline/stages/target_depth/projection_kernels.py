@@ -129,33 +129,33 @@ def lay_out_cells(index, grid_cols, stride):
 
     Of several points of one pixel the last is taken.
     """
-    place = np.empty((2, index.shape[0]), np.int32)
-    row = index[0] // grid_cols if index.shape[0] else 0
-    left = right = index[0] - row * grid_cols if index.shape[0] else 0
-    top = bottom = row
+    grid_cols = np.int32(grid_cols)
+    # A product with a reciprocal vectorises, and is exact: the half added is far above its error.
+    rows_per_pixel = 1.0 / grid_cols
+    first = left = np.int32(0x7FFFFFFF)
+    last = right = np.int32(0)
     for i in range(index.shape[0]):
-        col = index[i] - row * grid_cols
-        if col < 0 or col >= grid_cols:  # rarely: a division takes long
-            row = index[i] // grid_cols
-            col = index[i] - row * grid_cols
-            top = min(top, row)
-            bottom = max(bottom, row)
-        left = min(left, col)
-        right = max(right, col)
-        place[0, i] = row
-        place[1, i] = col
-    top //= stride
-    left //= stride
-    cells = np.full((bottom // stride - top + 3, right // stride - left + 3), -1, np.int32)
+        at = index[i]
+        col = np.int32(at - np.int32((at + 0.5) * rows_per_pixel) * grid_cols)
+        first = at if at < first else first
+        last = at if at > last else last
+        left = col if col < left else left
+        right = col if col > right else right
+    top = min(first, last) // grid_cols // stride
+    left = min(left, right) // stride
+    cells = np.full(
+        (last // grid_cols // stride - top + 3, right // stride - left + 3), -1, np.int32
+    )
+    flat = cells.reshape(-1)
     for i in range(index.shape[0]):
-        row = place[0, i]
-        col = place[1, i]
+        row = np.int32((index[i] + 0.5) * rows_per_pixel)
+        col = np.int32(index[i] - row * grid_cols)
         if stride > 1:
             if row % stride or col % stride:
                 continue
             row //= stride
             col //= stride
-        cells[row - top + 1, col - left + 1] = i
+        flat[np.uint32((row - top + 1) * cells.shape[1] + col - left + 1)] = i
     return cells
 
 
@@ -173,29 +173,31 @@ def rasterise_grid(flat, cells, lens, limits, image, counts, loose):
     fine source hold no pixel centre: they are found in vectorised loops, and never visited.
     """
     _, _, _, _, rows, cols, behind = lens
+    shape = (rows, cols)
     longest_sq, _ = limits
     # Arrays are passed one by one: a tuple of arrays is unpacked with reference counting.
     inverse_z, veil, source = image
     n = loose.shape[0]
     # Vertices: the points, two of a rim, and the last one for cells without a point (-1).
-    screen = np.empty((3, n + 3))  # pixel coordinates, 1/z
     between = np.empty((2, n + 3), np.int32)
     rim = np.empty((2, 4))  # x, y, z and point of the vertices of a rim
-    _project_vertices(flat, lens, screen[0], screen[1], screen[2], between[0], between[1], n)
+    _find_places(flat, lens, between[0], between[1])
     between[:, n + 2] = ABSENT
-    across = np.empty(cells.shape, np.int32)
-    down = np.empty(cells.shape, np.int32)
-    for r in range(cells.shape[0]):
-        for c in range(cells.shape[1]):
-            i = cells[r, c]
-            across[r, c] = between[0, i]
-            down[r, c] = between[1, i]
-            if i >= 0:
-                loose[i] = 0
+    across = np.empty((2, cells.shape[1]), np.int32)  # places of two rows of cells, in turns
+    down = np.empty((2, cells.shape[1]), np.int32)
     holds_centre = np.empty(cells.shape[1], np.uint8)
     todo = np.empty(cells.shape[1], np.int32)
-    for r in range(cells.shape[0] - 1):
-        _find_centres(across[r], across[r + 1], down[r], down[r + 1], holds_centre)
+    for r in range(-1, cells.shape[0] - 1):
+        low = (r + 1) & 1
+        for c in range(cells.shape[1]):
+            i = cells[r + 1, c]
+            across[low, c] = between[0, i]
+            down[low, c] = between[1, i]
+            if i >= 0:
+                loose[i] = 0
+        if r < 0:
+            continue
+        _find_centres(across[1 - low], across[low], down[1 - low], down[low], holds_centre)
         n_todo = 0
         for c in range(cells.shape[1] - 1):  # branch-free: which quads hold one is unpredictable
             todo[n_todo] = c
@@ -209,7 +211,7 @@ def rasterise_grid(flat, cells, lens, limits, image, counts, loose):
             d = cells[r + 1, c + 1]
             e = cells[r + 1, c]
             n_triangles = 2
-            if min(across[r, c], across[r, c + 1], across[r + 1, c + 1], across[r + 1, c]) >= -3:
+            if min(across[0, c], across[0, c + 1], across[1, c + 1], across[1, c]) >= -3:
                 falling = _length_sq(flat, a, d)
                 rising = _length_sq(flat, b, e)
                 if min(falling, rising) > longest_sq:
@@ -232,15 +234,22 @@ def rasterise_grid(flat, cells, lens, limits, image, counts, loose):
                     counts[0, BEHIND] += 1
                     continue
                 missing = 0 if a < 0 else 1 if b < 0 else 2 if d < 0 else 3
-                a = corners[(missing + 1) & 3]
+                e = a = corners[(missing + 1) & 3]
                 b = corners[(missing + 2) & 3]
                 d = corners[(missing + 3) & 3]
                 n_triangles = 1
+            on_a = _project(_locate(flat, rim, a), lens)
+            on_b = _project(_locate(flat, rim, b), lens)
+            on_d = _project(_locate(flat, rim, d), lens)
+            on_e = _project(_locate(flat, rim, e), lens)
             for _ in range(n_triangles):
+                corners = (a, b, d)
+                screen = (on_a, on_b, on_d)
                 _draw_triangle(
-                    flat, screen, between, rim, a, b, d, lens, limits, inverse_z, veil, source, counts
+                    flat, between, rim, corners, screen, shape, limits, inverse_z, veil, source, counts
                 )
                 a, b, d = d, e, a
+                on_a, on_b, on_d = on_d, on_e, on_a
         # The part of incomplete quads that lies up to the middle of their edges.
         for k in range(n_incomplete):
             c = todo[k]
@@ -272,27 +281,29 @@ def rasterise_grid(flat, cells, lens, limits, image, counts, loose):
                     rim[to, 1] = y
                     rim[to, 2] = z
                     rim[to, 3] = i
-                    screen[0, at], screen[1, at], screen[2, at] = _project(x, y, z, lens)
-                    between[0, at] = _number_interval(screen[0, at], cols)
-                    between[1, at] = _number_interval(screen[1, at], rows)
+                    u, v, _ = _project((x, y, z), lens)
+                    between[0, at] = _number_interval(u, cols)
+                    between[1, at] = _number_interval(v, rows)
                 for half in range(1 if first == last else 0, 2):
+                    i = corners[first]
                     j = np.int32(n if half else corners[last])
                     d = np.int32(n + half)
+                    screen = (_project(_locate(flat, rim, i), lens), _project(_locate(flat, rim, j), lens), _project(_locate(flat, rim, d), lens))
                     _draw_triangle(
-                        flat, screen, between, rim, corners[first], j, d, lens, limits, inverse_z, veil, source, counts
+                        flat, between, rim, (i, j, d), screen, shape, limits, inverse_z, veil, source, counts
                     )
 @inner_kernel()
-def _project_vertices(flat, lens, u, v, w, across, down, n):
-    """Project the points; vectorised."""
+def _find_places(flat, lens, across, down):
+    """Places of the points among the pixel centres; vectorised."""
     _, _, _, _, rows, cols, behind = lens
-    for i in range(n):
+    for i in range(flat.shape[0] // 3):
         x = np.float64(flat[3 * i])
         y = np.float64(flat[3 * i + 1])
         z = np.float64(flat[3 * i + 2])
-        u[i], v[i], w[i] = _project(x, y, z, lens)
+        u, v, _ = _project((x, y, z), lens)
         ok = (z > behind) & (z < np.inf) & (abs(x) < np.inf) & (abs(y) < np.inf)
-        at_x = _number_interval(u[i] if ok else 0.0, cols)
-        at_y = _number_interval(v[i] if ok else 0.0, rows)
+        at_x = _number_interval(u if ok else 0.0, cols)
+        at_y = _number_interval(v if ok else 0.0, rows)
         across[i] = at_x if ok else HIDDEN
         down[i] = at_y if ok else HIDDEN
 
@@ -342,9 +353,10 @@ def _length_sq(flat, i, j):
 
 
 @inner_kernel()
-def _project(x, y, z, lens):
-    """Pixel coordinates and 1/z."""
+def _project(point, lens):
+    """Pixel coordinates and 1/z of a position."""
     fx, fy, cx, cy, _, _, _ = lens
+    x, y, z = point
     w = 1.0 / z
     return fx * x * w + cx, fy * y * w + cy, w
 
@@ -408,14 +420,15 @@ def _classify_triangle(flat, rim, i, j, k, limits):
 
 @inner_kernel(forceinline=True)
 def _draw_triangle(
-    flat, screen, between, rim, i, j, k, lens, limits, inverse_z, veil, source, counts
+    flat, between, rim, corners, screen, shape, limits, inverse_z, veil, source, counts
 ):
     """Draw one triangle in the pixels whose centres it covers: 1/z is linear on screen, the largest
     wins.
 
     It is counted if it covers one, or if its box is large.
     """
-    _, _, _, _, rows, cols, _ = lens
+    rows, cols = shape
+    i, j, k = corners
     n = flat.shape[0] // 3
     left = max((min(between[0, i], between[0, j], between[0, k]) + 1) >> 1, 0)
     right = min(max(between[0, i], between[0, j], between[0, k]) >> 1, cols - 1)
@@ -423,12 +436,7 @@ def _draw_triangle(
     bottom = min(max(between[1, i], between[1, j], between[1, k]) >> 1, rows - 1)
     if left > right or top > bottom:
         return
-    xa = screen[0, i]
-    ya = screen[1, i]
-    xb = screen[0, j]
-    yb = screen[1, j]
-    xc = screen[0, k]
-    yc = screen[1, k]
+    (xa, ya, near_a), (xb, yb, near_b), (xc, yc, near_c) = screen
     area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
     if area == 0.0:
         return
@@ -463,7 +471,7 @@ def _draw_triangle(
                 outcome = _classify_triangle(flat, rim, i, j, k, limits)
                 counted = True
                 counts[row_of_counts, outcome] += 1
-            near = wa * screen[2, i] + wb * screen[2, j] + wc * screen[2, k]
+            near = wa * near_a + wb * near_b + wc * near_c
             p = y * cols + x
             if outcome == GRAZING:
                 veil[p] = max(veil[p], near)
