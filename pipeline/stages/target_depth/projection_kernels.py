@@ -178,11 +178,9 @@ def rasterise_grid(flat, cells, lens, limits, image, counts, loose):
     # Arrays are passed one by one: a tuple of arrays is unpacked with reference counting.
     inverse_z, veil, source = image
     n = loose.shape[0]
-    # Vertices: the points, two of a rim, and the last one for cells without a point (-1).
-    between = np.empty((2, n + 3), np.int32)
-    rim = np.empty((2, 4))  # x, y, z and point of the vertices of a rim
+    between = np.empty((2, n + 1), np.int32)  # the last for cells without a point, -1
     _find_places(flat, lens, between[0], between[1])
-    between[:, n + 2] = ABSENT
+    between[:, n] = ABSENT
     across = np.empty((2, cells.shape[1]), np.int32)  # places of two rows of cells, in turns
     down = np.empty((2, cells.shape[1]), np.int32)
     holds_centre = np.empty(cells.shape[1], np.uint8)
@@ -203,8 +201,8 @@ def rasterise_grid(flat, cells, lens, limits, image, counts, loose):
             todo[n_todo] = c
             n_todo += holds_centre[c]
         n_incomplete = 0
-        for k in range(n_todo):
-            c = todo[k]
+        for t in range(n_todo):
+            c = todo[t]
             # clockwise from the upper left
             a = cells[r, c]
             b = cells[r, c + 1]
@@ -238,21 +236,16 @@ def rasterise_grid(flat, cells, lens, limits, image, counts, loose):
                 b = corners[(missing + 2) & 3]
                 d = corners[(missing + 3) & 3]
                 n_triangles = 1
-            on_a = _project(_locate(flat, rim, a), lens)
-            on_b = _project(_locate(flat, rim, b), lens)
-            on_d = _project(_locate(flat, rim, d), lens)
-            on_e = _project(_locate(flat, rim, e), lens)
+            i = _make_vertex(flat, between, a, lens)
+            j = _make_vertex(flat, between, b, lens)
+            k = _make_vertex(flat, between, d, lens)
+            opposite = _make_vertex(flat, between, e, lens)
             for _ in range(n_triangles):
-                corners = (a, b, d)
-                screen = (on_a, on_b, on_d)
-                _draw_triangle(
-                    flat, between, rim, corners, screen, shape, limits, inverse_z, veil, source, counts
-                )
-                a, b, d = d, e, a
-                on_a, on_b, on_d = on_d, on_e, on_a
+                _draw_triangle(i, j, k, 0, shape, limits, inverse_z, veil, source, counts)
+                i, j, k = k, opposite, i
         # The part of incomplete quads that lies up to the middle of their edges.
-        for k in range(n_incomplete):
-            c = todo[k]
+        for t in range(n_incomplete):
+            c = todo[t]
             corners = (cells[r, c], cells[r, c + 1], cells[r + 1, c + 1], cells[r + 1, c])
             if _is_any_hidden(between, corners):
                 continue
@@ -262,36 +255,36 @@ def rasterise_grid(flat, cells, lens, limits, image, counts, loose):
                 last = first  # of a run of corners
                 while corners[(last + 1) & 3] >= 0:
                     last = (last + 1) & 3
-                for to in range(2):
-                    here = first if to else last
-                    missing = (here + 1 + 2 * to) & 3
-                    row = r + (here >> 1)
-                    col = c + ((here ^ (here >> 1)) & 1)
-                    i = cells[row, col]
-                    # the point behind, seen from the missing corner
-                    j = cells[
-                        2 * row - r - (missing >> 1), 2 * col - c - ((missing ^ (missing >> 1)) & 1)
-                    ]
-                    j = i if j < 0 else j
-                    x, y, z = _extrapolate(
-                        _locate(flat, rim, i), _locate(flat, rim, j), longest_sq, behind
-                    )
-                    at = n + to
-                    rim[to, 0] = x
-                    rim[to, 1] = y
-                    rim[to, 2] = z
-                    rim[to, 3] = i
-                    u, v, _ = _project((x, y, z), lens)
-                    between[0, at] = _number_interval(u, cols)
-                    between[1, at] = _number_interval(v, rows)
-                for half in range(1 if first == last else 0, 2):
-                    i = corners[first]
-                    j = np.int32(n if half else corners[last])
-                    d = np.int32(n + half)
-                    screen = (_project(_locate(flat, rim, i), lens), _project(_locate(flat, rim, j), lens), _project(_locate(flat, rim, d), lens))
-                    _draw_triangle(
-                        flat, between, rim, (i, j, d), screen, shape, limits, inverse_z, veil, source, counts
-                    )
+                i = _make_vertex(flat, between, corners[first], lens)
+                j = _make_vertex(flat, between, corners[last], lens)
+                inner = _find_behind(cells, r, c, last, (last + 1) & 3)
+                k = _extrapolate(j, _make_vertex(flat, between, inner, lens), longest_sq, lens)
+                inner = _find_behind(cells, r, c, first, (first + 3) & 3)
+                end = _extrapolate(i, _make_vertex(flat, between, inner, lens), longest_sq, lens)
+                if first != last:
+                    _draw_triangle(i, j, k, 1, shape, limits, inverse_z, veil, source, counts)
+                _draw_triangle(i, k, end, 1, shape, limits, inverse_z, veil, source, counts)
+
+
+@inner_kernel(forceinline=True)
+def _make_vertex(flat, between, point, lens):
+    """Point, its places among the pixel centres, pixel coordinates, 1/z, and position."""
+    x = np.float64(flat[3 * point])
+    y = np.float64(flat[3 * point + 1])
+    z = np.float64(flat[3 * point + 2])
+    u, v, w = _project(x, y, z, lens)
+    return point, between[0, point], between[1, point], u, v, w, x, y, z
+
+
+@inner_kernel(forceinline=True)
+def _find_behind(cells, r, c, here, missing):
+    """The point behind corner `here` of a quad, seen from the `missing` one; itself without one."""
+    row = r + (here >> 1)
+    col = c + ((here ^ (here >> 1)) & 1)
+    point = cells[2 * row - r - (missing >> 1), 2 * col - c - ((missing ^ (missing >> 1)) & 1)]
+    return point if point >= 0 else cells[row, col]
+
+
 @inner_kernel()
 def _find_places(flat, lens, across, down):
     """Places of the points among the pixel centres; vectorised."""
@@ -300,7 +293,7 @@ def _find_places(flat, lens, across, down):
         x = np.float64(flat[3 * i])
         y = np.float64(flat[3 * i + 1])
         z = np.float64(flat[3 * i + 2])
-        u, v, _ = _project((x, y, z), lens)
+        u, v, _ = _project(x, y, z, lens)
         ok = (z > behind) & (z < np.inf) & (abs(x) < np.inf) & (abs(y) < np.inf)
         at_x = _number_interval(u if ok else 0.0, cols)
         at_y = _number_interval(v if ok else 0.0, rows)
@@ -353,44 +346,41 @@ def _length_sq(flat, i, j):
 
 
 @inner_kernel()
-def _project(point, lens):
+def _project(x, y, z, lens):
     """Pixel coordinates and 1/z of a position."""
     fx, fy, cx, cy, _, _, _ = lens
-    x, y, z = point
     w = 1.0 / z
     return fx * x * w + cx, fy * y * w + cy, w
 
 
 @inner_kernel()
-def _extrapolate(border, inner, longest_sq, behind):
-    """The point half a step beyond a border point, on the line from the one behind it; the border
+def _extrapolate(border, inner, longest_sq, lens):
+    """The vertex half a step beyond a border point, on the line from the one behind it; the border
     point itself where those two are too far apart.
     """
-    x, y, z = border
-    dx = x - inner[0]
-    dy = y - inner[1]
-    dz = z - inner[2]
-    if inner[2] > behind and dx * dx + dy * dy + dz * dz <= longest_sq and z + 0.5 * dz > behind:
-        return x + 0.5 * dx, y + 0.5 * dy, z + 0.5 * dz
-    return border
+    _, _, _, _, rows, cols, behind = lens
+    point, _, _, _, _, _, x, y, z = border
+    _, _, _, _, _, _, inner_x, inner_y, inner_z = inner
+    dx = x - inner_x
+    dy = y - inner_y
+    dz = z - inner_z
+    length_sq = dx * dx + dy * dy + dz * dz
+    if not (inner_z > behind and length_sq <= longest_sq and z + 0.5 * dz > behind):
+        return border
+    x = x + 0.5 * dx
+    y = y + 0.5 * dy
+    z = z + 0.5 * dz
+    u, v, w = _project(x, y, z, lens)
+    return point, _number_interval(u, cols), _number_interval(v, rows), u, v, w, x, y, z
 
 
-@inner_kernel(forceinline=True)
-def _locate(flat, rim, i):
-    """Position of a vertex."""
-    n = flat.shape[0] // 3
-    if i < n:
-        return np.float64(flat[3 * i]), np.float64(flat[3 * i + 1]), np.float64(flat[3 * i + 2])
-    return rim[i - n, 0], rim[i - n, 1], rim[i - n, 2]
-
-
-@inner_kernel(forceinline=True)
-def _classify_triangle(flat, rim, i, j, k, limits):
+@inner_kernel()
+def _classify_triangle(i, j, k, limits):
     """Outcome by the lengths of the edges and the angle between normal and line of sight."""
     longest_sq, least_cos = limits
-    x, y, z = _locate(flat, rim, i)
-    bx, by, bz = _locate(flat, rim, j)
-    cx, cy, cz = _locate(flat, rim, k)
+    _, _, _, _, _, _, x, y, z = i
+    _, _, _, _, _, _, bx, by, bz = j
+    _, _, _, _, _, _, cx, cy, cz = k
     bx -= x
     by -= y
     bz -= z
@@ -408,9 +398,9 @@ def _classify_triangle(flat, rim, i, j, k, limits):
     nx = by * cz - bz * cy
     ny = bz * cx - bx * cz
     nz = bx * cy - by * cx
-    mx = x + (bx + cx) / 3.0
-    my = y + (by + cy) / 3.0
-    mz = z + (bz + cz) / 3.0
+    mx = 3.0 * x + bx + cx  # three times the middle
+    my = 3.0 * y + by + cy
+    mz = 3.0 * z + bz + cz
     along = nx * mx + ny * my + nz * mz
     limit_sq = least_cos * least_cos * (nx * nx + ny * ny + nz * nz) * (mx * mx + my * my + mz * mz)
     if along == 0.0 or not along * along >= limit_sq:
@@ -419,36 +409,33 @@ def _classify_triangle(flat, rim, i, j, k, limits):
 
 
 @inner_kernel(forceinline=True)
-def _draw_triangle(
-    flat, between, rim, corners, screen, shape, limits, inverse_z, veil, source, counts
-):
+def _draw_triangle(i, j, k, rim, shape, limits, inverse_z, veil, source, counts):
     """Draw one triangle in the pixels whose centres it covers: 1/z is linear on screen, the largest
     wins.
 
     It is counted if it covers one, or if its box is large.
     """
     rows, cols = shape
-    i, j, k = corners
-    n = flat.shape[0] // 3
-    left = max((min(between[0, i], between[0, j], between[0, k]) + 1) >> 1, 0)
-    right = min(max(between[0, i], between[0, j], between[0, k]) >> 1, cols - 1)
-    top = max((min(between[1, i], between[1, j], between[1, k]) + 1) >> 1, 0)
-    bottom = min(max(between[1, i], between[1, j], between[1, k]) >> 1, rows - 1)
+    point_a, across_a, down_a, xa, ya, near_a, _, _, _ = i
+    point_b, across_b, down_b, xb, yb, near_b, _, _, _ = j
+    point_c, across_c, down_c, xc, yc, near_c, _, _, _ = k
+    left = max((min(across_a, across_b, across_c) + 1) >> 1, 0)
+    right = min(max(across_a, across_b, across_c) >> 1, cols - 1)
+    top = max((min(down_a, down_b, down_c) + 1) >> 1, 0)
+    bottom = min(max(down_a, down_b, down_c) >> 1, rows - 1)
     if left > right or top > bottom:
         return
-    (xa, ya, near_a), (xb, yb, near_b), (xc, yc, near_c) = screen
     area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
     if area == 0.0:
         return
     scale = 1.0 / area
     outcome = JUMP
-    row_of_counts = 1 if max(j, k) >= n else 0
     large = (right - left + 1) * (bottom - top + 1) > LARGE_PX
     if large:
-        outcome = _classify_triangle(flat, rim, i, j, k, limits)
-        if counts[row_of_counts, PIXELS_SPENT] > MAX_LAYERS * rows * cols:
+        outcome = _classify_triangle(i, j, k, limits)
+        if counts[rim, PIXELS_SPENT] > MAX_LAYERS * rows * cols:
             outcome = OVERFULL
-        counts[row_of_counts, outcome] += 1
+        counts[rim, outcome] += 1
         if outcome < GRAZING:
             return
     counted = large
@@ -460,7 +447,7 @@ def _draw_triangle(
             wa = ((xb - left) * (yc - y) - (xc - left) * (yb - y)) * scale
             wb = ((xc - left) * (ya - y) - (xa - left) * (yc - y)) * scale
             begin, end = _clip_row((wa, wb, 1.0 - wa - wb), slopes, left, right)
-            counts[row_of_counts, PIXELS_SPENT] += max(end - begin + 1, 0) + 1
+            counts[rim, PIXELS_SPENT] += max(end - begin + 1, 0) + 1
         for x in range(begin, end + 1):
             wa = ((xb - x) * (yc - y) - (xc - x) * (yb - y)) * scale
             wb = ((xc - x) * (ya - y) - (xa - x) * (yc - y)) * scale
@@ -468,9 +455,9 @@ def _draw_triangle(
             if min(wa, wb, wc) < -SLACK:
                 continue
             if not counted:
-                outcome = _classify_triangle(flat, rim, i, j, k, limits)
+                outcome = _classify_triangle(i, j, k, limits)
                 counted = True
-                counts[row_of_counts, outcome] += 1
+                counts[rim, outcome] += 1
             near = wa * near_a + wb * near_b + wc * near_c
             p = y * cols + x
             if outcome == GRAZING:
@@ -478,9 +465,8 @@ def _draw_triangle(
             elif outcome > GRAZING and near > inverse_z[p]:
                 inverse_z[p] = near
                 # The corner with the largest weight is nearest on screen.
-                nearest = j if wb > wa else i
-                nearest = k if wc > max(wa, wb) else nearest
-                source[p] = nearest if nearest < n else np.int32(rim[nearest - n, 3])
+                nearest = point_b if wb > wa else point_a
+                source[p] = point_c if wc > max(wa, wb) else nearest
 
 
 @inner_kernel()
