@@ -37,22 +37,20 @@ LARGE_PX = 16  # pixels of the box from which on a triangle counts as large
 # Times that large triangles may fill the image: surfaces overlap once or twice, noise close to the
 # lens endlessly.
 MAX_LAYERS = 8
-# Places of a point that is behind the lens or not finite, and of none; those in view are -3 or
-# more. Even and odd as the places on a pixel centre and between two: quads of hidden points are
-# visited, empty ones are not.
+# Places of a point that is behind the lens or not finite, and of no point; all others are larger.
+# Even and odd as places on a pixel centre and between two: quads of hidden points are visited,
+# empty ones are not.
 HIDDEN, ABSENT = np.int32(-6), np.int32(-7)
 
 
 @inner_kernel()
 def project_to_pixel(x, y, z, lens):
-    """Pixel coordinates (u, v), 1/z and flat pixel (-1 = not in view) of a point.
+    """Flat pixel of a point, -1 = not in view.
 
     Branch-free for vectorisation.
     """
-    fx, fy, cx, cy, rows, cols, behind = lens
-    w = 1.0 / z
-    u = fx * x * w + cx
-    v = fy * y * w + cy
+    _, _, _, _, rows, cols, behind = lens
+    u, v, _ = _project(x, y, z, lens)
     # Compared as floats: values beyond the integer range would wrap to another pixel. False for
     # NaN.
     ok = (
@@ -68,7 +66,7 @@ def project_to_pixel(x, y, z, lens):
     row = np.floor(v if ok else 0.0)
     col = col if u - col < 0.5 else col + 1.0
     row = row if v - row < 0.5 else row + 1.0
-    return u, v, w, np.int32(row * cols + col) if ok else np.int32(-1)
+    return np.int32(row * cols + col) if ok else np.int32(-1)
 
 
 @kernel()
@@ -82,7 +80,7 @@ def project_points(flat, lens, pixel):
         x = np.float64(flat[3 * i])
         y = np.float64(flat[3 * i + 1])
         z = np.float64(flat[3 * i + 2])
-        _, _, _, pixel[i] = project_to_pixel(x, y, z, lens)
+        pixel[i] = project_to_pixel(x, y, z, lens)
         inside += pixel[i] >= 0
     return inside
 
@@ -104,21 +102,19 @@ def splat_points(flat, pixel, order, image):
 
 
 @kernel()
-def measure_steps(flat, index, order, every, stride, behind, lengths):
-    """Write the lengths of the steps between neighbours, mm; of the points in `order` every
-    `every`-th is asked for its next. Returns their number.
+def measure_steps(flat, index, every, stride, behind, lengths):
+    """Write the lengths of the steps between neighbours, mm; every `every`-th point is asked for
+    its next. Returns their number.
     """
     n = 0
-    for k in range(0, order.shape[0] - 1, every):
-        i = order[k]
-        j = order[k + 1]
-        if n == lengths.shape[0] or index[j] - index[i] != stride:
+    for i in range(0, index.shape[0] - 1, every):
+        if n == lengths.shape[0] or index[i + 1] - index[i] != stride:
             continue
-        dx = np.float64(flat[3 * j]) - flat[3 * i]
-        dy = np.float64(flat[3 * j + 1]) - flat[3 * i + 1]
-        dz = np.float64(flat[3 * j + 2]) - flat[3 * i + 2]
+        dx = np.float64(flat[3 * i + 3]) - flat[3 * i]
+        dy = np.float64(flat[3 * i + 4]) - flat[3 * i + 1]
+        dz = np.float64(flat[3 * i + 5]) - flat[3 * i + 2]
         lengths[n] = np.sqrt(dx * dx + dy * dy + dz * dz)
-        n += flat[3 * i + 2] > behind and flat[3 * j + 2] > behind and lengths[n] < np.inf
+        n += flat[3 * i + 2] > behind and flat[3 * i + 5] > behind and lengths[n] < np.inf
     return n
 
 
@@ -130,7 +126,7 @@ def lay_out_cells(index, grid_cols, stride):
     Of several points of one pixel the last is taken.
     """
     grid_cols = np.int32(grid_cols)
-    # A product with a reciprocal vectorises, and is exact: the half added is far above its error.
+    # A product with a reciprocal vectorises, and is exact: the half added exceeds its error.
     rows_per_pixel = 1.0 / grid_cols
     first = left = np.int32(0x7FFFFFFF)
     last = right = np.int32(0)
@@ -172,10 +168,11 @@ def rasterise_grid(flat, cells, lens, limits, image, counts, loose):
     A complete quad is split along its shorter diagonal, which follows a crease. Most quads of a
     fine source hold no pixel centre: they are found in vectorised loops, and never visited.
     """
-    _, _, _, _, rows, cols, behind = lens
+    _, _, _, _, rows, cols, _ = lens
     shape = (rows, cols)
     longest_sq, _ = limits
-    # Arrays are passed one by one: a tuple of arrays is unpacked with reference counting.
+    # Arrays are passed one by one, and to inlined functions: numba counts references where a tuple
+    # of arrays is unpacked or a call takes arrays, which costs more than a triangle.
     inverse_z, veil, source = image
     n = loose.shape[0]
     between = np.empty((2, n + 1), np.int32)  # the last for cells without a point, -1
@@ -209,7 +206,7 @@ def rasterise_grid(flat, cells, lens, limits, image, counts, loose):
             d = cells[r + 1, c + 1]
             e = cells[r + 1, c]
             n_triangles = 2
-            if min(across[0, c], across[0, c + 1], across[1, c + 1], across[1, c]) >= -3:
+            if min(across[0, c], across[0, c + 1], across[1, c + 1], across[1, c]) > HIDDEN:
                 falling = _length_sq(flat, a, d)
                 rising = _length_sq(flat, b, e)
                 if min(falling, rising) > longest_sq:

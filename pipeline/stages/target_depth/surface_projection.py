@@ -99,9 +99,7 @@ def rasterise_surface(
     limits = (longest_mm * longest_mm, math.cos(math.radians(grazing_deg)))
     counts = np.zeros((2, kernels.N_COUNTS), dtype=np.int64)
     loose = np.full(len(index), 4, dtype=np.uint8)
-    kernels.rasterise_grid(
-        points, cells, pack_camera(camera), limits, image, counts, loose
-    )
+    kernels.rasterise_grid(points, cells, pack_camera(camera), limits, image, counts, loose)
     # A pixel without neighbours forms no triangle; it is drawn as a point.
     splats_points = not counts[0].any() and not (image[2] >= 0).any()
     is_point = loose == 4
@@ -156,23 +154,33 @@ def pack_camera(camera: Camera) -> tuple[float, float, float, float, int, int, f
 def _pack_membrane(membrane: Membrane) -> tuple[float, float, float, Doubles, int, int]:
     ny, nx = membrane.z_mm.shape
     corner = (float(membrane.x0_mm), float(membrane.y0_mm))
-    return *corner, float(1.0 / membrane.step_mm), flatten_read_only(membrane.z_mm, np.float64), nx, ny
+    return (
+        *corner,
+        float(1.0 / membrane.step_mm),
+        flatten_read_only(membrane.z_mm, np.float64),
+        nx,
+        ny,
+    )
 
 
 def _measure_spacing_mm(cloud: Cloud) -> float:
     """Median distance of neighbouring points, 0 if none has a neighbour; of many only some."""
     from pipeline.stages.target_depth import projection_kernels as kernels
 
-    points = flatten_read_only(cloud.points_mm)
-    index = flatten_read_only(cloud.source_index, np.int32)
-    order = np.argsort(index, kind="stable")
+    points_mm = cloud.points_mm
+    index = cloud.source_index
+    if (index[1:] < index[:-1]).any():
+        order = np.argsort(index, kind="stable")
+        points_mm = points_mm[order]
+        index = index[order]
+    points_mm = flatten_read_only(points_mm)
+    index = flatten_read_only(index, np.int32)
     lengths_mm = np.empty(_SPACING_SAMPLES)
-    for every in (max(1, len(order) // _SPACING_SAMPLES), 1):
-        n = kernels.measure_steps(
-            points, index, order, every, cloud.stride, MIN_DEPTH_MM, lengths_mm
-        )
+    for every in (max(1, len(index) // _SPACING_SAMPLES), 1):
+        n = kernels.measure_steps(points_mm, index, every, cloud.stride, MIN_DEPTH_MM, lengths_mm)
         if n:
-            return float(np.median(lengths_mm[:n]))
+            middle = (n - 1) // 2, n // 2  # np.median takes three times as long
+            return float(np.partition(lengths_mm[:n], middle)[list(middle)].mean())
     return 0.0
 
 
