@@ -168,8 +168,7 @@ def rasterise_grid(flat, cells, lens, limits, image, counts, loose):
     A complete quad is split along its shorter diagonal, which follows a crease. Most quads of a
     fine source hold no pixel centre: they are found in vectorised loops, and never visited.
     """
-    _, _, _, _, rows, cols, _ = lens
-    shape = (rows, cols)
+    shape = lens[4:6]
     longest_sq, _ = limits
     # Arrays are passed one by one, and to inlined functions: numba counts references where a tuple
     # of arrays is unpacked or a call takes arrays, which costs more than a triangle.
@@ -217,7 +216,8 @@ def rasterise_grid(flat, cells, lens, limits, image, counts, loose):
             else:
                 corners = (a, b, d, e)
                 n_there = (a >= 0) + (b >= 0) + (d >= 0) + (e >= 0)
-                if n_there < 4:
+                hidden = _is_any_hidden(between, corners)
+                if n_there < 4 and not hidden:
                     todo[n_incomplete] = c
                     n_incomplete += 1
                 if n_there < 3:
@@ -225,7 +225,7 @@ def rasterise_grid(flat, cells, lens, limits, image, counts, loose):
                         if point >= 0:
                             loose[point] += 1
                     continue
-                if _is_any_hidden(between, corners):
+                if hidden:
                     counts[0, BEHIND] += 1
                     continue
                 missing = 0 if a < 0 else 1 if b < 0 else 2 if d < 0 else 3
@@ -244,8 +244,6 @@ def rasterise_grid(flat, cells, lens, limits, image, counts, loose):
         for t in range(n_incomplete):
             c = todo[t]
             corners = (cells[r, c], cells[r, c + 1], cells[r + 1, c + 1], cells[r + 1, c])
-            if _is_any_hidden(between, corners):
-                continue
             for first in range(4):
                 if corners[first] < 0 or corners[(first + 3) & 3] >= 0:
                     continue

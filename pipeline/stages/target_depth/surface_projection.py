@@ -179,8 +179,8 @@ def _measure_spacing_mm(cloud: Cloud) -> float:
     for every in (max(1, len(index) // _SPACING_SAMPLES), 1):
         n = kernels.measure_steps(points_mm, index, every, cloud.stride, MIN_DEPTH_MM, lengths_mm)
         if n:
-            middle = (n - 1) // 2, n // 2  # np.median takes three times as long
-            return float(np.partition(lengths_mm[:n], middle)[list(middle)].mean())
+            # np.median takes three times as long
+            return float(np.sort(lengths_mm[:n])[[(n - 1) // 2, n // 2]].mean())
     return 0.0
 
 
