@@ -7,7 +7,7 @@ Points are flat (3 n) float32, images flat in row-major order. Related arguments
 (numba's cache does not survive the renaming of named tuples):
 
     lens   fx, fy, cx, cy, rows, cols, and the depth up to which a point is behind the lens
-    rest   the target's membrane at rest: x0, y0, 1 / step, z (ny, nx)
+    rest   the target's membrane at rest: x0, y0, 1 / step, z (ny nx,), nx, ny
     image  drawing buffers, the largest 1/z wins its pixel: 1/z, 0 = nothing; 1/z of the veil
            (omitted triangles, which still hide what lies behind them); the point drawn, -1 = none
 
@@ -37,18 +37,20 @@ LARGE_PX = 16  # pixels of the box from which on a triangle counts as large
 # Times that large triangles may fill the image: surfaces overlap once or twice, noise close to the
 # lens endlessly.
 MAX_LAYERS = 8
+# Places of a point that is behind the lens or not finite, and of no point; all others are larger.
+# Even and odd as places on a pixel centre and between two: quads of hidden points are visited,
+# empty ones are not.
+HIDDEN, ABSENT = np.int32(-6), np.int32(-7)
 
 
 @inner_kernel()
 def project_to_pixel(x, y, z, lens):
-    """Pixel coordinates (u, v), 1/z and flat pixel (-1 = not in view) of a point.
+    """Flat pixel of a point, -1 = not in view.
 
     Branch-free for vectorisation.
     """
-    fx, fy, cx, cy, rows, cols, behind = lens
-    w = 1.0 / z
-    u = fx * x * w + cx
-    v = fy * y * w + cy
+    _, _, _, _, rows, cols, behind = lens
+    u, v, _ = _project(x, y, z, lens)
     # Compared as floats: values beyond the integer range would wrap to another pixel. False for
     # NaN.
     ok = (
@@ -64,7 +66,7 @@ def project_to_pixel(x, y, z, lens):
     row = np.floor(v if ok else 0.0)
     col = col if u - col < 0.5 else col + 1.0
     row = row if v - row < 0.5 else row + 1.0
-    return u, v, w, np.int32(row * cols + col) if ok else np.int32(-1)
+    return np.int32(row * cols + col) if ok else np.int32(-1)
 
 
 @kernel()
@@ -78,7 +80,7 @@ def project_points(flat, lens, pixel):
         x = np.float64(flat[3 * i])
         y = np.float64(flat[3 * i + 1])
         z = np.float64(flat[3 * i + 2])
-        _, _, _, pixel[i] = project_to_pixel(x, y, z, lens)
+        pixel[i] = project_to_pixel(x, y, z, lens)
         inside += pixel[i] >= 0
     return inside
 
@@ -100,107 +102,233 @@ def splat_points(flat, pixel, order, image):
 
 
 @kernel()
-def rasterise_grid(flat, cells, lens, limits, image, counts, linked):
+def measure_steps(flat, index, every, stride, behind, lengths):
+    """Write the lengths of the steps between neighbours, mm; every `every`-th point is asked for
+    its next. Returns their number.
+    """
+    n = 0
+    for i in range(0, index.shape[0] - 1, every):
+        if n == lengths.shape[0] or index[i + 1] - index[i] != stride:
+            continue
+        dx = np.float64(flat[3 * i + 3]) - flat[3 * i]
+        dy = np.float64(flat[3 * i + 4]) - flat[3 * i + 1]
+        dz = np.float64(flat[3 * i + 5]) - flat[3 * i + 2]
+        lengths[n] = np.sqrt(dx * dx + dy * dy + dz * dz)
+        n += flat[3 * i + 2] > behind and flat[3 * i + 5] > behind and lengths[n] < np.inf
+    return n
+
+
+@kernel()
+def lay_out_cells(index, grid_cols, stride):
+    """The point of every `stride`-th source pixel (rows, cols), -1 = none, inside a frame of empty
+    cells.
+
+    Of several points of one pixel the last is taken.
+    """
+    grid_cols = np.int32(grid_cols)
+    # A product with a reciprocal vectorises, and is exact: the half added exceeds its error.
+    rows_per_pixel = 1.0 / grid_cols
+    first = left = np.int32(0x7FFFFFFF)
+    last = right = np.int32(0)
+    for i in range(index.shape[0]):
+        at = index[i]
+        col = np.int32(at - np.int32((at + 0.5) * rows_per_pixel) * grid_cols)
+        first = at if at < first else first
+        last = at if at > last else last
+        left = col if col < left else left
+        right = col if col > right else right
+    top = min(first, last) // grid_cols // stride
+    left = min(left, right) // stride
+    cells = np.full(
+        (last // grid_cols // stride - top + 3, right // stride - left + 3), -1, np.int32
+    )
+    flat = cells.reshape(-1)
+    for i in range(index.shape[0]):
+        row = np.int32((index[i] + 0.5) * rows_per_pixel)
+        col = np.int32(index[i] - row * grid_cols)
+        if stride > 1:
+            if row % stride or col % stride:
+                continue
+            row //= stride
+            col //= stride
+        flat[np.uint32((row - top + 1) * cells.shape[1] + col - left + 1)] = i
+    return cells
+
+
+@kernel()
+def rasterise_grid(flat, cells, lens, limits, image, counts, loose):
     """Rasterise the triangles between neighbouring cells of the source grid, row by row.
 
     cells (rows, cols): the point of each cell, -1 = none, inside a frame of empty ones. limits: the
     longest edge, mm^2, and the least cosine between a triangle's normal and the line of sight.
     counts (2, N_COUNTS): triangles by outcome that cover a pixel centre, those of the rim
-    separately. linked (n,): becomes True for points that are corners of a triangle, drawn or not.
+    separately. loose (n,): becomes less than 4 for points that are corners of a triangle, drawn or
+    not.
 
-    A complete quad is split along its shorter diagonal, which follows a crease.
+    A complete quad is split along its shorter diagonal, which follows a crease. Most quads of a
+    fine source hold no pixel centre: they are found in vectorised loops, and never visited.
     """
-    _, _, _, _, rows, cols, behind = lens
+    shape = lens[4:6]
     longest_sq, _ = limits
-    # Arrays are passed one by one: a tuple of arrays is unpacked with reference counting.
+    # Arrays are passed one by one, and to inlined functions: numba counts references where a tuple
+    # of arrays is unpacked or a call takes arrays, which costs more than a triangle.
     inverse_z, veil, source = image
-    n = linked.shape[0]
-    vertices = np.empty(
-        (n + 2, 7)
-    )  # x, y, z, pixel coordinates, 1/z, point; the last two: of a rim
-    is_visible = np.empty(n, np.bool_)
-    between = np.empty((n, 2), np.int32)
-    for i in range(n):
-        x = np.float64(flat[3 * i])
-        y = np.float64(flat[3 * i + 1])
-        z = np.float64(flat[3 * i + 2])
-        is_visible[i] = (z > behind) & (z < np.inf) & (abs(x) < np.inf) & (abs(y) < np.inf)
-        _write_vertex(vertices, i, x, y, z, i, lens)
-        between[i, 0] = _number_interval(vertices[i, 3], cols)
-        between[i, 1] = _number_interval(vertices[i, 4], rows)
-    for r in range(cells.shape[0] - 1):
-        for c in range(cells.shape[1] - 1):
+    n = loose.shape[0]
+    between = np.empty((2, n + 1), np.int32)  # the last for cells without a point, -1
+    _find_places(flat, lens, between[0], between[1])
+    between[:, n] = ABSENT
+    across = np.empty((2, cells.shape[1]), np.int32)  # places of two rows of cells, in turns
+    down = np.empty((2, cells.shape[1]), np.int32)
+    holds_centre = np.empty(cells.shape[1], np.uint8)
+    todo = np.empty(cells.shape[1], np.int32)
+    for r in range(-1, cells.shape[0] - 1):
+        low = (r + 1) & 1
+        for c in range(cells.shape[1]):
+            i = cells[r + 1, c]
+            across[low, c] = between[0, i]
+            down[low, c] = between[1, i]
+            if i >= 0:
+                loose[i] = 0
+        if r < 0:
+            continue
+        _find_centres(across[1 - low], across[low], down[1 - low], down[low], holds_centre)
+        n_todo = 0
+        for c in range(cells.shape[1] - 1):  # branch-free: which quads hold one is unpredictable
+            todo[n_todo] = c
+            n_todo += holds_centre[c]
+        n_incomplete = 0
+        for t in range(n_todo):
+            c = todo[t]
             # clockwise from the upper left
             a = cells[r, c]
             b = cells[r, c + 1]
             d = cells[r + 1, c + 1]
             e = cells[r + 1, c]
-            n_there = (a >= 0) + (b >= 0) + (d >= 0) + (e >= 0)
-            if n_there < 3:
-                continue
-            corners = (a, b, d, e)
-            missing = 0 if a < 0 else 1 if b < 0 else 2 if d < 0 else 3
-            all_visible = True
-            for point in corners:
-                if point >= 0:
-                    linked[point] = True
-                    all_visible &= is_visible[point]
-            if not all_visible:
-                counts[0, BEHIND] += 1
-            elif n_there < 4:
-                _draw_quad_less(
-                    vertices, corners, missing, lens, limits, inverse_z, veil, source, counts
-                )
-            elif _may_cover(between, a, b, d, e, 0) and _may_cover(between, a, b, d, e, 1):
+            n_triangles = 2
+            if min(across[0, c], across[0, c + 1], across[1, c + 1], across[1, c]) > HIDDEN:
                 falling = _length_sq(flat, a, d)
                 rising = _length_sq(flat, b, e)
                 if min(falling, rising) > longest_sq:
                     counts[0, JUMP] += 2
                     continue
-                first = 3 if falling < rising else 2
-                _draw_quad_less(
-                    vertices, corners, first, lens, limits, inverse_z, veil, source, counts
-                )
-                _draw_quad_less(
-                    vertices, corners, first - 2, lens, limits, inverse_z, veil, source, counts
-                )
-        for c in range(cells.shape[1] - 1):
-            n_there = (cells[r, c] >= 0) + (cells[r, c + 1] >= 0)
-            n_there += (cells[r + 1, c] >= 0) + (cells[r + 1, c + 1] >= 0)
-            if 0 < n_there < 4:
-                _draw_rim(
-                    vertices, is_visible, cells, r, c, lens, limits, inverse_z, veil, source, counts
-                )
+                if not falling < rising:
+                    a, b, d, e = e, a, b, d
+            else:
+                corners = (a, b, d, e)
+                n_there = (a >= 0) + (b >= 0) + (d >= 0) + (e >= 0)
+                hidden = _is_any_hidden(between, corners)
+                if n_there < 4 and not hidden:
+                    todo[n_incomplete] = c
+                    n_incomplete += 1
+                if n_there < 3:
+                    for point in corners:
+                        if point >= 0:
+                            loose[point] += 1
+                    continue
+                if hidden:
+                    counts[0, BEHIND] += 1
+                    continue
+                missing = 0 if a < 0 else 1 if b < 0 else 2 if d < 0 else 3
+                e = a = corners[(missing + 1) & 3]
+                b = corners[(missing + 2) & 3]
+                d = corners[(missing + 3) & 3]
+                n_triangles = 1
+            i = _make_vertex(flat, between, a, lens)
+            j = _make_vertex(flat, between, b, lens)
+            k = _make_vertex(flat, between, d, lens)
+            opposite = _make_vertex(flat, between, e, lens)
+            for _ in range(n_triangles):
+                _draw_triangle(i, j, k, 0, shape, limits, inverse_z, veil, source, counts)
+                i, j, k = k, opposite, i
+        # The part of incomplete quads that lies up to the middle of their edges.
+        for t in range(n_incomplete):
+            c = todo[t]
+            corners = (cells[r, c], cells[r, c + 1], cells[r + 1, c + 1], cells[r + 1, c])
+            for first in range(4):
+                if corners[first] < 0 or corners[(first + 3) & 3] >= 0:
+                    continue
+                last = first  # of a run of corners
+                while corners[(last + 1) & 3] >= 0:
+                    last = (last + 1) & 3
+                i = _make_vertex(flat, between, corners[first], lens)
+                j = _make_vertex(flat, between, corners[last], lens)
+                inner = _find_behind(cells, r, c, last, (last + 1) & 3)
+                k = _extrapolate(j, _make_vertex(flat, between, inner, lens), longest_sq, lens)
+                inner = _find_behind(cells, r, c, first, (first + 3) & 3)
+                end = _extrapolate(i, _make_vertex(flat, between, inner, lens), longest_sq, lens)
+                if first != last:
+                    _draw_triangle(i, j, k, 1, shape, limits, inverse_z, veil, source, counts)
+                _draw_triangle(i, k, end, 1, shape, limits, inverse_z, veil, source, counts)
+
+
+@inner_kernel(forceinline=True)
+def _make_vertex(flat, between, point, lens):
+    """Point, its places among the pixel centres, pixel coordinates, 1/z, and position."""
+    x = np.float64(flat[3 * point])
+    y = np.float64(flat[3 * point + 1])
+    z = np.float64(flat[3 * point + 2])
+    u, v, w = _project(x, y, z, lens)
+    return point, between[0, point], between[1, point], u, v, w, x, y, z
+
+
+@inner_kernel(forceinline=True)
+def _find_behind(cells, r, c, here, missing):
+    """The point behind corner `here` of a quad, seen from the `missing` one; itself without one."""
+    row = r + (here >> 1)
+    col = c + ((here ^ (here >> 1)) & 1)
+    point = cells[2 * row - r - (missing >> 1), 2 * col - c - ((missing ^ (missing >> 1)) & 1)]
+    return point if point >= 0 else cells[row, col]
+
+
+@inner_kernel()
+def _find_places(flat, lens, across, down):
+    """Places of the points among the pixel centres; vectorised."""
+    _, _, _, _, rows, cols, behind = lens
+    for i in range(flat.shape[0] // 3):
+        x = np.float64(flat[3 * i])
+        y = np.float64(flat[3 * i + 1])
+        z = np.float64(flat[3 * i + 2])
+        u, v, _ = _project(x, y, z, lens)
+        ok = (z > behind) & (z < np.inf) & (abs(x) < np.inf) & (abs(y) < np.inf)
+        at_x = _number_interval(u if ok else 0.0, cols)
+        at_y = _number_interval(v if ok else 0.0, rows)
+        across[i] = at_x if ok else HIDDEN
+        down[i] = at_y if ok else HIDDEN
+
+
+@inner_kernel()
+def _find_centres(above_x, below_x, above_y, below_y, holds_centre):
+    """Whether a pixel centre lies between the corners of each quad of a row, along both axes.
+
+    True also where a corner is absent or hidden, unless all are absent; vectorised.
+    """
+    for c in range(holds_centre.shape[0] - 1):
+        x = above_x[c]
+        y = above_y[c]
+        in_x = (x ^ above_x[c + 1]) | (x ^ below_x[c]) | (x ^ below_x[c + 1]) | (~x & 1)
+        in_y = (y ^ above_y[c + 1]) | (y ^ below_y[c]) | (y ^ below_y[c + 1]) | (~y & 1)
+        holds_centre[c] = (in_x != 0) & (in_y != 0)
+
+
+@inner_kernel(forceinline=True)
+def _is_any_hidden(between, corners):
+    hidden = False
+    for point in corners:
+        hidden |= between[0, point] == HIDDEN
+    return hidden
 
 
 @inner_kernel()
 def _number_interval(at, size):
-    """Number of the place of a coordinate among the pixel centres: odd between two of them."""
-    near = min(max(at, -1.5), size + 0.5)
-    return np.int32(np.ceil(near - SLACK)) + np.int32(np.floor(near + SLACK))
+    """Number of the place of a coordinate among the pixel centres: odd between two of them.
 
-
-@inner_kernel()
-def _may_cover(between, a, b, d, e, axis):
-    """Whether a pixel centre lies between a quad's corners along an axis: it does not for most
-    quads of a fine source.
+    Half of it, rounded up and down, are the first centre not before and the last not after it.
+    Clamped as floats, to one centre beyond either border: values beyond the integer range would
+    wrap.
     """
-    place = between[a, axis]
-    same = place == between[b, axis] and place == between[d, axis] and place == between[e, axis]
-    return not same or place & 1 == 0
-
-
-@inner_kernel()
-def _write_vertex(vertices, to, x, y, z, point, lens):
-    fx, fy, cx, cy, _, _, _ = lens
-    w = 1.0 / z
-    vertices[to, 0] = x
-    vertices[to, 1] = y
-    vertices[to, 2] = z
-    vertices[to, 3] = fx * x * w + cx
-    vertices[to, 4] = fy * y * w + cy
-    vertices[to, 5] = w
-    vertices[to, 6] = point
+    near = at if at > -1.5 else -1.5
+    near = near if near < size + 0.5 else size + 0.5
+    return np.int32(np.ceil(near - SLACK)) + np.int32(np.floor(near + SLACK))
 
 
 @inner_kernel()
@@ -213,91 +341,47 @@ def _length_sq(flat, i, j):
 
 
 @inner_kernel()
-def _bracket_centres(low, high, size):
-    """First and last pixel centre from `low` to `high`, at most one beyond either border.
+def _project(x, y, z, lens):
+    """Pixel coordinates and 1/z of a position."""
+    fx, fy, cx, cy, _, _, _ = lens
+    w = 1.0 / z
+    return fx * x * w + cx, fy * y * w + cy, w
 
-    Clamped as floats: values beyond the integer range would wrap.
+
+@inner_kernel()
+def _extrapolate(border, inner, longest_sq, lens):
+    """The vertex half a step beyond a border point, on the line from the one behind it; the border
+    point itself where those two are too far apart.
     """
-    low = min(max(low, -1.5), size + 0.5)
-    high = min(max(high, -1.5), size + 0.5)
-    return np.int64(np.ceil(low - SLACK)), np.int64(np.floor(high + SLACK))
+    _, _, _, _, rows, cols, behind = lens
+    point, _, _, _, _, _, x, y, z = border
+    _, _, _, _, _, _, inner_x, inner_y, inner_z = inner
+    dx = x - inner_x
+    dy = y - inner_y
+    dz = z - inner_z
+    length_sq = dx * dx + dy * dy + dz * dz
+    if not (inner_z > behind and length_sq <= longest_sq and z + 0.5 * dz > behind):
+        return border
+    x = x + 0.5 * dx
+    y = y + 0.5 * dy
+    z = z + 0.5 * dz
+    u, v, w = _project(x, y, z, lens)
+    return point, _number_interval(u, cols), _number_interval(v, rows), u, v, w, x, y, z
 
 
 @inner_kernel()
-def _draw_quad_less(vertices, corners, missing, lens, limits, inverse_z, veil, source, counts):
-    """Draw the triangle of a quad's corners but one."""
-    i = corners[(missing + 1) & 3]
-    j = corners[(missing + 2) & 3]
-    k = corners[(missing + 3) & 3]
-    _draw_triangle(vertices, (i, j, k), 0, lens, limits, inverse_z, veil, source, counts)
-
-
-@inner_kernel()
-def _draw_rim(vertices, is_visible, cells, r, c, lens, limits, inverse_z, veil, source, counts):
-    """Draw the part of an incomplete quad that lies up to the middle of its edges."""
-    corners = (cells[r, c], cells[r, c + 1], cells[r + 1, c + 1], cells[r + 1, c])
-    n = np.int32(vertices.shape[0] - 2)
-    end = np.int32(n + 1)
-    for point in corners:
-        if point >= 0 and not is_visible[point]:
-            return
-    for first in range(4):
-        if corners[first] < 0 or corners[(first + 3) & 3] >= 0:
-            continue
-        last = first  # of a run of corners
-        while corners[(last + 1) & 3] >= 0:
-            last = (last + 1) & 3
-        _extend(vertices, n, cells, r, c, last, last + 1, lens, limits)
-        _extend(vertices, end, cells, r, c, first, first + 3, lens, limits)
-        if first != last:
-            corners_of_run = (corners[first], corners[last], n)
-            _draw_triangle(
-                vertices, corners_of_run, 1, lens, limits, inverse_z, veil, source, counts
-            )
-        at_end = (corners[first], n, end)
-        _draw_triangle(vertices, at_end, 1, lens, limits, inverse_z, veil, source, counts)
-
-
-@inner_kernel()
-def _extend(vertices, to, cells, r, c, here, missing, lens, limits):
-    """Write a vertex half a step from corner `here` of a quad toward the `missing` one: on the line
-    from the point behind, or the corner itself without one.
-    """
-    longest_sq, _ = limits
-    behind = lens[6]
-    row = r + (here >> 1)
-    col = c + ((here ^ (here >> 1)) & 1)
-    missing &= 3
-    i = cells[row, col]
-    j = cells[2 * row - r - (missing >> 1), 2 * col - c - ((missing ^ (missing >> 1)) & 1)]
-    x = vertices[i, 0]
-    y = vertices[i, 1]
-    z = vertices[i, 2]
-    if j >= 0 and vertices[j, 2] > behind:
-        dx = x - vertices[j, 0]
-        dy = y - vertices[j, 1]
-        dz = z - vertices[j, 2]
-        if dx * dx + dy * dy + dz * dz <= longest_sq and z + 0.5 * dz > behind:
-            x = x + 0.5 * dx
-            y = y + 0.5 * dy
-            z = z + 0.5 * dz
-    _write_vertex(vertices, to, x, y, z, i, lens)
-
-
-@inner_kernel()
-def _classify_triangle(vertices, corners, limits):
+def _classify_triangle(i, j, k, limits):
     """Outcome by the lengths of the edges and the angle between normal and line of sight."""
     longest_sq, least_cos = limits
-    i, j, k = corners
-    x = vertices[i, 0]
-    y = vertices[i, 1]
-    z = vertices[i, 2]
-    bx = vertices[j, 0] - x
-    by = vertices[j, 1] - y
-    bz = vertices[j, 2] - z
-    cx = vertices[k, 0] - x
-    cy = vertices[k, 1] - y
-    cz = vertices[k, 2] - z
+    _, _, _, _, _, _, x, y, z = i
+    _, _, _, _, _, _, bx, by, bz = j
+    _, _, _, _, _, _, cx, cy, cz = k
+    bx -= x
+    by -= y
+    bz -= z
+    cx -= x
+    cy -= y
+    cz -= z
     dx = cx - bx
     dy = cy - by
     dz = cz - bz
@@ -309,9 +393,9 @@ def _classify_triangle(vertices, corners, limits):
     nx = by * cz - bz * cy
     ny = bz * cx - bx * cz
     nz = bx * cy - by * cx
-    mx = x + (bx + cx) / 3.0
-    my = y + (by + cy) / 3.0
-    mz = z + (bz + cz) / 3.0
+    mx = 3.0 * x + bx + cx  # three times the middle
+    my = 3.0 * y + by + cy
+    mz = 3.0 * z + bz + cz
     along = nx * mx + ny * my + nz * mz
     limit_sq = least_cos * least_cos * (nx * nx + ny * ny + nz * nz) * (mx * mx + my * my + mz * mz)
     if along == 0.0 or not along * along >= limit_sq:
@@ -319,35 +403,31 @@ def _classify_triangle(vertices, corners, limits):
     return DRAWN if along > 0.0 else FLIPPED
 
 
-@inner_kernel()
-def _draw_triangle(vertices, corners, rim, lens, limits, inverse_z, veil, source, counts):
+@inner_kernel(forceinline=True)
+def _draw_triangle(i, j, k, rim, shape, limits, inverse_z, veil, source, counts):
     """Draw one triangle in the pixels whose centres it covers: 1/z is linear on screen, the largest
     wins.
 
     It is counted if it covers one, or if its box is large.
     """
-    _, _, _, _, rows, cols, _ = lens
-    i, j, k = corners
-    xa = vertices[i, 3]
-    ya = vertices[i, 4]
-    xb = vertices[j, 3]
-    yb = vertices[j, 4]
-    xc = vertices[k, 3]
-    yc = vertices[k, 4]
-    left, right = _bracket_centres(min(xa, xb, xc), max(xa, xb, xc), cols)
-    top, bottom = _bracket_centres(min(ya, yb, yc), max(ya, yb, yc), rows)
-    left = max(left, 0)
-    right = min(right, cols - 1)
-    top = max(top, 0)
-    bottom = min(bottom, rows - 1)
+    rows, cols = shape
+    point_a, across_a, down_a, xa, ya, near_a, _, _, _ = i
+    point_b, across_b, down_b, xb, yb, near_b, _, _, _ = j
+    point_c, across_c, down_c, xc, yc, near_c, _, _, _ = k
+    left = max((min(across_a, across_b, across_c) + 1) >> 1, 0)
+    right = min(max(across_a, across_b, across_c) >> 1, cols - 1)
+    top = max((min(down_a, down_b, down_c) + 1) >> 1, 0)
+    bottom = min(max(down_a, down_b, down_c) >> 1, rows - 1)
+    if left > right or top > bottom:
+        return
     area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
-    if left > right or top > bottom or area == 0.0:
+    if area == 0.0:
         return
     scale = 1.0 / area
     outcome = JUMP
     large = (right - left + 1) * (bottom - top + 1) > LARGE_PX
     if large:
-        outcome = _classify_triangle(vertices, corners, limits)
+        outcome = _classify_triangle(i, j, k, limits)
         if counts[rim, PIXELS_SPENT] > MAX_LAYERS * rows * cols:
             outcome = OVERFULL
         counts[rim, outcome] += 1
@@ -367,21 +447,21 @@ def _draw_triangle(vertices, corners, rim, lens, limits, inverse_z, veil, source
             wa = ((xb - x) * (yc - y) - (xc - x) * (yb - y)) * scale
             wb = ((xc - x) * (ya - y) - (xa - x) * (yc - y)) * scale
             wc = 1.0 - wa - wb
-            if wa < -SLACK or wb < -SLACK or wc < -SLACK:
+            if min(wa, wb, wc) < -SLACK:
                 continue
             if not counted:
-                outcome = _classify_triangle(vertices, corners, limits)
+                outcome = _classify_triangle(i, j, k, limits)
                 counted = True
                 counts[rim, outcome] += 1
-            near = wa * vertices[i, 5] + wb * vertices[j, 5] + wc * vertices[k, 5]
+            near = wa * near_a + wb * near_b + wc * near_c
             p = y * cols + x
             if outcome == GRAZING:
                 veil[p] = max(veil[p], near)
             elif outcome > GRAZING and near > inverse_z[p]:
                 inverse_z[p] = near
                 # The corner with the largest weight is nearest on screen.
-                nearest = j if wb > wa else i
-                source[p] = np.int32(vertices[k if wc > max(wa, wb) else nearest, 6])
+                nearest = point_b if wb > wa else point_a
+                source[p] = point_c if wc > max(wa, wb) else nearest
 
 
 @inner_kernel()
@@ -434,12 +514,11 @@ def mark_hidden_points(flat, depth, lens, tolerance, pixel):
     return hidden
 
 
-@inner_kernel()
+@inner_kernel(forceinline=True)
 def sample_rest_surface(x, y, rest):
     """Rest surface at (x, y): bilinear, constant beyond the border."""
-    x0, y0, per_mm, z = rest
-    ny, nx = z.shape
-    return sample_height(z.reshape(-1), nx, ny, (x - x0) * per_mm, (y - y0) * per_mm)[0]
+    x0, y0, per_mm, z, nx, ny = rest
+    return sample_height(z, nx, ny, (x - x0) * per_mm, (y - y0) * per_mm)[0]
 
 
 @kernel()

@@ -94,19 +94,21 @@ def rasterise_surface(
     index = flatten_read_only(cloud.source_index, np.int32)
     # the diagonal of a cell on a slope
     longest_mm = jump_mm + 2.0 * _measure_spacing_mm(cloud)
+    cells = kernels.lay_out_cells(index, cloud.grid_shape[1], cloud.stride)
     image = _make_image(camera)
     limits = (longest_mm * longest_mm, math.cos(math.radians(grazing_deg)))
     counts = np.zeros((2, kernels.N_COUNTS), dtype=np.int64)
-    linked = np.zeros(len(index), dtype=np.bool_)
-    kernels.rasterise_grid(
-        points, _lay_out_cells(cloud), pack_camera(camera), limits, image, counts, linked
-    )
+    loose = np.full(len(index), 4, dtype=np.uint8)
+    kernels.rasterise_grid(points, cells, pack_camera(camera), limits, image, counts, loose)
     # A pixel without neighbours forms no triangle; it is drawn as a point.
     splats_points = not counts[0].any() and not (image[2] >= 0).any()
-    pixel, _ = assign_pixels(cloud, camera)
-    if not splats_points:
-        pixel[linked] = -1
-    kernels.splat_points(points, pixel, index, image)
+    is_point = loose == 4
+    if splats_points or is_point.any():
+        pixel, n_points = assign_pixels(cloud, camera)
+        if not splats_points:
+            pixel[~is_point] = -1
+        kernels.splat_points(points, pixel, index, image)
+        splats_points &= n_points > 0 and not is_point.all()
     depth_mm = np.empty(image[2].size, dtype=np.float32)
     contact = np.empty(image[2].size, dtype=np.bool_)
     n_drawn, n_veiled = kernels.resolve_depth_and_contact(
@@ -125,7 +127,7 @@ def rasterise_surface(
         n_drawn_px=int(n_drawn),
         n_veiled_px=int(n_veiled),
         triangle_counts=counts[0],
-        is_point_splat=splats_points and bool(linked.any() and (pixel >= 0).any()),
+        is_point_splat=splats_points,
     )
 
 
@@ -149,44 +151,36 @@ def pack_camera(camera: Camera) -> tuple[float, float, float, float, int, int, f
     return *focal, *centre, int(camera.rows), int(camera.cols), MIN_DEPTH_MM
 
 
-def _pack_membrane(membrane: Membrane) -> tuple[float, float, float, Doubles]:
-    z_mm = flatten_read_only(membrane.z_mm, np.float64).reshape(membrane.z_mm.shape)
-    return float(membrane.x0_mm), float(membrane.y0_mm), float(1.0 / membrane.step_mm), z_mm
-
-
-def _lay_out_cells(cloud: Cloud) -> Indices:
-    """The point of every `stride`-th source pixel (rows, cols), -1 = none, inside a frame of empty
-    cells.
-
-    Of several points of one pixel the last is taken.
-    """
-    row = cloud.source_index // cloud.grid_shape[1]
-    col = cloud.source_index - row * cloud.grid_shape[1]
-    cell_row = row // cloud.stride
-    cell_col = col // cloud.stride
-    taken = np.flatnonzero((cell_row * cloud.stride == row) & (cell_col * cloud.stride == col))
-    row, col = (
-        at[taken] - at.min(initial=max(cloud.grid_shape)) + 1 for at in (cell_row, cell_col)
+def _pack_membrane(membrane: Membrane) -> tuple[float, float, float, Doubles, int, int]:
+    ny, nx = membrane.z_mm.shape
+    corner = (float(membrane.x0_mm), float(membrane.y0_mm))
+    return (
+        *corner,
+        float(1.0 / membrane.step_mm),
+        flatten_read_only(membrane.z_mm, np.float64),
+        nx,
+        ny,
     )
-    cells = np.full((row.max(initial=0) + 2, col.max(initial=0) + 2), -1, dtype=np.int32)
-    cells[row, col] = taken
-    return cells
 
 
 def _measure_spacing_mm(cloud: Cloud) -> float:
     """Median distance of neighbouring points, 0 if none has a neighbour; of many only some."""
-    order = np.argsort(cloud.source_index, kind="stable")
-    for every in (max(1, len(order) // _SPACING_SAMPLES), 1):
-        one = order[:-1:every]
-        other = order[1::every]
-        with np.errstate(all="ignore"):
-            steps_mm = cloud.points_mm[other].astype(np.float64) - cloud.points_mm[one]
-            distance_mm = np.linalg.norm(steps_mm, axis=1)
-        near = cloud.source_index[other] - cloud.source_index[one] == cloud.stride
-        near &= (cloud.points_mm[[one, other], 2] > MIN_DEPTH_MM).all(axis=0)
-        near &= np.isfinite(distance_mm)
-        if near.any():
-            return float(np.median(distance_mm[near][:_SPACING_SAMPLES]))
+    from pipeline.stages.target_depth import projection_kernels as kernels
+
+    points_mm = cloud.points_mm
+    index = cloud.source_index
+    if (index[1:] < index[:-1]).any():
+        order = np.argsort(index, kind="stable")
+        points_mm = points_mm[order]
+        index = index[order]
+    points_mm = flatten_read_only(points_mm)
+    index = flatten_read_only(index, np.int32)
+    lengths_mm = np.empty(_SPACING_SAMPLES)
+    for every in (max(1, len(index) // _SPACING_SAMPLES), 1):
+        n = kernels.measure_steps(points_mm, index, every, cloud.stride, MIN_DEPTH_MM, lengths_mm)
+        if n:
+            # np.median takes three times as long
+            return float(np.sort(lengths_mm[:n])[[(n - 1) // 2, n // 2]].mean())
     return 0.0
 
 
