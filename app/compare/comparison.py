@@ -284,7 +284,11 @@ class ComparisonController(BackgroundController):
             self._release_timer.stop()
         elif was_visible:
             self._release_timer.start()
-        if session.layout.name != "compare" or session.recording is None:
+        is_closed = self._controller.views.translation is None
+        if is_closed:  # nothing of the recording before stays, if the next one does not open
+            for tab in self._page.tile_tabs:
+                tab.show_comparison(Comparison(tiles=(), summary=""))
+        if session.layout.name != "compare" or is_closed:
             self.abandon()
             self._requested = ()
         self._show_choices(session)

@@ -84,6 +84,8 @@ class VerdictController(Feature):
 
     def _judge(self, latest: EvaluatedFrame, findings: Sequence[Finding]) -> tuple[str, str, str]:
         """Return a state, a sentence and its cause."""
+        if not latest.results:
+            return "", "", ""  # of a layout that computes no stage
         which = f"Frame {latest.index}"
         depth = latest.results["depth"].output if "depth" in latest.results else None
         if isinstance(depth, DepthMap) and not depth.contact.any():
@@ -98,7 +100,8 @@ class VerdictController(Feature):
             )
         if findings:
             return "warning", f"{which}:", f"{findings[0].sentence}."
-        return "", f"{which}: no warning.", _NO_TRUTH
+        is_whole = DEFAULT_METRIC.partition(".")[0] in latest.results
+        return "", f"{which}: no warning.", _NO_TRUTH if is_whole else ""
 
     def _offer_place(self) -> list[Choice]:
         """Offer to show where the largest share of the error is."""

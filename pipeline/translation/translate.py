@@ -733,7 +733,7 @@ def _about_kinds(
     for stage, name in request.methods:
         chosen = catalogue.method(stage, name)
         answer = answering.get(stage)
-        if answer is not None and answer is not chosen:
+        if answer is not None and answer.name != chosen.name:
             sensor = source if catalogue.stage(stage).sensor_role == "source" else target
             notes.append(
                 StageWarning(

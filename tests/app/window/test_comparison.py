@@ -44,6 +44,21 @@ def _settled(qtbot, instrument, comparing, tiles):
     )
 
 
+def test_a_recording_that_does_not_open_leaves_no_tiles_of_the_one_before(compared, tmp_path):
+    instrument, comparing = compared
+    bad = tmp_path / "bad.h5"
+    bad.write_bytes(b"damaged")
+    instrument.open_path(bad)
+    wait_until_shown(instrument, LIMIT_S)
+    assert "bad.h5" in instrument.window.banner.text
+    assert not _tiles(instrument)
+    assert not instrument.window.comparison.current_tab.message.text()
+    assert not comparing.is_busy
+    instrument.window.banner.buttons[0].click()
+    assert wait_until_shown(instrument, LIMIT_S)
+    assert comparing.is_busy, "the same tiles are computed again"
+
+
 def test_every_method_is_compared_with_ground_truth_worst_first(compared, qtbot):
     instrument, comparing = compared
     page = instrument.window.comparison

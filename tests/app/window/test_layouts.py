@@ -150,6 +150,8 @@ def test_control_and_a_click_add_a_pane_and_remove_it(window, qtbot):
 
 
 def test_the_verdict_says_how_far_off_and_why_and_leads_there(window, qtbot):
+    window.choose_method("touch", "t2d2")  # whose largest error lies outside the source's view
+    assert wait_until_shown(window, LIMIT_S)
     verdict = window.window.verdict
     assert verdict.sentence.startswith("Frame 5 is 0.36 mm off.")
     assert any("of the target's contact" in finding.sentence for finding in verdict.findings)
@@ -165,6 +167,18 @@ def test_the_verdict_says_how_far_off_and_why_and_leads_there(window, qtbot):
     assert window.window.columns["target_depth"].state == "skipped"
     assert verdict.sentence.startswith("Frame 0 has no contact.")
     assert verdict.findings == ()
+
+
+def test_a_layout_that_computes_no_stage_has_no_verdict(window):
+    verdict = window.window.verdict
+    assert "mm off" in verdict.sentence
+    window.window.actions_by_name["layout_track"].trigger()
+    assert wait_until_shown(window, LIMIT_S)
+    assert not window.latest_frame.results
+    assert verdict.sentence == "", "not that there is no warning and no truth"
+    window.window.actions_by_name["layout_look"].trigger()
+    assert wait_until_shown(window, LIMIT_S)
+    assert "mm off" in verdict.sentence
 
 
 def test_without_truth_the_verdict_is_the_first_warning(bubble_window):

@@ -75,6 +75,22 @@ def test_a_damaged_recording_clears_all_panes_and_offers_the_one_before(
     assert count_images(bubble_window) == len(window.columns)
 
 
+def test_a_damaged_recording_leaves_no_figures_of_the_one_before(open_window, qtbot, tmp_path):
+    controller = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
+    assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
+    window = controller.window
+    bars = window.error_attribution.waterfall
+    qtbot.waitUntil(lambda: bool(bars.bars), timeout=LIMIT_S * 1000)
+    bad = tmp_path / "bad.h5"
+    bad.write_bytes(b"damaged")
+    controller.open_path(bad)
+    wait_until_shown(controller, LIMIT_S)
+    assert not bars.bars
+    assert not window.error_attribution.sentence.text()
+    assert not any(one.share for one in window.look.filmstrip.thumbnails.values())
+    assert not window.inspector._figures.rowCount()
+
+
 def test_a_cancelled_opening_leaves_no_image_and_can_go_on(bubble_window, monkeypatch, qtbot):
     evaluate = bubble_window.evaluator.evaluate_frame
 

@@ -130,6 +130,8 @@ def test_a_method_for_another_kind_of_sensor_makes_way_and_a_note_says_so():
         (note,) = select_warnings(opened.notes)
         assert "'Network' is for sensors of kind bubble, and DIGIT is a gel" in note
         assert "(depth=physics)" in note
+    with closing(open_translation(replace(plain, methods=(("depth", "truth"),)))) as opened:
+        assert not any("is for sensors" in note for note in opened.notes), "truth of any sensor"
 
 
 def test_a_gels_depth_loads_no_torch():
