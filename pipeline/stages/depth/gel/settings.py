@@ -9,6 +9,155 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class StepRule:
+    """How one refinement iteration moves the slopes, and how it makes them a surface."""
+
+    pull: float  # grey^2 per squared slope: holds a step back where the colours determine little
+    # mm/mm; 1.43 is 55 degrees: the light hardly changes beyond. Walls next to edges have slopes
+    # of 2 to 3.
+    max_slope: float = 1.43
+    # solve for the surface nearest to the slopes, each weighted by its certainty
+    weighted: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LightSettings:
+    """Constants of the node *light*, which chooses an illumination and fits its parameters."""
+
+    min_context_touches: int = 2  # one tells no more than the frame itself
+    iterations: int = 4  # of a surface; two leave 20 % more error on a GelSlim
+
+    # Standard deviations between sensor instances, as `simulation.variation` draws them.
+    azimuth_deg: float = 8.0
+    elevation_deg: float = 3.0
+    # of the logarithm of a whole LED, and of each of its colours
+    log_power: float = 0.12
+    log_colour: float = 0.08
+    # fall-off, vignette, log blur, log shadow, shadow elevation (degrees)
+    others: tuple[float, ...] = (0.05, 0.08, 0.15, 0.25, 3.0)
+    elevation_limits_deg: tuple[float, float] = (5.0, 80.0)
+    # of the brightness that the gain of near LEDs is compared with
+    reference_blur_px: float = 3.0
+
+    # LED fit, see `parameter_fit`
+    # along the longer side: half the refinement grid determines the LEDs as well
+    led_grid_cells: int = 80
+    fit_iterations: int = 4
+    fit_refinements: int = 2  # surface refinements in each iteration of the fit
+    fit_cg_steps: int = 8
+    rate_step: float = 0.15  # standard deviations, for numerical derivatives
+    # Mahalanobis length of one step: walls are not linear in the LED parameters
+    max_fit_step: float = 4.0
+    noise_grey: float = 6.0  # standard deviation of a colour that no LEDs explain (chosen)
+    projection_cg_steps: int = 3
+    black_grey: float = 2.0  # camera values at or below carry no information
+    white_grey: float = 252.0  # camera values at or above carry no information
+    # LEDs are accepted where deviance / max_deviance + excess / max_excess is at most 1: deviance
+    # t' C^-1 t, and the share of the change that is left beyond noise. Simulated instances reach up
+    # to 0.99 of the limit, one in fifty more; single balls on a real Mini from 1.19, other real
+    # instances from 2.1.
+    max_deviance: float = 70.0
+    max_excess: float = 0.28
+    independent_pixels: float = 800.0  # of one touch
+    misfit_noise_grey: float = 1.5  # grey levels of misfit per pixel that are noise
+    # This sum beyond which a fit ends: as described, after one step, two, ... 238 accepted fits
+    # (`benchmarks/simulated_depth.py`) have at most 1.97, 1.65, 1.78 and 1.25; all of 15 touches on
+    # a real GelSlim have more than 2 after two steps.
+    hopeless: tuple[float, ...] = (2.32, 1.9, 1.9, 1.4, 1.0)
+    # Share of the deviance of random instances below which the description stands: walls and
+    # shadows on instances as described have up to this in three touches of four, others 0.22 or
+    # more.
+    as_described: float = 0.2
+
+    # Field fit, see `field_light`
+    field_iterations: int = 3
+    field_refinements: int = 2
+    first_field_refinements: int = 3
+    # depths of the surface that the parabola goes through
+    field_depth_factors: tuple[float, ...] = (0.8, 1.0, 1.25)
+    min_field_samples: int = 60  # fewer determine no field
+    min_relative_change: float = 0.1  # of the relative change q: slopes, not noise
+    field_noise: float = 0.05  # of q: what no smooth field explains
+    # lens blur spans six pixels; a touch and its surroundings 80
+    field_independent_pixels: float = 200.0
+
+    # Choice of the model, see `selection`. Of the change, left by the described LEDs, plain and
+    # trusted: simulated instances that no fitted LEDs explain 0.29 to 0.59 and 0.17 to 0.56; a real
+    # GelSlim from 0.66 and 0.58, a real DIGIT from 0.74 and 0.62.
+    explained_share: float = 0.6
+    # described / field misfit under noise: a real GelSlim to 2.54, a real Mini from 2.59
+    field_gain: float = 2.57
+    # of a recording, that decide on a field: one real Mini touch in 67 misses the gain alone
+    field_touches: int = 2
+    hopeless_field_gain: float = 1.5  # after any iteration: two more gain a factor of 1.4 at most
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlopesSettings:
+    """Constants of the node *slopes*, and of the window in which it looks."""
+
+    # Where the image has changed, see `change_detection`
+    block_px: int = 8  # width of the blocks that changes are averaged over
+    blocks_min: int = 40  # along the longer side, for the estimate of noise
+    low_share: float = 0.35  # of the no-touch limit: a touched region extends down to this change
+    drift_factor: float = 2.5  # times the image's typical change: less is drift of the light
+    # of the block changes that is typical of the image, of which a touch may fill most
+    typical_quantile: float = 0.25
+    # standard deviation in blocks: a touch is smooth over it, noise is not
+    smoothing_blocks: float = 1.2
+    # times the noise: untouched frames of a dithered film reach 15, its touches 16 to 100
+    noise_factor: float = 16.0
+    # around the visible change: the gel relaxes to rest within about this distance
+    margin_mm: float = 2.0
+    blend_share: float = 0.5  # of the margin, over which the surface is blended to rest
+    # of the deepest point: the part of a coarse dent that is surely indented
+    dent_share: float = 0.25
+
+    # noise of one grey level moves what is clipped at 255 down to here
+    saturated_grey: int = 254
+    saturated_share: float = 0.01  # of the changed region; more is warned of
+    level_pixels: int = 1000  # outside the changed region, whose median is the level of a surface
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurfaceSettings:
+    """Constants of the node *surface*: of the refinement, which chooses light as well."""
+
+    iterations: int = 5
+    # The same in light that explains the image: walls rise for longer, after some in plain light.
+    first_iterations: int = 2
+    trusted_iterations: int = 10
+    # largest change of an iteration that is the last: noise makes the next ones worse
+    settled_mm: float = 0.005
+    # the same as a share of the largest indentation, where that is less
+    settled_share: float = 0.02
+    cg_steps: int = 4  # conjugate-gradient steps of an iteration; 12 come no nearer
+    fine_cg_steps: int = 3  # the same at full resolution, where only walls are raised
+    grid_cells: int = 160  # along the longer side of the refinement grid (chosen)
+    # larger residuals are dust, reflections, or another sensor instance (chosen)
+    huber_grey: float = 20.0
+    # grey^2 per squared slope: weight of level gel outside the changed region
+    outside_weight: float = 1e4
+    bulge_mm: float = -0.5  # lowest indentation: no gel bulges out farther
+    # In light that is not the instance's own, colours are less certain than they are clear, so that
+    # slopes count alike and are shrunk.
+    described_step: StepRule = StepRule(pull=500.0)
+    trusted_step: StepRule = StepRule(pull=100.0, max_slope=4.0, weighted=True)
+    field_step: StepRule = StepRule(pull=20.0)
+    no_blur_px: float = 0.3  # a Gaussian this narrow changes nothing
+
+    # of the depth: where a wall is raised
+    wall_ranges: tuple[tuple[float, float], ...] = ((0.1, 0.5), (0.3, 0.8), (0.6, 1.0))
+    deepest_percent: float = 99.5  # percentile that stands for the depth
+    min_depth_mm: float = 0.02  # shallower surfaces have no walls
+    wall_ridge: float = 1e-6  # of the normal equations' trace
+
+    # around a coarse dent: slopes farther away are shadows. 42 balls on a real DIGIT: 1 mm, or .4
+    # of the deepest point, measures them as well (`docs/experiments.md`).
+    reach_mm: float = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ContactSettings:
     """Constants of the node *contact*.
 
@@ -102,4 +251,7 @@ class ContactSettings:
     steepness_range: tuple[float, float] = (0.2, 1.6)  # mm/mm: range of those presses
 
 
+LIGHT = LightSettings()
+SLOPES = SlopesSettings()
+SURFACE = SurfaceSettings()
 CONTACT = ContactSettings()
