@@ -7,6 +7,143 @@ as much again. Grey levels are those of 8-bit images; slopes are in mm/mm; share
 
 from dataclasses import dataclass
 
+from pipeline.sensors.parts import Gel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RestSettings:
+    """Constants of the node *rest*: of the check of a frame, and of the coarse light of an
+    instance.
+    """
+
+    # grey levels: at most in a pixel that was lost, and more than that in its reference
+    black_grey: int = 2
+    lit_grey: int = 8
+    lost_share: float = 0.25  # of the pixels: with more, a frame is refused
+
+    # Coarse light, see `coarse_light`
+    slope_step: float = 0.05  # mm/mm, of the derivative of the described light
+    light_iterations: int = 5  # alternations of light and dents
+    # share of the mean curvature that pulls the 36 numbers to the description
+    light_ridge: float = 0.4
+    # grey^2, the same pull where touches show little: a thousand times a block's noise
+    light_doubt: float = 160.0
+    # of a channel; real instances have up to 0.6, images of another instance 1.4
+    turn_max: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChangeSettings:
+    """Constants of the node *change*; evidence is in nats."""
+
+    # Blocks and dents, see `coarse_light`
+    # blocks along the longer side: 10 px of a Mini; more do not decide better
+    blocks_along: int = 32
+    # blobs of pressure along the longer side, about 1 mm apart; one more beyond each border
+    knots_along: int = 20
+    # standard deviation of a blob over the distance of two: the sum of all is flat to 1 %
+    blob_share: float = 0.6
+    # of a sensor that describes none
+    default_gel: Gel = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)
+    unmarked_min: float = 0.2  # share of a block that markers must leave visible
+    # of the non-negative fit: the misfit changes by less than 1 % beyond
+    pressure_iterations: int = 150
+    # share of the largest pull: with less, pressure spreads where it moves nothing
+    pressure_cost: float = 0.0007
+    # blocks' worth of the mean squared change that an unlikely drift costs, beside a dent
+    stiffness: float = 8.0
+    noise_grey: float = 0.4  # of a block: camera, compression, what markers leave
+
+    # Prior of the drift beside a dent
+    gain_std: float = 0.04  # 3 % (`benchmarks.drift`) and a little more
+    offset_std: float = 5.0  # grey; of the ramp from the centre to the border as well
+    shift_std: float = 2.0  # px
+    # correlation of the colours' drift: 0.75 for light of a random colour
+    common_share: float = 0.8
+
+    # Evidence of a dent and of light, see `change`
+    light_std: float = 4.0  # grey of the longest wave of a field of light, falling by its number
+    light_common_share: float = 0.9
+    light_waves: int = 7  # along each axis
+    floor_grey: float = 0.15  # least noise of a block
+    # mm, of a knot; the likeliest counts
+    pressure_stds: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1, 0.3)
+    # times `light_std`; the likeliest counts
+    light_scales: tuple[float, ...] = (0.3, 1.0, 3.0, 10.0)
+    # 96 soft balls and 40 tools of each gel, 200 drifted references, real balls, objects and clips.
+    # Untouched: up to 40 (a dithered film; simulated -500 to 10, by JPEG up to 60); weakest touches
+    # 85 (a rug), 150 (a film).
+    press_evidence: float = 75.0
+    none_evidence: float = 30.0
+    # Evidence of light over that of the dent: spots from 10 on, glints 5 and more, dents by the
+    # described light of another instance up to 4.
+    light_ratio_press: float = 4.0
+    light_ratio_none: float = 5.0
+    # no dent, however unlikely the drift is: spots of a fifth of the view from 30 on
+    light_ratio_certain: float = 15.0
+    # Nats by which drift is likelier beside a dent: drifted references up to 5, the largest balls
+    # 25 to 50.
+    unlikely_drift: float = 12.0
+    # A smooth dent, which the linear light of the blocks measures as well as anything: its radius
+    # at half its depth in distances of knots (soft balls of .13 mm from 2.3), and its steepest
+    # slope (small balls have more than .3 mm/mm).
+    smooth_knots: float = 2.0
+    smooth_slope: float = 0.25
+    # That slope times the radius over the depth: 1.4 for a paraboloid, more where the view cuts it:
+    # the second by the share of the view. Balls of 30 to 120 mm have 1.1 to 1.9, light presses of
+    # tools from 1.8 at a tenth of the view, faces and tools of every gel 2.0 to 7.4.
+    smooth_steepness: tuple[float, float] = (1.5, 2.0)
+    # share of the squared change that is left: tools from .1, soft balls up to .09
+    smooth_residual: float = 0.095
+    # Beside a smooth dent, drift as costly as this is nearly none. It is held back where the
+    # residual grows by less than the first factor, not at all from the second: most without drift
+    # grow by up to 1.4, with drift by 1.3 to 60.
+    still_stiffness: float = 200.0
+    still_residuals: tuple[float, float] = (1.25, 1.6)
+    # Contact of a coarse dent: load over its load-weighted mean, and depth over the deepest. Areas
+    # of soft balls are .8 to 1.1 of the true ones; without the second, faint load far from the dent
+    # makes some 1.4.
+    load_share: float = 0.35
+    dent_share: float = 0.15
+
+    # Drift that is removed, see `drift`
+    drift_blocks_along: int = (
+        54  # along the longer side: more do not improve the fit of smooth changes
+    )
+    drift_block_min_px: int = 8
+    # of the weights in successive fits, before the noise's
+    drift_scales_grey: tuple[float, ...] = (24.0, 12.0, 6.0, 3.0)
+    drift_agreement_grey: float = 1.5  # residual up to which a block agrees, where noise is low
+    # the same in standard deviations of a block's noise, where that is more
+    drift_agreement_sigmas: float = 3.0
+    drift_agreement_min: float = 0.3  # share of the blocks; fewer may be part of a touch
+    # Share by which more blocks agree than without drift: up to the first it is left alone, from
+    # the second removed.
+    drift_agreement_gain: tuple[float, float] = (0.25, 0.35)
+    # of gain, offset (grey), ramp (grey to the border), shift (px)
+    drift_prior_std: tuple[float, ...] = (0.05, 8.0, 10.0, 1.5)
+    drift_block_noise_grey: float = 0.5
+    drift_gain_max: float = 0.2  # more is no drift: another sensor instance, or a failed LED
+    drift_grey_max: float = 30.0
+    drift_shift_max_px: float = 8.0
+    drift_exposure_min: float = 0.1  # deviation from 1 of a common gain
+    drift_exposure_max: float = 3.0  # the gain, or its inverse
+    # between which a block's ratio to the reference is a gain
+    drift_exposure_grey: tuple[float, float] = (16.0, 250.0)
+    drift_exposure_tolerance: float = 0.04  # relative deviation from the common gain
+    drift_exposure_share: float = 0.5  # of the blocks that agree
+    drift_iterations: int = 4
+    drift_shift_tolerance_px: float = 0.05
+    drift_shift_min_px: float = 0.1  # smaller shifts are ignored: interpolation would blur more
+    drift_note_gain: float = 0.012  # changes that get a note
+    drift_note_grey: float = 2.5
+    drift_note_px: float = 0.4
+    # All drift together: two simulated instances that a drift explains 23 to 49; gain 3 %, ramp 12,
+    # 2 px: 11.
+    drift_instance_drift_grey: float = 18.0
+    # change of three quarters of an image whose reference is of another instance
+    drift_foreign_grey: float = 7.0
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepRule:
@@ -251,6 +388,8 @@ class ContactSettings:
     steepness_range: tuple[float, float] = (0.2, 1.6)  # mm/mm: range of those presses
 
 
+REST = RestSettings()
+CHANGE = ChangeSettings()
 LIGHT = LightSettings()
 SLOPES = SlopesSettings()
 SURFACE = SurfaceSettings()
