@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 from pipeline.sensors.parts import Gel
 
+_USUAL_GEL = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RestSettings:
@@ -44,7 +46,7 @@ class ChangeSettings:
     # standard deviation of a blob over the distance of two: the sum of all is flat to 1 %
     blob_share: float = 0.6
     # of a sensor that describes none
-    default_gel: Gel = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)
+    default_gel: Gel = _USUAL_GEL
     unmarked_min: float = 0.2  # share of a block that markers must leave visible
     # of the non-negative fit: the misfit changes by less than 1 % beyond
     pressure_iterations: int = 150
@@ -177,10 +179,8 @@ class LightSettings:
     reference_blur_px: float = 3.0
 
     # LED fit, see `parameter_fit`
-    # along the longer side: half the refinement grid determines the LEDs as well
-    led_grid_cells: int = 80
     fit_iterations: int = 4
-    fit_refinements: int = 2  # surface refinements in each iteration of the fit
+    fit_refinements: int = 2  # surface refinements in each iteration of this and the field fit
     fit_cg_steps: int = 8
     rate_step: float = 0.15  # standard deviations, for numerical derivatives
     # Mahalanobis length of one step: walls are not linear in the LED parameters
@@ -208,7 +208,6 @@ class LightSettings:
 
     # Field fit, see `field_light`
     field_iterations: int = 3
-    field_refinements: int = 2
     first_field_refinements: int = 3
     # depths of the surface that the parabola goes through
     field_depth_factors: tuple[float, ...] = (0.8, 1.0, 1.25)

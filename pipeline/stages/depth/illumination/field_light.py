@@ -99,7 +99,7 @@ def fit_field(
         factor, coefficients = estimate_likeliest_depth(prior, touch)
         light = make_field_light(coefficients, patch, source)
         surface_mm, misfit = refine_surface(
-            surface_mm * np.float32(factor), patch, light, integrate, LIGHT.field_refinements
+            surface_mm * np.float32(factor), patch, light, integrate, LIGHT.fit_refinements
         )
         if described_misfit <= LIGHT.hopeless_field_gain * misfit:
             return None

@@ -19,8 +19,6 @@ N_LINES = 9  # scratch lines of a tile
 _LINE = tuple(np.uint64(k * TILE_PX) for k in range(N_LINES))
 _L1, _L2, _L3, _L4, _L5, _L6, _L7, _L8 = _LINE[1:]
 _COLOURS = np.uint64(3)
-_GREEN = np.uint64(1)
-_BLUE = np.uint64(2)
 # the camera carries no information beyond
 _MIN_GREY = np.float32(0.5)
 _MAX_GREY = np.float32(254.0)

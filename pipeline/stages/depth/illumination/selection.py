@@ -61,7 +61,8 @@ class Touch:
 
     def observe(self, surface_mm: Floats) -> LedObservation:
         """The touch with a surface (rows, cols), on the coarser grid of the LED fit."""
-        cells = downsample_patch(self.patch, self.source.camera.shape, LIGHT.led_grid_cells)
+        # half the refinement grid determines the LEDs as well
+        cells = downsample_patch(self.patch, self.source.camera.shape, SURFACE.grid_cells // 2)
         if cells is not self.patch:
             surface_mm = compute_cell_means(
                 surface_mm, cells.downsampling // self.patch.downsampling
