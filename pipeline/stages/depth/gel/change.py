@@ -39,7 +39,7 @@ from pipeline.stages.depth.gel import coarse_light, drift
 from pipeline.stages.depth.gel.coarse_light import DentBasis, DriftPrior
 from pipeline.stages.depth.gel.rest import RestState
 from pipeline.stages.depth.gel.result import make_gel_depth
-from pipeline.stages.depth.gel.settings import CHANGE
+from pipeline.stages.depth.gel.settings import CHANGE, SLOPES
 
 Verdict = Literal["press", "none", "uncertain"]
 
@@ -149,7 +149,9 @@ def observe_change(image: Image, reference: Image, rest: RestState) -> FrameChan
     if rest.light is None:  # no light to explain a change by: what drift leaves is a press
         still = drift.estimate_rest_image(image, reference)
         limit_grey = rest.source.limits.no_contact_change
-        window = change_detection.detect_change(image, still.image_8bit, limit_grey, rest.pixel_mm)
+        window = change_detection.detect_change(
+            image, still.image_8bit, limit_grey, rest.pixel_mm, SLOPES
+        )
         return FrameChange(
             press=make_unexplained_change("none" if window is None else "press"), rest=still
         )

@@ -159,7 +159,12 @@ def make_changed_image(
     params = SlopeParams() if params is None else params
     limit_grey = rest.source.limits.no_contact_change / params.sensitivity
     window = change_detection.detect_press(
-        image, change.rest.image_8bit, limit_grey, calibration.pixel_mm, change.press.dent_mm
+        image,
+        change.rest.image_8bit,
+        limit_grey,
+        calibration.pixel_mm,
+        change.press.dent_mm,
+        SLOPES,
     )
     return ChangedImage(
         image=image,
