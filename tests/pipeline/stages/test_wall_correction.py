@@ -12,6 +12,7 @@ from pipeline.physics.simulation import shapes
 from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth import poisson
+from pipeline.stages.depth.gel.settings import SURFACE
 from pipeline.stages.depth.illumination import surface_refinement
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 
@@ -48,7 +49,7 @@ def test_dents_behind_uncertain_walls_are_raised_one_by_one():
     low[:, 40:] *= np.float32(0.8)
     weights = np.zeros((3, *true.shape), np.float32)
     weights[0] = weights[2] = np.where(np.hypot(gx, gy) > 0.3, 1.0, 100.0)
-    raised = surface_refinement.raise_walls(low, (gx, gy), weights, PIXEL_MM)
+    raised = surface_refinement.raise_walls(low, (gx, gy), weights, PIXEL_MM, SURFACE)
     for part in (np.s_[:, :40], np.s_[:, 40:]):
         assert np.abs(raised - true)[part].max() < 0.25 * np.abs(low - true)[part].max()
 
@@ -57,7 +58,7 @@ def test_a_level_surface_is_left_unchanged():
     flat = np.zeros((20, 30), np.float32)
     assert (
         surface_refinement.raise_walls(
-            flat, (flat, flat), np.ones((3, 20, 30), np.float32), PIXEL_MM
+            flat, (flat, flat), np.ones((3, 20, 30), np.float32), PIXEL_MM, SURFACE
         )
         is flat
     )

@@ -92,14 +92,14 @@ def fit_field(
     prior = near_led_prior.compute_prior(source, source.pixel_mm, source.camera.shape)
     light = make_field_light(prior.mean, patch, source)
     iterations = LIGHT.first_field_refinements
-    surface_mm, misfit = refine_surface(surface_mm, patch, light, integrate, iterations)
+    surface_mm, misfit = refine_surface(surface_mm, patch, light, integrate, iterations, SURFACE)
     coefficients = prior.mean
     for _ in range(LIGHT.field_iterations):
         touch = functools.partial(_sample_surface, surface_mm, light, q, seen)
         factor, coefficients = estimate_likeliest_depth(prior, touch)
         light = make_field_light(coefficients, patch, source)
         surface_mm, misfit = refine_surface(
-            surface_mm * np.float32(factor), patch, light, integrate, LIGHT.fit_refinements
+            surface_mm * np.float32(factor), patch, light, integrate, LIGHT.fit_refinements, SURFACE
         )
         if described_misfit <= LIGHT.hopeless_field_gain * misfit:
             return None
@@ -200,7 +200,9 @@ def _sample_surface(
     )
     z = np.asarray(
         cv2.GaussianBlur(
-            clip_surface(surface_mm * np.float32(factor), patch, light), (0, 0), width
+            clip_surface(surface_mm * np.float32(factor), patch, light, SURFACE.bulge_mm),
+            (0, 0),
+            width,
         ),
         np.float32,
     )

@@ -124,7 +124,7 @@ def _refine_surfaces(
             model.make_light(deviations, touch.patch),
             touch.integrate,
             LIGHT.fit_refinements,
-            LIGHT.fit_cg_steps,
+            replace(SURFACE, cg_steps=LIGHT.fit_cg_steps),
         )
         refined.append(replace(touch, surface_mm=surface))
         total += misfit
@@ -139,7 +139,7 @@ def _linearise(
     """
     patch = touch.patch
     light = model.make_light(deviations, touch.patch)
-    surface = clip_surface(touch.surface_mm, patch, light)
+    surface = clip_surface(touch.surface_mm, patch, light, SURFACE.bulge_mm)
     slopes = compute_slopes(surface, patch.pixel_mm)
     rendered = light.render(surface, *slopes)
     residual = patch.change - simulate_recorded_change(rendered.change, patch, light.blur_px)

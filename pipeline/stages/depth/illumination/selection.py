@@ -57,7 +57,7 @@ class Touch:
         iterations = SURFACE.trusted_iterations if trusted else LIGHT.iterations
         light = make_light(illumination, self.patch, self.source)
         integrate = self.make_integrator(self.patch)
-        return refine_surface(start_mm, self.patch, light, integrate, iterations)
+        return refine_surface(start_mm, self.patch, light, integrate, iterations, SURFACE)
 
     def observe(self, surface_mm: Floats) -> LedObservation:
         """The touch with a surface (rows, cols), on the coarser grid of the LED fit."""
@@ -205,10 +205,12 @@ def correct_surface(
         described = get_optics(illumination, source)
         plain = led_light.make_led_light(source, described, patch, trusted=False)
         surface_mm, _ = refine_surface(
-            surface_mm, patch, plain, integrate, SURFACE.first_iterations
+            surface_mm, patch, plain, integrate, SURFACE.first_iterations, SURFACE
         )
         iterations = SURFACE.trusted_iterations
-    return refine_surface(surface_mm, patch, light, integrate, iterations, until_settled=True)[0]
+    return refine_surface(
+        surface_mm, patch, light, integrate, iterations, SURFACE, until_settled=True
+    )[0]
 
 
 def add_walls(
@@ -222,7 +224,8 @@ def add_walls(
     steeper.
     """
     light = make_light(illumination, patch, source)
-    return refine_surface(surface_mm, patch, light, integrate, 1, SURFACE.fine_cg_steps)[0]
+    settings = replace(SURFACE, cg_steps=SURFACE.fine_cg_steps)
+    return refine_surface(surface_mm, patch, light, integrate, 1, settings)[0]
 
 
 def casts_shadows(source: SensorSpec) -> bool:

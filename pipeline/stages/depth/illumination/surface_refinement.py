@@ -28,7 +28,7 @@ import numpy as np
 
 from pipeline.core.arrays import Floats, percentile
 from pipeline.physics.optics import compute_slopes
-from pipeline.stages.depth.gel.settings import SURFACE
+from pipeline.stages.depth.gel.settings import SurfaceSettings
 from pipeline.stages.depth.illumination.light import (
     ImagePatch,
     Light,
@@ -43,7 +43,7 @@ def refine_surface(
     light: Light,
     integrate: Integrator,
     iterations: int,
-    cg_steps: int = SURFACE.cg_steps,
+    settings: SurfaceSettings,
     *,
     until_settled: bool = False,
 ) -> tuple[Floats, float]:
@@ -67,11 +67,11 @@ def refine_surface(
     weights = np.empty((3, *patch.changed.shape), np.float32)
     limits = tuple(
         np.float32(limit)
-        for limit in (rule.pull, SURFACE.huber_grey, rule.max_slope, SURFACE.outside_weight)
+        for limit in (rule.pull, settings.huber_grey, rule.max_slope, settings.outside_weight)
     )
     scratch = np.empty(N_LINES * TILE_PX, np.float32)
     for _ in range(iterations):
-        surface = clip_surface(surface_mm, patch, light)
+        surface = clip_surface(surface_mm, patch, light, settings.bulge_mm)
         slopes = compute_slopes(surface, patch.pixel_mm)
         change, *rates = light.render(surface, *slopes)
         misfit = update_slopes(
@@ -87,29 +87,30 @@ def refine_surface(
         )
         before = surface_mm
         if rule.weighted:
-            raised = raise_walls(surface_mm, slopes, weights, patch.pixel_mm)
+            raised = raise_walls(surface_mm, slopes, weights, patch.pixel_mm, settings)
             surface_mm = solve_weighted_slopes(
-                raised, slopes, weights, patch.pixel_mm, integrate, cg_steps
+                raised, slopes, weights, patch.pixel_mm, integrate, settings.cg_steps
             )
         else:
             surface_mm = integrate(*slopes)
         moved_mm = cv2.norm(surface_mm, before, cv2.NORM_INF)
         depth_mm = cv2.norm(surface_mm, cv2.NORM_INF)
-        if until_settled and moved_mm < min(SURFACE.settled_mm, SURFACE.settled_share * depth_mm):
+        if until_settled and moved_mm < min(settings.settled_mm, settings.settled_share * depth_mm):
             break
     return surface_mm, misfit
 
 
-def clip_surface(surface_mm: Floats, patch: ImagePatch, light: Light) -> Floats:
+def clip_surface(surface_mm: Floats, patch: ImagePatch, light: Light, bulge_mm: float) -> Floats:
     """The surface (rows, cols) within the range of the gel; 0 where nothing has changed."""
-    return (
-        np.clip(surface_mm, SURFACE.bulge_mm, light.source.limits.indentation_max_mm)
-        * patch.changed
-    )
+    return np.clip(surface_mm, bulge_mm, light.source.limits.indentation_max_mm) * patch.changed
 
 
 def raise_walls(
-    surface_mm: Floats, slopes: tuple[Floats, Floats], weights: Floats, pixel_mm: float
+    surface_mm: Floats,
+    slopes: tuple[Floats, Floats],
+    weights: Floats,
+    pixel_mm: float,
+    settings: SurfaceSettings,
 ) -> Floats:
     """The surface (rows, cols) in mm, moved as a whole toward these slopes.
 
@@ -121,7 +122,7 @@ def raise_walls(
 
     from pipeline.stages.depth.illumination.illumination_kernels import accumulate_normal_equations
 
-    shapes = _make_shapes(surface_mm)
+    shapes = _make_shapes(surface_mm, settings)
     if not shapes:
         return surface_mm
     n = len(shapes)
@@ -132,19 +133,19 @@ def raise_walls(
     accumulate_normal_equations(
         *compute_slopes(np.stack(shapes), pixel_mm), *slopes, *weights, line, normal, pull
     )
-    factors = np.linalg.solve(normal + SURFACE.wall_ridge * np.trace(normal) * np.eye(n), pull)
+    factors = np.linalg.solve(normal + settings.wall_ridge * np.trace(normal) * np.eye(n), pull)
     raised_mm = np.array(surface_mm, np.float32)
     for factor, shape in zip(factors, shapes, strict=True):
         cv2.scaleAdd(shape, float(factor), raised_mm, dst=raised_mm)
     return raised_mm
 
 
-def _make_shapes(surface_mm: Floats) -> list[Floats]:
+def _make_shapes(surface_mm: Floats, settings: SurfaceSettings) -> list[Floats]:
     """Ways of moving a surface as a whole, each (rows, cols)."""
-    depth_mm = float(percentile(surface_mm, SURFACE.deepest_percent))
-    if depth_mm <= SURFACE.min_depth_mm:
+    depth_mm = float(percentile(surface_mm, settings.deepest_percent))
+    if depth_mm <= settings.min_depth_mm:
         return []
-    ramps = (_make_ramp(surface_mm, depth_mm, low, high) for low, high in SURFACE.wall_ranges)
+    ramps = (_make_ramp(surface_mm, depth_mm, low, high) for low, high in settings.wall_ranges)
     return [surface_mm, *ramps]
 
 
