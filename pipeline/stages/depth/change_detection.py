@@ -9,19 +9,7 @@ import numpy as np
 from pipeline.core.arrays import Floats, Image, Mask
 from pipeline.stages.depth.contact import fill_holes
 from pipeline.stages.depth.gel.coarse_light import compute_block_means
-
-_BLOCK_PX = 8  # width of the blocks that changes are averaged over
-_LOW_SHARE = 0.35  # of the no-touch limit: a touched region extends down to this change
-_DRIFT_FACTOR = 2.5  # times the image's typical change: less is drift of the light
-# quantile of the block changes that is typical of the image, of which a touch may fill most
-_TYPICAL_QUANTILE = 0.25
-_SMOOTHING_BLOCKS = 1.2  # standard deviation in blocks: a touch is smooth over it, noise is not
-# times the noise: untouched frames of a dithered film reach 15, its touches 16 to 100
-_NOISE_FACTOR = 16.0
-_BLOCKS_MIN = 40  # along the longer side, for the estimate of noise
-_MARGIN_MM = 2.0  # around the visible change: the gel relaxes to rest within about this distance
-_DENT_SHARE = 0.25  # of the deepest point: the part of a coarse dent that is surely indented
-_BLEND_SHARE = 0.5  # share of the margin over which the surface is blended to rest
+from pipeline.stages.depth.gel.settings import SlopesSettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,24 +23,24 @@ class ImageWindow:
     blend_weight: Floats
 
 
-def compute_block_change(image: Image, reference: Image) -> Image:
-    """Mean absolute change of every whole block (rows // 8, cols // 8, 3), rounded.
+def compute_block_change(image: Image, reference: Image, block_px: int) -> Image:
+    """Mean absolute change of every whole block (rows // block, cols // block, 3), rounded.
 
     The last few pixels are dropped.
     """
     import cv2
 
-    rows, cols = (n // _BLOCK_PX for n in image.shape[:2])
+    rows, cols = (n // block_px for n in image.shape[:2])
     change = cv2.absdiff(image, reference)
     if rows and cols:  # else smaller than a block
-        change = change[: rows * _BLOCK_PX, : cols * _BLOCK_PX]
+        change = change[: rows * block_px, : cols * block_px]
     return np.asarray(
         cv2.resize(change, (max(1, cols), max(1, rows)), interpolation=cv2.INTER_AREA), np.uint8
     )
 
 
 def detect_change(
-    image: Image, reference: Image, no_touch_grey: float, pixel_mm: float
+    image: Image, reference: Image, no_touch_grey: float, pixel_mm: float, settings: SlopesSettings
 ) -> ImageWindow | None:
     """The window around all changes, with a margin for the gel's relaxation.
 
@@ -62,14 +50,17 @@ def detect_change(
     """
     import cv2
 
-    blocks = compute_block_change(image, reference).max(axis=2).astype(np.float32)
+    blocks = (
+        compute_block_change(image, reference, settings.block_px).max(axis=2).astype(np.float32)
+    )
     # A touched region does not extend into changes that the whole image has (drift of the light).
     low = max(
-        _LOW_SHARE * no_touch_grey, _DRIFT_FACTOR * float(np.quantile(blocks, _TYPICAL_QUANTILE))
+        settings.low_share * no_touch_grey,
+        settings.drift_factor * float(np.quantile(blocks, settings.typical_quantile)),
     )
     if float(blocks.max()) < low:  # all of it has changed equally: a touch larger than the image
         low = no_touch_grey
-    relative = _compare_with_noise(image, reference, blocks.shape)
+    relative = _compare_with_noise(image, reference, blocks.shape, settings)
     n, regions = cv2.connectedComponents((blocks > low).astype(np.uint8), connectivity=8)
     strong = np.zeros(n, np.bool_)
     strong[np.unique(regions[blocks >= max(no_touch_grey, low)])] = True
@@ -78,26 +69,35 @@ def detect_change(
         return None
     # A flat face changes no colours, but is indented: what a touch encloses belongs to it.
     touched = fill_holes(strong[regions])
-    return grow_to_window(touched, image.shape[:2], pixel_mm)
+    return grow_to_window(touched, image.shape[:2], pixel_mm, settings)
 
 
 def detect_press(
-    image: Image, reference: Image, no_touch_grey: float, pixel_mm: float, dent_mm: Floats
+    image: Image,
+    reference: Image,
+    no_touch_grey: float,
+    pixel_mm: float,
+    dent_mm: Floats,
+    settings: SlopesSettings,
 ) -> ImageWindow:
     """The window of a press: around its changes, or, where none stands out, around its coarse
     dent (rows, cols).
     """
     import cv2
 
-    window = detect_change(image, reference, no_touch_grey, pixel_mm)
+    window = detect_change(image, reference, no_touch_grey, pixel_mm, settings)
     if window is not None:
         return window
-    blocks = tuple(max(1, n // _BLOCK_PX) for n in image.shape[1::-1])
+    blocks = tuple(max(1, n // settings.block_px) for n in image.shape[1::-1])
     dent = np.asarray(cv2.resize(dent_mm, blocks, interpolation=cv2.INTER_LINEAR))
-    return grow_to_window(dent >= _DENT_SHARE * dent.max(), image.shape[:2], pixel_mm)
+    return grow_to_window(
+        dent >= settings.dent_share * dent.max(), image.shape[:2], pixel_mm, settings
+    )
 
 
-def _compare_with_noise(image: Image, reference: Image, shape: tuple[int, ...]) -> Floats:
+def _compare_with_noise(
+    image: Image, reference: Image, shape: tuple[int, ...], settings: SlopesSettings
+) -> Floats:
     """Smoothed change of every block over the noise limit, (rows // 8, cols // 8) = `shape`.
 
     1 or more is no noise.
@@ -111,14 +111,14 @@ def _compare_with_noise(image: Image, reference: Image, shape: tuple[int, ...]) 
 
     if min(shape) < 3:
         return np.full(shape, np.inf, np.float32)
-    block_px = max(1, min(_BLOCK_PX, max(image.shape[:2]) // _BLOCKS_MIN))
+    block_px = max(1, min(settings.block_px, max(image.shape[:2]) // settings.blocks_min))
     change = compute_block_means(image, block_px) - compute_block_means(reference, block_px)
-    smooth = np.asarray(cv2.GaussianBlur(change, (0, 0), _SMOOTHING_BLOCKS), np.float32)
+    smooth = np.asarray(cv2.GaussianBlur(change, (0, 0), settings.smoothing_blocks), np.float32)
     second_differences = np.abs(smooth[:, 2:] - 2.0 * smooth[:, 1:-1] + smooth[:, :-2])
     noise = 1.48 * float(
         np.median(second_differences)
     )  # standard deviation of a Gaussian from its median absolute value
-    above = np.abs(smooth).max(axis=2) / np.float32(max(_NOISE_FACTOR * noise, 1e-6))
+    above = np.abs(smooth).max(axis=2) / np.float32(max(settings.noise_factor * noise, 1e-6))
     return (
         above
         if above.shape == shape
@@ -126,7 +126,9 @@ def _compare_with_noise(image: Image, reference: Image, shape: tuple[int, ...]) 
     )
 
 
-def grow_to_window(touched: Mask, shape: tuple[int, ...], pixel_mm: float) -> ImageWindow:
+def grow_to_window(
+    touched: Mask, shape: tuple[int, ...], pixel_mm: float, settings: SlopesSettings
+) -> ImageWindow:
     """The window around the changed blocks (rows // 8, cols // 8) with its margin.
 
     The margin follows the interpolated distance to the blocks, so it has no steps.
@@ -136,16 +138,17 @@ def grow_to_window(touched: Mask, shape: tuple[int, ...], pixel_mm: float) -> Im
     rows, cols = shape[:2]
     away = (
         np.asarray(cv2.distanceTransform((~touched).astype(np.uint8), cv2.DIST_L2, 5), np.float32)
-        * _BLOCK_PX
+        * settings.block_px
     )
-    tall = touched.shape[0] * _BLOCK_PX
-    wide = touched.shape[1] * _BLOCK_PX
+    tall = touched.shape[0] * settings.block_px
+    wide = touched.shape[1] * settings.block_px
     full = np.asarray(cv2.resize(away, (wide, tall), interpolation=cv2.INTER_LINEAR), np.float32)[
         :rows, :cols
     ]
     full = np.pad(full, ((0, max(0, rows - tall)), (0, max(0, cols - wide))), "edge")
     left = np.clip(
-        (_MARGIN_MM / pixel_mm - full) * np.float32(pixel_mm / (_BLEND_SHARE * _MARGIN_MM)),
+        (settings.margin_mm / pixel_mm - full)
+        * np.float32(pixel_mm / (settings.blend_share * settings.margin_mm)),
         0.0,
         1.0,
     )
@@ -154,8 +157,12 @@ def grow_to_window(touched: Mask, shape: tuple[int, ...], pixel_mm: float) -> Im
     r = np.flatnonzero(moved.any(axis=1))
     c = np.flatnonzero(moved.any(axis=0))
     box = (
-        _extend_to_fast_length(int(r[0]) - _BLOCK_PX, int(r[-1]) + _BLOCK_PX + 1, rows),
-        _extend_to_fast_length(int(c[0]) - _BLOCK_PX, int(c[-1]) + _BLOCK_PX + 1, cols),
+        _extend_to_fast_length(
+            int(r[0]) - settings.block_px, int(r[-1]) + settings.block_px + 1, rows
+        ),
+        _extend_to_fast_length(
+            int(c[0]) - settings.block_px, int(c[-1]) + settings.block_px + 1, cols
+        ),
     )
     blend_weight = left[box] * left[box] * (3 - 2 * left[box])
     return ImageWindow(

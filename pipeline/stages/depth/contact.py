@@ -15,11 +15,8 @@ far above the median of the contact, as below a rim. Far from any peak the limit
 median, not of the region's peak: a cone's is infinite at its tip, and 0.16 of it would lose a
 quarter of the cone.
 
-The constants were chosen by presses of the training objects on simulated sensor instances and by
-flat faces, except the share of the median pressure and the rule for hanging gel: the pressure of
-balls on real gels extends beyond their contact, and these two end it near their visible rim in the
-recordings of `benchmarks/real_depth.py`. By simulated instances alone the first would be 0.24 or
-less and the second unnecessary.
+The share of the median pressure and the rule for hanging gel are for real gels: the pressure of
+balls on them extends beyond their contact, and these two end it near their visible rim.
 """
 
 import math
@@ -30,34 +27,9 @@ import numpy as np
 from pipeline.core.arrays import Floats, Indices, Mask, freeze, percentile
 from pipeline.core.memo import memoise
 from pipeline.physics.optics import compute_slopes
+from pipeline.stages.depth.gel.settings import ContactSettings
+from pipeline.stages.depth.poisson import count_workers
 from pipeline.stages.depth.rest_level import downsample, upsample
-
-# threads, and the pixels above which they save time
-_WORKERS = 2
-_PARALLEL_PIXELS = 2**18
-_NEAR_MM = 0.25  # farther than lens and smoothing spread an edge
-_PRESSURE_MIN = np.float32(0.02)  # mm/mm: noise and an inexact light make as much
-_MEDIAN_SHARE = np.float32(0.32)  # of the median pressure of a region above `_CORE_SHARE`
-# of the region's peak
-_CORE_SHARE = np.float32(0.16)
-_PART_SHARE = np.float32(0.25)
-# times the median; share of such a peak nearby
-_RIDGE_START = 1.7
-_RIDGE_END = 3.5
-_RIDGE_SHARE = 0.6
-# gel within this distance (about its thickness) of a deeper point, and shallower than this share of
-# it, hangs there
-_HANGING_MM = 2.0
-_HANGING_SHARE = np.float32(0.25)
-_REACH_CELLS = 8  # that distance, on a coarser grid
-_BOX_MARGIN_PX = 8  # beyond what is indented: no filter of the contact reaches farther
-_SHORT_SORT_MAX = 2**16  # regions up to which 16-bit labels sort faster
-# of the largest region: smaller ones are dust and scratches that the press has shifted
-_SPECK_SHARE = 0.05
-_FLAT_DEPTH_SHARE = 0.8  # of the depth of the nearest rim: a face that deep is in contact as well
-_PRESSURE_FREE_BLUR_PX = 1.0
-# of the region's steep slopes: the gel falls away next to a contact, but not on a face
-_FLAT_SLOPE_SHARE = 0.3
 
 
 def compute_relative_pressure(
@@ -74,7 +46,7 @@ def compute_relative_pressure(
     from scipy import fft
 
     rows, cols = indentation_mm.shape
-    workers = _WORKERS if rows * cols > _PARALLEL_PIXELS else 1
+    workers = count_workers(rows * cols)
     wave = np.asarray(fft.dctn(indentation_mm, type=2, norm="ortho", workers=workers))
     wave *= _compute_wavenumbers(rows, cols, smoothing_px, order)
     return np.asarray(
@@ -88,7 +60,7 @@ def detect_contact(
     *,
     least_mm: float,
     pressure_share: float,
-    smoothing_px: float,
+    settings: ContactSettings,
 ) -> Mask:
     """Contact of a gel (rows, cols): indented by `least_mm` or more, with more pressure than a
     share of that nearby.
@@ -96,35 +68,39 @@ def detect_contact(
     An image's blur spreads pressure no farther than its own width, so only the peak within that
     counts: a cone's rim is in contact whatever its tip does, and the pressure of a sharp edge does
     not widen the contact. Shallow gel close to a deep point hangs free: a ball's contact on real
-    gels ends where it is about a third as deep. A part in which no pixel reaches `_PART_SHARE` of
-    its region's peak pressure is left out.
+    gels ends where it is about a third as deep. A part in which no pixel reaches a share of its
+    region's peak pressure is left out.
     """
     deep = indentation_mm > least_mm
     if not deep.any():
         return deep
-    pressure = compute_relative_pressure(indentation_mm, smoothing_px) / np.float32(pixel_mm)
-    pressure[~deep | _find_hanging(indentation_mm, pixel_mm)] = 0.0
+    pressure = compute_relative_pressure(indentation_mm, settings.smoothing_px)
+    pressure /= np.float32(pixel_mm)
+    pressure[~deep | _find_hanging(indentation_mm, pixel_mm, settings)] = 0.0
     touched = np.zeros_like(deep)
-    here = _find_box(deep, _BOX_MARGIN_PX)
+    here = _find_box(deep, settings.box_margin_px)
     deep_here = np.ascontiguousarray(deep[here])
     pressed, sure = _compare_with_nearby(
         pressure[here],
         deep_here,
         pixel_mm,
         pressure_share,
+        settings,
     )
-    touched[here] = _add_faces(indentation_mm[here], select_seeded(pressed, sure), deep_here)
+    seeded = select_seeded(pressed, sure)
+    touched[here] = _add_faces(indentation_mm[here], seeded, deep_here, settings)
     return touched
 
 
-def _find_hanging(indentation_mm: Floats, pixel_mm: float) -> Mask:
+def _find_hanging(indentation_mm: Floats, pixel_mm: float, settings: ContactSettings) -> Mask:
     """The gel (rows, cols) that is far shallower than a point close by."""
     import cv2
 
-    by = max(1, round(_HANGING_MM / pixel_mm / _REACH_CELLS))
-    around = np.ones((2 * _REACH_CELLS + 1, 2 * _REACH_CELLS + 1), np.uint8)
+    cells = settings.hanging_cells
+    by = max(1, round(settings.hanging_mm / pixel_mm / cells))
+    around = np.ones((2 * cells + 1, 2 * cells + 1), np.uint8)
     deepest = np.asarray(cv2.dilate(downsample(indentation_mm, by), around), np.float32)
-    return indentation_mm < _HANGING_SHARE * upsample(deepest, indentation_mm.shape)
+    return indentation_mm < settings.hanging_share * upsample(deepest, indentation_mm.shape)
 
 
 def _find_box(mask: Mask, margin: int) -> tuple[slice, slice]:
@@ -141,33 +117,32 @@ def _compare_with_nearby(
     deep: Mask,
     pixel_mm: float,
     pressure_share: float,
+    settings: ContactSettings,
 ) -> tuple[Mask, Mask]:
     """The pixels (rows, cols) of `deep` with enough pressure, and those of them with a part of
     their region's peak.
     """
     import cv2
 
-    reach = 2 * max(1, round(_NEAR_MM / pixel_mm)) + 1
+    reach = 2 * max(1, round(settings.near_mm / pixel_mm)) + 1
     dilated = cv2.dilate(pressure, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach)))
     found, n = _label_regions(deep)
     at = np.flatnonzero(deep)  # the rest is on these pixels alone, each array (n,)
     own, near = (np.asarray(a, np.float32).reshape(-1)[at] for a in (pressure, dilated))
     region = found.reshape(-1)[at]
     peak = _find_peaks(own, region, n)[region]
-    core = own > np.maximum(np.maximum(_PRESSURE_MIN, pressure_share * near), _CORE_SHARE * peak)
+    least = settings.pressure_min
+    core = own > np.maximum(np.maximum(least, pressure_share * near), settings.core_share * peak)
     median = _compute_medians(own[core], region[core], n)[region]
-    ridge = np.clip(
-        (near / np.maximum(median, _PRESSURE_MIN) - _RIDGE_START) / (_RIDGE_END - _RIDGE_START),
-        0.0,
-        1.0,
-    )
-    share = pressure_share + np.maximum(_RIDGE_SHARE - pressure_share, 0.0) * ridge
-    limit = np.maximum(np.maximum(_PRESSURE_MIN, _MEDIAN_SHARE * median), share * near)
+    low, high = settings.ridge_ratios
+    ridge = np.clip((near / np.maximum(median, least) - low) / (high - low), 0.0, 1.0)
+    share = pressure_share + np.maximum(settings.ridge_share - pressure_share, 0.0) * ridge
+    limit = np.maximum(np.maximum(least, settings.median_share * median), share * near)
     enough = own > limit
     pressed = np.zeros_like(deep)
     sure = np.zeros_like(deep)
     pressed.reshape(-1)[at] = enough
-    sure.reshape(-1)[at] = enough & (own > _PART_SHARE * peak)
+    sure.reshape(-1)[at] = enough & (own > settings.part_share * peak)
     return pressed, sure
 
 
@@ -206,7 +181,7 @@ def _find_peaks(values: Floats, region: Indices, n: int) -> Floats:
 
 def _compute_medians(values: Floats, region: Indices, n: int) -> Floats:
     """The upper median of the values (m,) in each of `n` regions; 0 in an empty one."""
-    order = np.argsort(region.astype(np.uint16 if n < _SHORT_SORT_MAX else np.int32), kind="stable")
+    order = np.argsort(region.astype(np.min_scalar_type(n)), kind="stable")
     ends = np.cumsum(np.bincount(region, minlength=n))[:-1]
     medians = np.zeros(n, np.float32)
     for k, own in enumerate(np.split(values[order], ends)):
@@ -223,7 +198,9 @@ def select_seeded(mask: Mask, seeds: Mask) -> Mask:
     return keep[regions]
 
 
-def _add_faces(indentation_mm: Floats, pressed: Mask, deep: Mask) -> Mask:
+def _add_faces(
+    indentation_mm: Floats, pressed: Mask, deep: Mask, settings: ContactSettings
+) -> Mask:
     """The contact with the inside of flat faces, where hardly any pressure shows.
 
     A flat face carries its pressure along its rim. Its inside is as deep as the rim and level,
@@ -233,9 +210,7 @@ def _add_faces(indentation_mm: Floats, pressed: Mask, deep: Mask) -> Mask:
 
     if not pressed.any():
         return pressed
-    smooth = np.asarray(
-        cv2.GaussianBlur(indentation_mm, (0, 0), _PRESSURE_FREE_BLUR_PX), np.float32
-    )
+    smooth = np.asarray(cv2.GaussianBlur(indentation_mm, (0, 0), settings.smoothing_px), np.float32)
     slope = np.asarray(cv2.magnitude(*compute_slopes(smooth, 1.0)), np.float32)
     _, nearest = cv2.distanceTransformWithLabels(
         (~pressed).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
@@ -244,16 +219,17 @@ def _add_faces(indentation_mm: Floats, pressed: Mask, deep: Mask) -> Mask:
     depth_of = np.zeros(int(labels.max()) + 1, np.float32)
     depth_of[labels[pressed]] = indentation_mm[pressed]
     steep = float(percentile(slope, 95.0, deep))
-    level = deep & ~pressed & (slope < _FLAT_SLOPE_SHARE * steep)
-    level &= indentation_mm >= _FLAT_DEPTH_SHARE * depth_of[labels]
+    level = deep & ~pressed & (slope < settings.flat_slope_share * steep)
+    level &= indentation_mm >= settings.flat_depth_share * depth_of[labels]
     regions, n = _label_regions(level | pressed, 4)
     with_rim = np.zeros(n, np.bool_)
     with_rim[regions[pressed]] = True
     with_rim[0] = False
     joined = with_rim[regions].astype(np.uint8)
     # A line of pixels between the rim's pressure ridge and the face belongs to neither.
+    step = (settings.step_px, settings.step_px)
     closed = cv2.morphologyEx(
-        joined, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
+        joined, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, step)
     )
     return np.asarray(closed, np.bool_) & deep
 
@@ -279,12 +255,14 @@ def fill_small_holes(mask: Mask, max_pixels: int) -> Mask:
     return mask | small[regions]
 
 
-def remove_specks(mask: Mask, min_pixels: int) -> Mask:
-    """The mask without regions of fewer than `min_pixels` pixels or 5 % of the largest region."""
+def remove_specks(mask: Mask, min_pixels: int, min_share: float = 0.05) -> Mask:
+    """The mask without regions of fewer than `min_pixels` pixels or a share of the largest region:
+    dust and scratches that the press has shifted.
+    """
     regions, n = _label_regions(mask)
     areas = np.bincount(regions.ravel(), minlength=n)
     areas[0] = 0
-    keep = areas >= max(min_pixels, _SPECK_SHARE * int(areas.max()))
+    keep = areas >= max(min_pixels, min_share * int(areas.max()))
     keep[0] = False
     return mask if keep[1:].all() else keep[regions]
 

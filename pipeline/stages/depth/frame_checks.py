@@ -13,11 +13,7 @@ from pipeline.core.memo import Memo
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthMap, make_pixel_index
 from pipeline.sensors.spec import SensorSpec
-
-# grey levels: at most in a pixel that was lost, and more than that in its reference
-_BLACK_GREY = 2
-_LIT_GREY = 8
-_MAX_LOST_SHARE = 0.25  # of the pixels
+from pipeline.stages.depth.gel.settings import REST
 
 
 def see_by_frame(source: SensorSpec, frame: TactileFrame) -> SensorSpec:
@@ -48,7 +44,7 @@ def check_frame(frame: TactileFrame, source: SensorSpec) -> None:
         if problem:
             raise ShapeError(f"the {what} of {where} {problem}")
     lost = 0.0 if kind.is_depth else _measure_lost_share(image, reference)
-    if lost > _MAX_LOST_SHARE:
+    if lost > REST.lost_share:
         raise ShapeError(
             f"{lost:.0%} of the image of {where} is black where its reference is not: a part of "
             "it was lost, or the "
@@ -60,10 +56,10 @@ def _measure_lost_share(image: NDArray[Any], reference: NDArray[Any]) -> float:
     """Share of the pixels (rows, cols, 3) that are black in the image alone: no touch casts such
     a shadow.
     """
-    lost = (image[..., 1] <= _BLACK_GREY) & (reference[..., 1] > _LIT_GREY)
+    lost = (image[..., 1] <= REST.black_grey) & (reference[..., 1] > REST.lit_grey)
     return (
-        float((lost & (image <= _BLACK_GREY).all(axis=2)).mean())
-        if lost.mean() > _MAX_LOST_SHARE
+        float((lost & (image <= REST.black_grey).all(axis=2)).mean())
+        if lost.mean() > REST.lost_share
         else 0.0
     )
 

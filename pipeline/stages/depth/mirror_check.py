@@ -9,11 +9,10 @@ from pipeline.core.arrays import Floats, Image
 from pipeline.physics.optics import compute_slopes
 from pipeline.physics.reference_colours import MirrorDirection, compare_colours
 from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.depth.gel.settings import CONTACT
 from pipeline.stages.depth.gel.slopes import ChangedImage
 from pipeline.stages.depth.illumination.light import look_up_slopes
 from pipeline.stages.depth.poisson import SideBoundaries, integrate_slopes
-
-_LESS_RESIDUAL = 0.8  # mirrored / plain: identifies 9 of 10 balls on a real Mini
 
 
 def describe_mirroring(reference: Image, source: SensorSpec, changed: ChangedImage) -> str:
@@ -33,7 +32,7 @@ def looks_mirrored(changed: ChangedImage, direction: MirrorDirection) -> bool:
     gx, gy = look_up_slopes(cells, changed.calibration)
     mirrored = (-gx, gy) if direction == "left to right" else (gx, -gy)
     shares = [_compute_curl_share(*g, cells.pixel_mm) for g in (mirrored, (gx, gy))]
-    return shares[0] < _LESS_RESIDUAL * shares[1]
+    return shares[0] < CONTACT.mirrored_curl * shares[1]
 
 
 def _compute_curl_share(gx: Floats, gy: Floats, pixel_mm: float) -> float:

@@ -37,9 +37,6 @@ _BOUNDARIES: tuple[Boundary, ...] = get_args(Boundary)
 EndConditions = tuple[Boundary, Boundary]
 Integrator = Callable[[Floats, Floats], Floats]  # slopes (gx, gy) in mm/mm to a surface in mm
 
-# threads, and the pixels above which they save time
-_WORKERS = 2
-_PARALLEL_PIXELS = 2**18
 # the longest waves, solved in double precision: single precision loses digits there
 _DOUBLE_MODES = 8
 _FAST_PRIME_MAX = 13  # lengths without larger prime factors have a fast transform
@@ -52,6 +49,11 @@ class SideBoundaries(NamedTuple):
     right: Boundary
     top: Boundary
     bottom: Boundary
+
+
+def count_workers(n_pixels: int) -> int:
+    """Threads of a transform: a second saves time for large images only."""
+    return 2 if n_pixels > 2**18 else 1
 
 
 def integrate_slopes(
@@ -141,7 +143,7 @@ def _transform(images: Floats, ends: EndConditions, *, back: bool) -> Floats:
     first, last = ends
     kind = 2 if first == last else 4
     transforms = (fft.dct, fft.idct) if first == "free" else (fft.dst, fft.idst)
-    workers = _WORKERS if images.size > _PARALLEL_PIXELS else 1
+    workers = count_workers(images.size)
     return np.asarray(
         transforms[back](images, type=kind, norm="ortho", workers=workers), np.float32
     )

@@ -20,27 +20,7 @@ import numpy as np
 from pipeline.core.arrays import Doubles, Floats, Mask, median
 from pipeline.physics import gel as gel_mechanics
 from pipeline.sensors.spec import Gel
-
-_CELLS = 56  # of the coarse grid, along the longer side
-_QUIET_DISTANCE = 0.7  # gel thicknesses from pressure
-_FACE_SHARE = 0.7  # of the rim's depth: an enclosed patch that deep is the inside of a face
-# the same for a patch at the image border, which slightly wrong slopes lift as well
-_CUT_FACE_SHARE = 0.87
-_FACE_RELIEF_SHARE = 0.3  # of the whole relief: smallest depth of a face's rim
-# percentile that stands for the lowest part: a bulge, or the surroundings of a face
-_LOWEST_PERCENT = 2.0
-_REST_SPREAD_SHARE = 0.2  # of the whole relief: quiet parts with less spread need no correction
-# percentiles of that spread
-_LOW_PERCENT = 5.0
-_HIGH_PERCENT = 95.0
-_REST_WEIGHT = 0.3  # weight w of a cell at rest, against one of a step between two cells
-_ITERATIONS = 24
-_TOLERANCE = 1e-3
-_CELL_TOUCHED = 0.5  # share of a cell
-_FAR_SHARE_MIN = 0.02  # of the pixels: fewer far pixels give no level
-# of the far field, which is a tenth of a millimetre
-_FAR_TOLERANCE_MM = 2e-3
-_FAR_ITERATIONS = 12
+from pipeline.stages.depth.gel.settings import ContactSettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,66 +31,82 @@ class LevelledSurface:
     face_interior: Mask  # (rows, cols) parts of faces without visible pressure
 
 
-def level_surface(surface_mm: Floats, pressed: Mask, pixel_mm: float, gel: Gel) -> LevelledSurface:
+def level_surface(
+    surface_mm: Floats, pressed: Mask, pixel_mm: float, gel: Gel, settings: ContactSettings
+) -> LevelledSurface:
     """The surface (rows, cols) with its rest at zero.
 
     `pressed`: where there certainly is pressure.
     """
-    by = max(1, round(max(surface_mm.shape) / _CELLS))
+    by = max(1, round(max(surface_mm.shape) / settings.coarse_cells))
     z = downsample(surface_mm, by)
     held = downsample(pressed.astype(np.float32), by) > 0
     inside = np.zeros(z.shape, np.bool_)
-    reach = _QUIET_DISTANCE * gel.thickness_mm / (pixel_mm * by)
+    reach = settings.quiet_distance * gel.thickness_mm / (pixel_mm * by)
     quiet, patches = _find_quiet_patches(held, reach)
-    lowest, highest = (
-        float(v) for v in np.percentile(z, (_LOWEST_PERCENT, 100.0 - _LOWEST_PERCENT))
-    )
+    lowest, relief = _compute_spread(z, settings.lowest_percent)
     rest = quiet.copy()
     level = lowest if held.any() else float(np.median(z))
     if patches:
         levels = [float(np.median(z[patch])) for patch in patches]
         level = min(levels)
-        if level - lowest > _FACE_SHARE * (highest - lowest):
+        if level - lowest > settings.face_share * relief:
             level = lowest  # all quiet patches are higher than their surroundings
         for patch, own in zip(patches, levels, strict=True):
             deep = _compute_rim_height(z, patch, reach) - level
-            share = _CUT_FACE_SHARE if _is_cut(patch) else _FACE_SHARE
-            if deep > _FACE_RELIEF_SHARE * (highest - lowest) and own - level > share * deep:
+            share = settings.cut_face_share if _is_cut(patch) else settings.face_share
+            if deep > settings.relief_share * relief and own - level > share * deep:
                 inside |= patch
         if not inside.any():
             level = min(levels)
-        if not inside.any() and _compute_spread(z[quiet]) < _REST_SPREAD_SHARE * (highest - lowest):
+        _, spread = _compute_spread(z[quiet], settings.spread_percent)
+        if not inside.any() and spread < settings.rest_spread_share * relief:
             return LevelledSurface(surface_mm=surface_mm, face_interior=np.zeros_like(pressed))
         rest &= ~inside
     z = z - np.float32(level)
-    added = _solve_correction(z, rest)
+    added = _solve_correction(z, rest, settings)
     shape = surface_mm.shape
     levelled_mm = surface_mm - np.float32(level) + upsample(added, shape)
     return LevelledSurface(
         surface_mm=levelled_mm,
-        face_interior=_extend_to_rim(levelled_mm, upsample(inside.astype(np.float32), shape) > 0.5),
+        face_interior=_extend_to_rim(
+            levelled_mm, upsample(inside.astype(np.float32), shape) > 0.5, settings.face_share
+        ),
     )
 
 
-def compute_far_field(surface_mm: Floats, touched: Mask, pixel_mm: float, gel: Gel) -> Floats:
+def compute_far_field(
+    surface_mm: Floats, touched: Mask, pixel_mm: float, gel: Gel, settings: ContactSettings
+) -> Floats:
     """The layer's surface (rows, cols) in mm outside the contact, with its bulge, from mechanics
     alone.
 
     The surface of least energy through the measured contact, on a coarse grid.
     """
-    by = max(1, round(max(surface_mm.shape) / _CELLS))
+    by = max(1, round(max(surface_mm.shape) / settings.coarse_cells))
     share = downsample(touched.astype(np.float32), by)
     depth = downsample(np.where(touched, surface_mm, np.float32(0.0)), by) / np.maximum(
         share, np.float32(1e-6)
     )
-    held = share > min(_CELL_TOUCHED, 0.5 * float(share.max()))
-    return upsample(
-        _relax(np.asarray(depth, np.float32), held, pixel_mm * by, gel), surface_mm.shape
+    held = share > min(settings.cell_touched, 0.5 * float(share.max()))
+    solution = gel_mechanics.relax_gel(
+        gel,
+        pixel_mm * by,
+        np.asarray(depth, np.float32),
+        held,
+        tolerance_mm=settings.far_tolerance_mm,
+        max_steps=settings.far_iterations,
     )
+    return upsample(solution.indentation_mm, surface_mm.shape)
 
 
 def level_by_far_field(
-    surface_mm: Floats, touched: Mask, far: Mask, pixel_mm: float, gel: Gel
+    surface_mm: Floats,
+    touched: Mask,
+    far: Mask,
+    pixel_mm: float,
+    gel: Gel,
+    settings: ContactSettings,
 ) -> Floats:
     """The surface (rows, cols) shifted so that its `far` part is as high as mechanics predicts.
 
@@ -118,20 +114,13 @@ def level_by_far_field(
     would measure the contact from the bulge. Unchanged where too few pixels are far from the
     contact.
     """
-    if np.count_nonzero(far) <= _FAR_SHARE_MIN * far.size:
+    if np.count_nonzero(far) <= settings.far_share_min * far.size:
         return surface_mm
-    beyond = compute_far_field(surface_mm, touched, pixel_mm, gel)
+    beyond = compute_far_field(surface_mm, touched, pixel_mm, gel, settings)
     return surface_mm + np.float32(median(beyond, far) - median(surface_mm, far))
 
 
-def _relax(depth_mm: Floats, held: Mask, cell_mm: float, gel: Gel) -> Floats:
-    solution = gel_mechanics.relax_gel(
-        gel, cell_mm, depth_mm, held, tolerance_mm=_FAR_TOLERANCE_MM, max_steps=_FAR_ITERATIONS
-    )
-    return solution.indentation_mm
-
-
-def _extend_to_rim(surface_mm: Floats, inside: Mask) -> Mask:
+def _extend_to_rim(surface_mm: Floats, inside: Mask, share: float) -> Mask:
     """The face that a patch of its inside belongs to: everything connected to it that is about
     as deep.
     """
@@ -139,7 +128,7 @@ def _extend_to_rim(surface_mm: Floats, inside: Mask) -> Mask:
 
     if not inside.any():
         return inside
-    level = surface_mm > _FACE_SHARE * float(np.median(surface_mm[inside]))
+    level = surface_mm > share * float(np.median(surface_mm[inside]))
     n, found = cv2.connectedComponents((level | inside).astype(np.uint8), connectivity=4)
     labels = np.asarray(found, np.int32)
     joined = np.zeros(n, np.bool_)
@@ -159,9 +148,10 @@ def _find_quiet_patches(held: Mask, reach: float) -> tuple[Mask, list[Mask]]:
     return quiet, [np.asarray(labels == k, np.bool_) for k in range(1, n)]
 
 
-def _compute_spread(values: Floats) -> float:
-    low, high = np.percentile(values, (_LOW_PERCENT, _HIGH_PERCENT))
-    return float(high - low)
+def _compute_spread(values: Floats, percent: float) -> tuple[float, float]:
+    """(lowest, range) of the values without this many percent at either end."""
+    low, high = np.percentile(values, (percent, 100.0 - percent))
+    return float(low), float(high) - float(low)
 
 
 def _is_cut(patch: Mask) -> bool:
@@ -181,7 +171,7 @@ def _compute_rim_height(z: Floats, patch: Mask, reach: float) -> float:
     return float(np.median(np.asarray(cv2.dilate(z, disc))[patch & ~inner]))
 
 
-def _solve_correction(z: Floats, rest: Mask) -> Floats:
+def _solve_correction(z: Floats, rest: Mask, settings: ContactSettings) -> Floats:
     """The correction d of the coarse surface: (laplacian + w) d = -w z by preconditioned
     conjugate gradients.
     """
@@ -189,7 +179,7 @@ def _solve_correction(z: Floats, rest: Mask) -> Floats:
 
     if not rest.any():
         return np.zeros_like(z)
-    weight = _REST_WEIGHT * rest.astype(np.float64)
+    weight = settings.rest_weight * rest.astype(np.float64)
     rows, cols = z.shape
     ky, kx = (np.arange(n) * (math.pi / (2 * n)) for n in (rows, cols))
     symbol = 4.0 * np.sin(ky)[:, None] ** 2 + 4.0 * np.sin(kx)[None, :] ** 2
@@ -203,8 +193,8 @@ def _solve_correction(z: Floats, rest: Mask) -> Floats:
     step = np.zeros_like(d)
     energy = 1.0
     first = float(np.abs(left).max())
-    for k in range(_ITERATIONS):
-        if float(np.abs(left).max()) <= _TOLERANCE * first:
+    for k in range(settings.iterations):
+        if float(np.abs(left).max()) <= settings.tolerance * first:
             break
         ready = apply_preconditioner(left)
         new = float((left * ready).sum())

@@ -20,12 +20,13 @@ from pipeline.stages.depth.contact import (
     fill_small_holes,
     remove_weak_specks,
 )
+from pipeline.stages.depth.gel.settings import CONTACT
 from pipeline.stages.metrics.stage_metrics import iou
 
 SHAPE = (60, 80)
 PAD = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)
 PIXEL_MM = 0.05
-LIMITS = {"least_mm": 0.03, "pressure_share": 0.25, "smoothing_px": 1.0}
+LIMITS = {"least_mm": 0.03, "pressure_share": 0.25, "settings": CONTACT}
 
 
 def press_gel_height(height_mm):

@@ -14,6 +14,7 @@ from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import optics
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth import contact, photometric
+from pipeline.stages.depth.gel.settings import CONTACT
 from pipeline.stages.depth.photometric import (
     DepthParams,
     estimate_depth,
@@ -365,7 +366,7 @@ def test_a_flat_punch_is_touched_inside_its_rim_too():
     outside = np.maximum(np.maximum(abs(x - 60) - 20, abs(y - 60) - 20), 0)
     surface = (0.5 * np.exp(-outside / 8.0)).astype(np.float32)
     found = contact.detect_contact(
-        surface, 0.05, least_mm=0.03, pressure_share=0.25, smoothing_px=1.0
+        surface, 0.05, least_mm=0.03, pressure_share=0.25, settings=CONTACT
     )
     assert found[60, 60]
     assert not found[60, 100]

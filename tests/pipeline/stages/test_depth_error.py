@@ -20,7 +20,7 @@ from pipeline.physics.simulation.poses import make_paper_grid
 from pipeline.physics.simulation.press import simulate_press
 from pipeline.physics.simulation.variation import vary_sensor
 from pipeline.sensors.spec import load_sensor
-from pipeline.stages.depth import depth_error
+from pipeline.stages.depth.gel.result import predict_gel_error
 from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.stages.pose.signed_distances import PoseParams, track_pose
@@ -85,7 +85,7 @@ def told_of(illumination, *, steep=1.0, level_mm=0.0, expected=None):
         camera=spec.camera,
         source_index=make_pixel_index(shape),
     )
-    return depth_error.predict_gel_error(found, spec, table, illumination).rms_mm
+    return predict_gel_error(found, spec, table, illumination).rms_mm
 
 
 def test_a_touch_errs_as_its_light_and_its_slopes_have_it():

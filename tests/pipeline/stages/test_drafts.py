@@ -14,7 +14,7 @@ from pipeline.core.graph import Graph, Method
 from pipeline.io import open_recording
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth import photometric
-from pipeline.stages.depth.illumination.constants import CONSTANTS
+from pipeline.stages.depth.gel.settings import LIGHT
 from pipeline.stages.depth.stage import PHYSICS
 
 TOUCHED = 5
@@ -60,7 +60,7 @@ def test_a_frame_can_be_cancelled_at_every_iteration(frame):
     photometric.estimate_depth(
         frame, load_sensor("gelslim"), None, photometric.DepthParams(), Recorder()
     )
-    assert len(fractions) > CONSTANTS.iterations + 4
+    assert len(fractions) > LIGHT.iterations + 4
     assert fractions == sorted(fractions)
 
 

@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.stages.depth import false_contacts
+from pipeline.stages.depth.gel import contact
+from pipeline.stages.depth.gel.settings import CONTACT
 
 
 def remove_false_contacts(
@@ -14,8 +15,8 @@ def remove_false_contacts(
     border, changed = (np.broadcast_to(mask, touched.shape) for mask in (border, changed))
     if change_grey is None:
         change_grey = np.zeros((*touched.shape, 3), np.float32)
-    return false_contacts.remove_false_contacts(
-        touched, surface_mm, pixel_mm, border, changed, change_grey
+    return contact.remove_false_contacts(
+        touched, surface_mm, pixel_mm, border, changed, change_grey, CONTACT
     )
 
 

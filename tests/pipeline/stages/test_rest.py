@@ -16,6 +16,7 @@ from pipeline.physics.simulation.variation import vary_sensor
 from pipeline.sensors.spec import Gel, load_sensor
 from pipeline.stages.depth import change_detection, rest_level
 from pipeline.stages.depth.gel import contact as gel_contact
+from pipeline.stages.depth.gel.settings import CONTACT, SLOPES
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 
 GEL = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)
@@ -70,7 +71,7 @@ def test_gel_that_the_pictures_border_cuts_is_no_face_because_one_flank_was_read
     bar = 0.5 * np.maximum(1 - ((x - 110) / 16.0) ** 2, 0)
     lifted = lifted_mm / (1 + np.exp(-(x - 118) / 3.0))
     surface = np.tile(np.maximum(bar, lifted), (160, 1)).astype(np.float32)
-    found = rest_level.level_surface(surface, np.tile(bar > 0, (160, 1)), PIXEL_MM, GEL)
+    found = rest_level.level_surface(surface, np.tile(bar > 0, (160, 1)), PIXEL_MM, GEL, CONTACT)
     assert not found.face_interior.any()
     assert np.abs(found.surface_mm[:, -20:]).max() < 0.05
 
@@ -81,7 +82,9 @@ def test_a_faint_ridge_beside_a_deep_dent_encloses_no_face():
     ridge = 0.12 / (1 + np.exp(-(x - 170) / 2.0))
     surface = np.tile(dent + ridge, (160, 1)).astype(np.float32)
     pressed = np.tile((dent > 0) | (np.abs(x - 175) < 5), (160, 1))
-    assert not rest_level.level_surface(surface, pressed, PIXEL_MM, GEL).face_interior.any()
+    assert not rest_level.level_surface(
+        surface, pressed, PIXEL_MM, GEL, CONTACT
+    ).face_interior.any()
 
 
 def test_gel_beyond_a_dent_is_brought_back_to_rest_on_either_side():
@@ -90,7 +93,7 @@ def test_gel_beyond_a_dent_is_brought_back_to_rest_on_either_side():
     surface = np.tile(bar + 0.25 / (1 + np.exp(-(x - 118) / 3.0)), (160, 1)).astype(
         np.float32
     )  # one flank read too flat
-    found = rest_level.level_surface(surface, np.tile(bar > 0, (160, 1)), PIXEL_MM, GEL)
+    found = rest_level.level_surface(surface, np.tile(bar > 0, (160, 1)), PIXEL_MM, GEL, CONTACT)
     assert np.abs(found.surface_mm[:, :20]).max() < 0.03
     assert np.abs(found.surface_mm[:, -20:]).max() < 0.03
     assert not found.face_interior.any()
@@ -106,6 +109,7 @@ def test_all_of_a_third_of_the_gel_that_lies_too_high_is_brought_to_rest(lifted_
         np.tile(bar > 0, (160, 1)),
         PIXEL_MM,
         GEL,
+        CONTACT,
     )
     assert np.abs(found.surface_mm[:, -20:]).max() < 0.05
 
@@ -125,7 +129,7 @@ def test_specks_of_noise_on_gel_that_lies_too_high_enclose_no_face():
         changed=np.ones((rows, cols), np.bool_),
         blend_weight=np.ones((rows, cols), np.float32),
     )
-    settled, inside = gel_contact._level_surface(surface, whole, source, source.pixel_mm)
+    settled, inside = gel_contact._level_surface(surface, whole, source, source.pixel_mm, CONTACT)
     assert not inside.any()
     assert np.abs(settled[:, -40:]).max() < 0.05
 
@@ -148,7 +152,7 @@ def test_a_patch_as_deep_as_the_rim_around_it_is_the_inside_of_a_face():
     y, x = np.mgrid[:200, :200]
     away = np.maximum(abs(y - 100), abs(x - 100))
     surface = np.clip((70 - away) * 0.05, 0.0, 0.5).astype(np.float32)
-    found = rest_level.level_surface(surface, abs(away - 62) < 4, PIXEL_MM, GEL)
+    found = rest_level.level_surface(surface, abs(away - 62) < 4, PIXEL_MM, GEL, CONTACT)
     assert found.face_interior[100, 100]
     assert not found.face_interior[4, 4]
 
@@ -158,14 +162,14 @@ def test_rings_are_not_filled():
     away = np.hypot(y - 100, x - 100)
     surface = (0.4 * np.exp(-(((away - 65) / 6.0) ** 2))).astype(np.float32)
     assert not rest_level.level_surface(
-        surface, abs(away - 65) < 5, PIXEL_MM, GEL
+        surface, abs(away - 65) < 5, PIXEL_MM, GEL, CONTACT
     ).face_interior.any()
 
 
 def test_the_far_field_is_what_a_pressed_layer_does():
     source, _, truth = pressed_box("gelsight_mini", 0.35)
     around = rest_level.compute_far_field(
-        truth.indentation_mm, truth.contact, source.pixel_mm, source.gel
+        truth.indentation_mm, truth.contact, source.pixel_mm, source.gel, CONTACT
     )
     import cv2
 
@@ -180,7 +184,7 @@ def test_the_far_field_is_what_a_pressed_layer_does():
 def test_what_is_looked_at_around_a_touch_ends_in_a_round_line():
     touched = np.zeros((40, 50), np.bool_)
     touched[20, 25] = True
-    window = change_detection.grow_to_window(touched, (320, 400), 0.05)
+    window = change_detection.grow_to_window(touched, (320, 400), 0.05, SLOPES)
     y, x = np.nonzero(window.changed)
     y = y + window.rows.start - 163.5
     x = x + window.cols.start - 203.5

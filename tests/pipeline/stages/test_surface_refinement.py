@@ -23,6 +23,7 @@ from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.gel import rest, slopes
 from pipeline.stages.depth.gel.change import observe_change
+from pipeline.stages.depth.gel.settings import SURFACE
 from pipeline.stages.depth.illumination import field_light, selection
 from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.illumination.surface_refinement import refine_surface
@@ -196,7 +197,13 @@ def test_iterations_end_where_the_surface_hardly_moves_any_more(depth_mm, settle
         return integrate(gx, gy)
 
     refine_surface(
-        np.zeros(cells.changed.shape, np.float32), cells, light, count, 12, until_settled=True
+        np.zeros(cells.changed.shape, np.float32),
+        cells,
+        light,
+        count,
+        12,
+        SURFACE,
+        until_settled=True,
     )
     assert (n_integrated < 12) == settles
 

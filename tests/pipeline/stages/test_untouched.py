@@ -39,13 +39,13 @@ def largest_mean(image, reference):
 def test_the_largest_change_is_that_of_exact_block_means(seed, rows, cols, levels):
     rng = np.random.default_rng(seed)
     image, reference = rng.integers(0, levels, (2, rows, cols, 3), dtype=np.uint8)
-    assert compute_block_change(image, reference).max() == largest_mean(image, reference)
+    assert compute_block_change(image, reference, BLOCK_PX).max() == largest_mean(image, reference)
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 3), (3, 40, 3), (40, 3, 3), (7, 7, 3)])
 def test_pictures_smaller_than_a_block_have_a_change_too(shape):
     reference = np.full(shape, 100, np.uint8)
-    assert compute_block_change(reference + np.uint8(9), reference).max() == 9.0
+    assert compute_block_change(reference + np.uint8(9), reference, BLOCK_PX).max() == 9.0
 
 
 def test_untouched_frames_of_one_camera_share_one_result():

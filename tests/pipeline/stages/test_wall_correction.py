@@ -11,6 +11,7 @@ from pipeline.physics.simulation import shapes
 from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth import poisson
+from pipeline.stages.depth.gel.settings import SURFACE
 from pipeline.stages.depth.illumination import surface_refinement
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 
@@ -36,7 +37,7 @@ def test_a_level_surface_is_left_unchanged():
     flat = np.zeros((20, 30), np.float32)
     assert (
         surface_refinement.raise_walls(
-            flat, (flat, flat), np.ones((3, 20, 30), np.float32), PIXEL_MM
+            flat, (flat, flat), np.ones((3, 20, 30), np.float32), PIXEL_MM, SURFACE
         )
         is flat
     )

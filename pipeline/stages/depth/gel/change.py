@@ -36,63 +36,12 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import change_detection
 from pipeline.stages.depth.frame_checks import make_untouched_depth
 from pipeline.stages.depth.gel import coarse_light, drift
-from pipeline.stages.depth.gel.coarse_light import COARSE, DentBasis, DriftPrior
+from pipeline.stages.depth.gel.coarse_light import DentBasis, DriftPrior
 from pipeline.stages.depth.gel.rest import RestState
 from pipeline.stages.depth.gel.result import make_gel_depth
+from pipeline.stages.depth.gel.settings import CHANGE, SLOPES
 
 Verdict = Literal["press", "none", "uncertain"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ChangeSettings:
-    """Constants of the comparison; evidence is in nats."""
-
-    light_std: float = 4.0  # grey of the longest wave of a field of light, falling by its number
-    light_common_share: float = 0.9
-    light_waves: int = 7  # along each axis
-    floor_grey: float = 0.15  # least noise of a block
-    # mm, of a knot; the likeliest counts
-    pressure_stds: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1, 0.3)
-    # times `light_std`; the likeliest counts
-    light_scales: tuple[float, ...] = (0.3, 1.0, 3.0, 10.0)
-    # 96 soft balls and 40 tools of each gel, 200 drifted references, real balls, objects and clips.
-    # Untouched: up to 40 (a dithered film; simulated -500 to 10, by JPEG up to 60); weakest touches
-    # 85 (a rug), 150 (a film).
-    press_evidence: float = 75.0
-    none_evidence: float = 30.0
-    # Evidence of light over that of the dent: spots from 10 on, glints 5 and more, dents by the
-    # described light of another instance up to 4.
-    light_ratio_press: float = 4.0
-    light_ratio_none: float = 5.0
-    # no dent, however unlikely the drift is: spots of a fifth of the view from 30 on
-    light_ratio_certain: float = 15.0
-    # Nats by which drift is likelier beside a dent: drifted references up to 5, the largest balls
-    # 25 to 50.
-    unlikely_drift: float = 12.0
-    # A smooth dent, which the linear light of the blocks measures as well as anything: its radius
-    # at half its depth in distances of knots (soft balls of .13 mm from 2.3), and its steepest
-    # slope (small balls have more than .3 mm/mm).
-    smooth_knots: float = 2.0
-    smooth_slope: float = 0.25
-    # That slope times the radius over the depth: 1.4 for a paraboloid, more where the view cuts it:
-    # the second by the share of the view. Balls of 30 to 120 mm have 1.1 to 1.9, light presses of
-    # tools from 1.8 at a tenth of the view, faces and tools of every gel 2.0 to 7.4.
-    smooth_steepness: tuple[float, float] = (1.5, 2.0)
-    # share of the squared change that is left: tools from .1, soft balls up to .09
-    smooth_residual: float = 0.095
-    # Beside a smooth dent, drift as costly as this is nearly none. It is held back where the
-    # residual grows by less than the first factor, not at all from the second: most without drift
-    # grow by up to 1.4, with drift by 1.3 to 60.
-    still_stiffness: float = 200.0
-    still_residuals: tuple[float, float] = (1.25, 1.6)
-    # Contact of a coarse dent: load over its load-weighted mean, and depth over the deepest. Areas
-    # of soft balls are .8 to 1.1 of the true ones; without the second, faint load far from the dent
-    # makes some 1.4.
-    load_share: float = 0.35
-    dent_share: float = 0.15
-
-
-CHANGE = ChangeSettings()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -200,7 +149,9 @@ def observe_change(image: Image, reference: Image, rest: RestState) -> FrameChan
     if rest.light is None:  # no light to explain a change by: what drift leaves is a press
         still = drift.estimate_rest_image(image, reference)
         limit_grey = rest.source.limits.no_contact_change
-        window = change_detection.detect_change(image, still.image_8bit, limit_grey, rest.pixel_mm)
+        window = change_detection.detect_change(
+            image, still.image_8bit, limit_grey, rest.pixel_mm, SLOPES
+        )
         return FrameChange(
             press=make_unexplained_change("none" if window is None else "press"), rest=still
         )
@@ -285,7 +236,7 @@ def compare_explanations(
     cost = float(drift @ prior.precision @ drift) / 2
     if evidence + cost < CHANGE.none_evidence:
         return alone
-    fit = _fit_dent(change, pull, model, COARSE.stiffness)
+    fit = _fit_dent(change, pull, model, CHANGE.stiffness)
     unlikely = max(0.0, cost - float(fit.drift @ prior.precision @ fit.drift) / 2)
     evidence += unlikely
     verdict = decide(evidence, light)

@@ -23,45 +23,7 @@ from pipeline.physics import gel as gel_layer
 from pipeline.physics import optics
 from pipeline.sensors.parts import Gel, Markers
 from pipeline.sensors.spec import SensorSpec
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CoarseSettings:
-    """Constants of the coarse light, of its blocks and of the dents that it explains."""
-
-    # blocks along the longer side: 10 px of a Mini; more do not decide better
-    blocks_along: int = 32
-    # blobs of pressure along the longer side, about 1 mm apart; one more beyond each border
-    knots_along: int = 20
-    # standard deviation of a blob over the distance of two: the sum of all is flat to 1 %
-    blob_share: float = 0.6
-    slope_step: float = 0.05  # mm/mm, of the derivative of the described light
-    unmarked_min: float = 0.2  # share of a block that markers must leave visible
-    iterations: int = 150  # of the non-negative fit: the misfit changes by less than 1 % beyond
-    # share of the largest pull: with less, pressure spreads where it moves nothing
-    pressure_cost: float = 0.0007
-    light_iterations: int = 5  # alternations of light and dents
-    # share of the mean curvature that pulls the 36 numbers to the description
-    light_ridge: float = 0.4
-    # grey^2, the same pull where touches show little: a thousand times a block's noise
-    light_doubt: float = 160.0
-    # of a channel; real instances have up to 0.6, images of another instance 1.4
-    turn_max: float = 1.0
-    # blocks' worth of the mean squared change that an unlikely drift costs, beside a dent
-    stiffness: float = 8.0
-
-    gain_std: float = 0.04  # prior of the drift: 3 % (`benchmarks.drift`) and a little more
-    offset_std: float = 5.0  # grey
-    ramp_std: float = 5.0  # grey from the centre to the border along the longer side
-    shift_std: float = 2.0  # px
-    # correlation of the colours' drift: 0.75 for light of a random colour
-    common_share: float = 0.8
-    noise_grey: float = 0.4  # of a block: camera, compression, what markers leave
-
-
-COARSE = CoarseSettings()
-# where a sensor describes none
-_DEFAULT_GEL = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)
+from pipeline.stages.depth.gel.settings import CHANGE, REST
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,7 +51,7 @@ class DentBasis:
 
 def compute_block_px(shape: tuple[int, ...]) -> int:
     """Width of a block in pixels for an image (rows, cols)."""
-    return max(1, round(max(shape[:2]) / COARSE.blocks_along))
+    return max(1, round(max(shape[:2]) / CHANGE.blocks_along))
 
 
 def compute_block_means(picture: Image | Floats, block: int) -> Floats:
@@ -132,7 +94,7 @@ def compute_block_change(
     share = compute_block_means(seen, block)[..., None]
     change = compute_block_means((image.astype(np.float32) - reference) * seen[..., None], block)
     return np.where(
-        share > COARSE.unmarked_min, change / np.maximum(share, COARSE.unmarked_min), 0.0
+        share > CHANGE.unmarked_min, change / np.maximum(share, CHANGE.unmarked_min), 0.0
     ).astype(np.float32)
 
 
@@ -160,7 +122,7 @@ _described: Memo[str, Floats] = Memo(8)
 
 def _differentiate_light(source: SensorSpec) -> Floats:
     level = np.zeros(source.camera.shape, np.float32)
-    step = level + np.float32(COARSE.slope_step)
+    step = level + np.float32(REST.slope_step)
     block = compute_block_px(source.camera.shape)
     rates = [
         compute_block_means(
@@ -169,12 +131,12 @@ def _differentiate_light(source: SensorSpec) -> Floats:
         )
         for up, down in (((step, level), (-step, level)), ((level, step), (level, -step)))
     ]
-    return freeze(np.stack(rates, -1) / np.float32(2 * COARSE.slope_step))
+    return freeze(np.stack(rates, -1) / np.float32(2 * REST.slope_step))
 
 
 def make_dent_basis(source: SensorSpec, pixel_mm: float) -> DentBasis:
     """The dents of a sensor's gel, cached."""
-    return _make_dent_basis(source.camera, source.gel or _DEFAULT_GEL, pixel_mm)
+    return _make_dent_basis(source.camera, source.gel or CHANGE.default_gel, pixel_mm)
 
 
 @memoise(4)
@@ -182,12 +144,12 @@ def _make_dent_basis(camera: Camera, gel: Gel, pixel_mm: float) -> DentBasis:
     block = compute_block_px(camera.shape)
     rows, cols = (n // block for n in camera.shape)
     block_mm = block * pixel_mm
-    knot_mm = max(camera.shape) * pixel_mm / COARSE.knots_along
+    knot_mm = max(camera.shape) * pixel_mm / CHANGE.knots_along
     y_mm, x_mm = (_center(n) * block_mm for n in (rows, cols))
     knots_y, knots_x = (
         _center(int(np.ceil(n * block_mm / knot_mm)) + 2) * knot_mm for n in (rows, cols)
     )
-    radius_mm, height, slope = _compute_blob_response(gel, COARSE.blob_share * knot_mm, block_mm)
+    radius_mm, height, slope = _compute_blob_response(gel, CHANGE.blob_share * knot_mm, block_mm)
     dx = x_mm[None, :, None] - np.tile(knots_x, len(knots_y))
     dy = y_mm[:, None, None] - np.repeat(knots_y, len(knots_x))
     away = np.hypot(dx, dy)
@@ -197,7 +159,7 @@ def _make_dent_basis(camera: Camera, gel: Gel, pixel_mm: float) -> DentBasis:
         heights=freeze(np.interp(away, radius_mm, height, right=0.0).astype(np.float32)),
         block_mm=block_mm,
         knot_mm=knot_mm,
-        loads=freeze(np.exp(-0.5 * (away / (COARSE.blob_share * knot_mm)) ** 2).astype(np.float32)),
+        loads=freeze(np.exp(-0.5 * (away / (CHANGE.blob_share * knot_mm)) ** 2).astype(np.float32)),
     )
 
 
@@ -282,9 +244,9 @@ def make_drift_prior(reference: Image, source: SensorSpec, pixel_mm: float) -> D
         )
     columns[..., 12] = -by_x
     columns[..., 13] = -by_y
-    stds = np.array([COARSE.gain_std, COARSE.offset_std, COARSE.ramp_std, COARSE.ramp_std])
-    covariance = np.diag(np.full(14, COARSE.shift_std**2))
-    covariance[:12, :12] = np.kron(correlate_colours(COARSE.common_share), np.diag(stds**2))
+    stds = np.array([CHANGE.gain_std, CHANGE.offset_std, CHANGE.offset_std, CHANGE.offset_std])
+    covariance = np.diag(np.full(14, CHANGE.shift_std**2))
+    covariance[:12, :12] = np.kron(correlate_colours(CHANGE.common_share), np.diag(stds**2))
     precision = np.linalg.inv(covariance)
     columns = columns.reshape(-1, 14)
     curvature = columns.astype(np.float64).T @ columns
@@ -292,7 +254,7 @@ def make_drift_prior(reference: Image, source: SensorSpec, pixel_mm: float) -> D
         columns=freeze(columns),
         precision=freeze(precision),
         curvature=freeze(curvature),
-        projection=freeze(_invert(COARSE.noise_grey**2 * precision + curvature)),
+        projection=freeze(_invert(CHANGE.noise_grey**2 * precision + curvature)),
     )
 
 
@@ -311,7 +273,7 @@ def fit_dent(
     `of_dent`, `pull`: columns^T change of dent and drift; `by_drift` (14, m), `curvature` (m, m):
     columns^T columns.
     """
-    projection = _invert(max(COARSE.noise_grey**2, drift_cost) * drift.precision + drift.curvature)
+    projection = _invert(max(CHANGE.noise_grey**2, drift_cost) * drift.precision + drift.curvature)
     left = curvature - by_drift.T @ (projection @ by_drift).astype(np.float32)
     unit = np.asarray(
         np.maximum(np.diag(left), 1e-3 * float(np.diag(left).max())) ** -0.5, np.float32
@@ -320,8 +282,8 @@ def fit_dent(
     length = np.float32(1.1 * _estimate_norm(left))
     left[np.diag_indices_from(left)] += np.float32(1e-4)
     right = (of_dent - by_drift.T @ (projection @ pull)).astype(np.float32) * unit
-    right -= np.float32(COARSE.pressure_cost) * right.max()
-    pressures = unit * solve_pressures(left / length, right / length, COARSE.iterations)
+    right -= np.float32(CHANGE.pressure_cost) * right.max()
+    pressures = unit * solve_pressures(left / length, right / length, CHANGE.pressure_iterations)
     return np.asarray(pressures, np.float32), np.asarray(
         projection @ (pull - by_drift @ pressures), np.float64
     )
@@ -374,14 +336,14 @@ def _fit_light(
         for image in touches
     ]
     light = described
-    for _ in range(COARSE.light_iterations):
+    for _ in range(REST.light_iterations):
         columns = make_dent_columns(light, basis)
         by_drift = drift.columns.T @ columns
         curvature = columns.T @ columns
         normal = np.zeros((3, 12, 12))
         right = np.zeros((3, 12))
         for change in changes:
-            cost = COARSE.stiffness * float(change @ change) / change.size
+            cost = CHANGE.stiffness * float(change @ change) / change.size
             fitted = columns.T @ change, drift.columns.T @ change, cost
             pressures, beside = fit_dent(*fitted, drift, by_drift, curvature)
             slopes = basis.slopes @ pressures
@@ -391,10 +353,10 @@ def _fit_light(
             ).sum(-1).reshape(-1, 3)
             normal += np.einsum("nki,nkj->kij", rates, rates, optimize=True)
             right += np.einsum("nki,nk->ki", rates, left)
-        strength = COARSE.light_ridge * np.trace(normal, axis1=1, axis2=2) / 12 + COARSE.light_doubt
+        strength = REST.light_ridge * np.trace(normal, axis1=1, axis2=2) / 12 + REST.light_doubt
         pull = strength[:, None, None] * np.eye(12)
         turns = np.linalg.solve(normal + pull, right[..., None]).reshape(3, 4, 3)
-        if float(np.abs(turns[..., 0]).max()) > COARSE.turn_max:
+        if float(np.abs(turns[..., 0]).max()) > REST.turn_max:
             return described
         light = turn_light(described, turns)
     return freeze(light)

@@ -6,36 +6,23 @@ from typing import cast
 import numpy as np
 
 from pipeline.calibration import near_led_prior
-from pipeline.core.arrays import Floats, Image, Mask
+from pipeline.core.arrays import Floats, Image, Mask, median, percentile
 from pipeline.core.errors import StageWarning
 from pipeline.core.progress import Progress
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthMap
+from pipeline.physics.optics import compute_slopes
 from pipeline.sensors.spec import Gel, SensorSpec
-from pipeline.stages.depth import contact, false_contacts, mirror_check, rest_level
+from pipeline.stages.depth import contact, mirror_check, rest_level
 from pipeline.stages.depth.change_detection import ImageWindow
 from pipeline.stages.depth.gel.change import FrameChange
 from pipeline.stages.depth.gel.rest import RestState
 from pipeline.stages.depth.gel.result import make_gel_depth
+from pipeline.stages.depth.gel.settings import CONTACT, ContactSettings
 from pipeline.stages.depth.gel.slopes import FrameSlopes
 from pipeline.stages.depth.gel.surface import FrameSurface
 from pipeline.stages.depth.illumination.light import FrameLight
 
-# gel thicknesses from the contact, see `_relax_surface`
-_FADE_START = 0.2
-_FADE_END = 0.6
-# gel thicknesses from the contact: the gel is neither indented nor pulled down there (`rest_level`)
-_FAR = 0.7
-_PRESSURE_BLUR_PX = 1.5  # blur of the relative pressure that separates certain contact (chosen)
-_CONTACT_BLUR_PX = 1.0
-_PRESSURE_CELLS = 220  # of that pressure's grid, along the longer side
-# mm/mm, and of the peak: relative pressure that noise does not reach
-_CERTAIN_SLOPE = 0.04
-_CERTAIN_SHARE = 0.1
-_GRAIN_SHARE = 0.5  # of the peak: a speck with this much pressure is no noise
-_SPECK_MM2 = 0.15  # smaller contacts are camera noise
-# gaps that a rough ball or a book leaves between its threads (`benchmarks/real_things.py`)
-_HOLE_MM2 = 0.5
 _WEAK_SHADING = StageWarning(
     "the LEDs hardly shade slopes where the sensor is touched: sizes and depths may be wrong by "
     "half; calibrate"
@@ -71,31 +58,33 @@ def detect_contact(
     shape = source.camera.shape
     here = (window.rows, window.cols)
     notes = [*change.rest.notes, *slopes.notes, *light.notes, *surface.notes]
-    z, inside = _level_surface(surface.surface_mm, window, source, pixel_mm)
+    z, inside = _level_surface(surface.surface_mm, window, source, pixel_mm, CONTACT)
     pressed = inside | contact.detect_contact(
         z,
         pixel_mm,
         least_mm=params.contact_limit * source.limits.contact_min_mm,
         pressure_share=params.pressure_share,
-        smoothing_px=_CONTACT_BLUR_PX,
+        settings=CONTACT,
     )
     pressed = contact.remove_specks(
-        pressed & (window.changed | inside), max(4, round(_SPECK_MM2 / pixel_mm**2))
+        pressed & (window.changed | inside), max(4, round(CONTACT.speck_mm2 / pixel_mm**2))
     )
     border = np.pad(np.zeros((shape[0] - 2, shape[1] - 2), np.bool_), 1, constant_values=True)[here]
     patch, _ = changed.patches
     change_grey = patch.change * patch.unmarked_share
-    pressed = false_contacts.remove_false_contacts(
-        pressed, z, pixel_mm, border, window.changed, change_grey
+    pressed = remove_false_contacts(
+        pressed, z, pixel_mm, border, window.changed, change_grey, CONTACT
     )
-    pressed = contact.fill_small_holes(pressed, round(_HOLE_MM2 / pixel_mm**2))
+    pressed = contact.fill_small_holes(pressed, round(CONTACT.hole_mm2 / pixel_mm**2))
     touched = np.zeros(shape, np.bool_)
     touched[here] = pressed
     indentation = np.zeros(shape, np.float32)
     indentation[here] = z * window.blend_weight
     if source.gel is not None and pressed.any():
         is_lit = used is not None and used.is_trusted
-        indentation[here] = _relax_surface(z, pressed, window, source.gel, pixel_mm, levels=is_lit)
+        indentation[here] = _relax_surface(
+            z, pressed, window, source.gel, pixel_mm, CONTACT, levels=is_lit
+        )
     by_near_leds = used is not None and used.model in {"field", "near"}
     if by_near_leds and near_led_prior.has_weak_shading(touched, change.rest.image, source):
         notes.append(_WEAK_SHADING)
@@ -112,26 +101,28 @@ def detect_contact(
 
 
 def _level_surface(
-    surface: Floats, window: ImageWindow, source: SensorSpec, pixel_mm: float
+    surface: Floats,
+    window: ImageWindow,
+    source: SensorSpec,
+    pixel_mm: float,
+    settings: ContactSettings,
 ) -> tuple[Floats, Mask]:
     """The surface (rows, cols) with its rest at zero, and a mask of the inside of flat faces."""
     if source.gel is None:
         return surface, np.zeros_like(window.changed)
-    by = max(1, round(max(source.camera.shape) / _PRESSURE_CELLS))
+    by = max(1, round(max(source.camera.shape) / settings.certain_cells))
     cells = rest_level.downsample(surface, by)
     changed_share = rest_level.downsample(window.changed.astype(np.float32), by)
-    pressure = contact.compute_relative_pressure(cells, _PRESSURE_BLUR_PX / by) / np.float32(
-        pixel_mm * by
-    )
+    pressure = contact.compute_relative_pressure(cells, settings.certain_blur_px / by)
+    pressure /= np.float32(pixel_mm * by)
     pressure[changed_share == 0] = 0.0
-    certain = np.asarray(
-        pressure > max(_CERTAIN_SLOPE, _CERTAIN_SHARE * float(pressure.max())), np.bool_
-    )
+    least = max(settings.certain_slope, settings.certain_share * float(pressure.max()))
+    certain = np.asarray(pressure > least, np.bool_)
     certain = contact.remove_weak_specks(
-        certain, pressure, _SPECK_MM2 / (pixel_mm * by) ** 2, _GRAIN_SHARE
+        certain, pressure, settings.speck_mm2 / (pixel_mm * by) ** 2, settings.grain_share
     )
     pressed = rest_level.upsample(certain.astype(np.float32), surface.shape)
-    levelled = rest_level.level_surface(surface, pressed > 0.5, pixel_mm, source.gel)
+    levelled = rest_level.level_surface(surface, pressed > 0.5, pixel_mm, source.gel, settings)
     return levelled.surface_mm, levelled.face_interior
 
 
@@ -141,6 +132,7 @@ def _relax_surface(
     window: ImageWindow,
     gel: Gel,
     pixel_mm: float,
+    settings: ContactSettings,
     *,
     levels: bool,
 ) -> Floats:
@@ -157,9 +149,105 @@ def _relax_surface(
     away_px = np.asarray(cv2.distanceTransform((~touched).astype(np.uint8), cv2.DIST_L2, 5))
     thicknesses = away_px * np.float32(pixel_mm / gel.thickness_mm)
     if levels:
-        far = (thicknesses > _FAR) & window.changed
-        surface = rest_level.level_by_far_field(surface, touched, far, pixel_mm, gel)
-    keep = np.clip((_FADE_END - thicknesses) / (_FADE_END - _FADE_START), 0.0, 1.0)
+        far = (thicknesses > settings.quiet_distance) & window.changed
+        surface = rest_level.level_by_far_field(surface, touched, far, pixel_mm, gel, settings)
+    low, high = settings.fade_distances
+    keep = np.clip((high - thicknesses) / (high - low), 0.0, 1.0)
     keep = np.maximum(keep * window.blend_weight, touched)
-    beyond = rest_level.compute_far_field(surface, touched, pixel_mm, gel)
+    beyond = rest_level.compute_far_field(surface, touched, pixel_mm, gel, settings)
     return np.asarray(beyond + (surface - beyond) * keep, np.float32)
+
+
+def remove_false_contacts(
+    touched: Mask,
+    surface_mm: Floats,
+    pixel_mm: float,
+    border: Mask,
+    changed: Mask,
+    change_grey: Floats,
+    settings: ContactSettings,
+) -> Mask:
+    """The contact `touched` (rows, cols) without false regions; the deepest region stays.
+
+    A true region has flanks: some of it is steep, and not where the `changed` part of the image
+    ends, since a surface raised by drift ends there in a step. It stands out from its surroundings.
+    At the image `border`, beyond which nothing holds the surface, it has a good part of the deepest
+    region's depth: light is least known in the corners. And its flanks face opposite LEDs, so that
+    each colour of the image's `change_grey` (rows, cols, 3) rises on one and falls on the other; a
+    spot of light changes all of it in one direction.
+    """
+    import cv2
+
+    n, labels = cv2.connectedComponents(touched.astype(np.uint8), connectivity=8)
+    if n <= 2:  # the background and one region
+        return touched
+    regions = np.asarray(labels, np.int32)
+    depths = np.full(n, -np.inf, np.float32)
+    np.maximum.at(depths, regions[touched], surface_mm[touched])
+    depths = depths[1:]
+    deepest = 1 + int(np.argmax(depths))
+    slope = np.asarray(cv2.magnitude(*compute_slopes(surface_mm, pixel_mm)), np.float32)
+    steepest = float(percentile(slope, 90.0, regions == deepest))
+    steep = np.asarray(slope > min(settings.flank, settings.flank_of_deepest * steepest), np.bool_)
+    steep &= _erode_inside(changed, settings.step_px)
+    keep = np.bincount(regions[touched & steep], minlength=n) > settings.flank_share * np.bincount(
+        regions.ravel(), minlength=n
+    )
+    cut = np.unique(regions[touched & border])
+    keep[cut[depths[cut - 1] < settings.border_share * float(depths.max())]] = False
+    keep[0] = keep[deepest] = False
+    for k in np.flatnonzero(keep):
+        region = np.equal(regions, k)
+        keep[k] = _stands_out(
+            region, touched, surface_mm, pixel_mm, settings
+        ) and not _has_one_direction(change_grey, region, pixel_mm, settings)
+    keep[deepest] = True
+    return np.asarray(keep[regions], np.bool_)
+
+
+def _erode_inside(changed: Mask, step_px: int) -> Mask:
+    """The pixels (rows, cols) farther from the end of `changed` than a smoothed step.
+
+    The image border is no end.
+    """
+    import cv2
+
+    kernel = np.ones((step_px, step_px), np.uint8)
+    return np.asarray(cv2.erode(changed.astype(np.uint8), kernel, borderValue=1), np.bool_)
+
+
+def _stands_out(
+    region: Mask, touched: Mask, surface_mm: Floats, pixel_mm: float, settings: ContactSettings
+) -> bool:
+    """Whether a region is deeper than the untouched ring around it by a good part of its depth."""
+    import cv2
+
+    near_px, far_px = (
+        max(1, round(mm / pixel_mm)) for mm in (settings.near_mm, settings.flanks_mm)
+    )
+    left, top, width, height = cv2.boundingRect(region.astype(np.uint8))
+    around = far_px + near_px
+    here = tuple(
+        slice(max(0, first - around), first + n + around)
+        for first, n in ((top, height), (left, width))
+    )
+    ring = _dilate(region[here], far_px) & ~_dilate(touched[here], near_px)
+    if not ring.any():
+        return True
+    depth_mm = median(surface_mm, region)
+    return bool(depth_mm - median(surface_mm[here], ring) > settings.prominence * depth_mm)
+
+
+def _has_one_direction(
+    change_grey: Floats, region: Mask, pixel_mm: float, settings: ContactSettings
+) -> bool:
+    """Whether the colours of a region and its surroundings all rise or all fall."""
+    seen = change_grey[_dilate(region, max(1, round(settings.flanks_mm / pixel_mm)))]
+    return bool(np.abs(seen.sum(axis=0)).sum() > settings.one_direction * np.abs(seen).sum())
+
+
+def _dilate(mask: Mask, by_px: int) -> Mask:
+    import cv2
+
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * by_px + 1, 2 * by_px + 1))
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), disc), np.bool_)

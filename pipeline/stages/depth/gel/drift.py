@@ -33,53 +33,7 @@ from pipeline.core.digests import compute_cached_digest
 from pipeline.core.errors import StageWarning
 from pipeline.core.memo import Memo
 from pipeline.stages.depth.gel.coarse_light import compute_block_means
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DriftSettings:
-    """Constants of the drift that is removed."""
-
-    blocks_along: int = 54  # along the longer side: more do not improve the fit of smooth changes
-    block_min_px: int = 8
-    # of the weights in successive fits, before the noise's
-    scales_grey: tuple[float, ...] = (24.0, 12.0, 6.0, 3.0)
-    agreement_grey: float = 1.5  # residual up to which a block agrees, where noise is low
-    # the same in standard deviations of a block's noise, where that is more
-    agreement_sigmas: float = 3.0
-    agreement_min: float = 0.3  # share of the blocks; fewer may be part of a touch
-    # Share by which more blocks agree than without drift: up to the first it is left alone, from
-    # the second removed.
-    agreement_gain: tuple[float, float] = (0.25, 0.35)
-    prior_std: tuple[float, ...] = (
-        0.05,
-        8.0,
-        10.0,
-        1.5,
-    )  # of gain, offset (grey), ramp (grey to the border), shift (px)
-    block_noise_grey: float = 0.5
-    gain_max: float = 0.2  # more is no drift: another sensor instance, or a failed LED
-    grey_max: float = 30.0
-    shift_max_px: float = 8.0
-    exposure_min: float = 0.1  # deviation from 1 of a common gain
-    exposure_max: float = 3.0  # the gain, or its inverse
-    # between which a block's ratio to the reference is a gain
-    exposure_grey: tuple[float, float] = (16.0, 250.0)
-    exposure_tolerance: float = 0.04  # relative deviation from the common gain
-    exposure_share: float = 0.5  # of the blocks that agree
-    iterations: int = 4
-    shift_tolerance_px: float = 0.05
-    shift_min_px: float = 0.1  # smaller shifts are ignored: interpolation would blur more
-    note_gain: float = 0.012  # changes that get a note
-    note_grey: float = 2.5
-    note_px: float = 0.4
-    # All drift together: two simulated instances that a drift explains 23 to 49; gain 3 %, ramp 12,
-    # 2 px: 11.
-    instance_drift_grey: float = 18.0
-    # change of three quarters of an image whose reference is of another instance
-    foreign_grey: float = 7.0
-
-
-DRIFT = DriftSettings()
+from pipeline.stages.depth.gel.settings import CHANGE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,7 +52,10 @@ class Drift:
         change = float(self.gain.mean()) - 1.0
         grey = float(np.abs(self.offset_grey).max() + np.abs(self.ramp_grey).max())
         if (
-            max(float(np.abs(self.gain - 1.0).max()) / DRIFT.note_gain, grey / DRIFT.note_grey)
+            max(
+                float(np.abs(self.gain - 1.0).max()) / CHANGE.drift_note_gain,
+                grey / CHANGE.drift_note_grey,
+            )
             > 1.0
         ):
             notes.append(
@@ -106,7 +63,7 @@ class Drift:
                 f"{grey:.0f} grey "
                 "levels across the image); it is removed"
             )
-        if math.hypot(*self.shift_px) > DRIFT.note_px:
+        if math.hypot(*self.shift_px) > CHANGE.drift_note_px:
             notes.append(
                 f"the image has moved by {math.hypot(*self.shift_px):.1f} px against the "
                 "reference; it is removed"
@@ -122,7 +79,7 @@ class Drift:
         grey = float(np.abs(self.gain - 1.0).max()) * bright_grey
         return (
             grey + float(np.abs(self.offset_grey).max() + np.abs(self.ramp_grey).max())
-            > DRIFT.instance_drift_grey
+            > CHANGE.drift_instance_drift_grey
         )
 
 
@@ -250,26 +207,26 @@ def fit_drift(
     still = still if exposure == 1.0 else sums.compute_blocks(np.zeros(2), exposure)
     residual = now - still.mean.reshape(now.shape)
     agrees = _compute_agreement_grey(residual)
-    foreign = float(np.percentile(np.abs(residual).max(axis=2), 25)) > DRIFT.foreign_grey
+    foreign = float(np.percentile(np.abs(residual).max(axis=2), 25)) > CHANGE.drift_foreign_grey
     if (
-        agrees <= DRIFT.agreement_grey
-        and float((change < agrees).mean()) > 1.0 - DRIFT.agreement_gain[0]
+        agrees <= CHANGE.drift_agreement_grey
+        and float((change < agrees).mean()) > 1.0 - CHANGE.drift_agreement_gain[0]
     ):
         return None, foreign
     place = _make_positions(*now.shape[:2])
     shift = np.zeros(2)
     solution = np.zeros(14)
     weight = np.ones(len(place), np.float32)
-    scales = [*DRIFT.scales_grey, agrees, agrees]
-    for _ in range(DRIFT.iterations):
+    scales = [*CHANGE.drift_scales_grey, agrees, agrees]
+    for _ in range(CHANGE.drift_iterations):
         fit = _solve(now.reshape(-1, 3), still, place, shift, weight, scales)
         solution, left, weight = fit
         scales = [agrees]
         residual = left.reshape(now.shape)
         shift = shift + solution[12:]
         if (
-            float(np.abs(solution[12:]).max()) < DRIFT.shift_tolerance_px
-            or math.hypot(*shift) > DRIFT.shift_max_px
+            float(np.abs(solution[12:]).max()) < CHANGE.drift_shift_tolerance_px
+            or math.hypot(*shift) > CHANGE.drift_shift_max_px
         ):
             break
         still = sums.compute_blocks(shift, exposure)
@@ -277,14 +234,14 @@ def fit_drift(
     alike, agree = (float((a < agrees).mean()) for a in (change, np.abs(residual).max(axis=2)))
     own = solution[:12].reshape(3, 4)
     small = (
-        float(np.abs(own[:, 0]).max()) < DRIFT.gain_max
-        and float(np.abs(own[:, 1:]).max()) < DRIFT.grey_max
+        float(np.abs(own[:, 0]).max()) < CHANGE.drift_gain_max
+        and float(np.abs(own[:, 1:]).max()) < CHANGE.drift_grey_max
     )
-    share = _step(agree - alike, DRIFT.agreement_gain)
+    share = _step(agree - alike, CHANGE.drift_agreement_gain)
     if (
         not small
-        or math.hypot(*shift) > DRIFT.shift_max_px
-        or agree < DRIFT.agreement_min
+        or math.hypot(*shift) > CHANGE.drift_shift_max_px
+        or agree < CHANGE.drift_agreement_min
         or share == 0.0
     ):
         return None, foreign
@@ -317,7 +274,7 @@ def remove_exposure(image: Image, exposure: float) -> Image:
 
 
 def _compute_block_px(image: Image) -> int:
-    return max(DRIFT.block_min_px, round(max(image.shape) / DRIFT.blocks_along))
+    return max(CHANGE.drift_block_min_px, round(max(image.shape) / CHANGE.drift_blocks_along))
 
 
 def _compute_blocks(image: Image, reference: Image) -> tuple[Floats, _Blocks]:
@@ -330,21 +287,21 @@ def _compare_exposure(means: Floats, reference: _Blocks) -> float:
     """The gain that all colours of most blocks (rows, cols, 3) share."""
     now = means.reshape(-1, 3)
     still = reference.mean
-    low, high = DRIFT.exposure_grey
+    low, high = CHANGE.drift_exposure_grey
     usable = (still > low) & (now < high)
     if not usable.any():
         return 1.0
     ratio = now[usable] / still[usable]
     gain = float(np.median(ratio))
     if (
-        abs(gain - 1.0) < DRIFT.exposure_min
-        or not 1.0 / DRIFT.exposure_max < gain < DRIFT.exposure_max
+        abs(gain - 1.0) < CHANGE.drift_exposure_min
+        or not 1.0 / CHANGE.drift_exposure_max < gain < CHANGE.drift_exposure_max
     ):
         return 1.0
     return (
         gain
-        if float((np.abs(ratio / gain - 1.0) < DRIFT.exposure_tolerance).mean())
-        >= DRIFT.exposure_share
+        if float((np.abs(ratio / gain - 1.0) < CHANGE.drift_exposure_tolerance).mean())
+        >= CHANGE.drift_exposure_share
         else 1.0
     )
 
@@ -357,7 +314,9 @@ def _step(value: float, limits: tuple[float, float]) -> float:
 
 def _compute_agreement_grey(residual: Floats | Doubles) -> float:
     """The residual (grey) up to which a block (rows, cols, 3) agrees."""
-    return max(DRIFT.agreement_grey, DRIFT.agreement_sigmas * _estimate_noise(residual))
+    return max(
+        CHANGE.drift_agreement_grey, CHANGE.drift_agreement_sigmas * _estimate_noise(residual)
+    )
 
 
 def _estimate_noise(change: Floats | Doubles) -> float:
@@ -377,7 +336,7 @@ def apply_drift(reference: Image, drift: Drift) -> Floats:
     well.
     """
     rows, cols = reference.shape[:2]
-    small = math.hypot(*drift.shift_px) < DRIFT.shift_min_px
+    small = math.hypot(*drift.shift_px) < CHANGE.drift_shift_min_px
     moved = (
         reference.astype(np.float32) if small else _shift_image(reference, np.array(drift.shift_px))
     )
@@ -390,7 +349,7 @@ def apply_drift(reference: Image, drift: Drift) -> Floats:
     moved += (along_y[:, None] * ramp[:, 1])[:, None]
     return (
         np.minimum(moved, np.float32(255.0))
-        if float(drift.gain.min()) > 1.0 + DRIFT.exposure_min
+        if float(drift.gain.min()) > 1.0 + CHANGE.drift_exposure_min
         else moved
     )
 
@@ -403,7 +362,7 @@ def _sum_reference(reference: Image, block: int) -> _ReferenceSums:
     import cv2
 
     def make() -> _ReferenceSums:
-        margin = math.ceil(2 * DRIFT.shift_max_px) + 2
+        margin = math.ceil(2 * CHANGE.drift_shift_max_px) + 2
         sums = cv2.integral(
             cv2.copyMakeBorder(reference, margin, margin, margin, margin, cv2.BORDER_REPLICATE),
             sdepth=cv2.CV_64F,
@@ -460,9 +419,9 @@ def _solve(
         ]
     )
     numbers = [np.r_[4 * c : 4 * c + 4, 12, 13] for c in range(3)]  # unknowns of each colour
-    gain, offset, ramp, moved = DRIFT.prior_std
+    gain, offset, ramp, moved = CHANGE.drift_prior_std
     stds = np.array([*(gain, offset, ramp, ramp) * 3, moved, moved])
-    prior = (DRIFT.block_noise_grey / stds) ** 2
+    prior = (CHANGE.drift_block_noise_grey / stds) ** 2
     solution: Doubles = np.zeros(14)
     left = target
     for scale in scales:

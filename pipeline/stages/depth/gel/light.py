@@ -19,6 +19,7 @@ from pipeline.core.progress import Progress
 from pipeline.core.values.frames import TactileFrame
 from pipeline.stages.depth.gel.change import FrameChange, observe_change
 from pipeline.stages.depth.gel.rest import RestState
+from pipeline.stages.depth.gel.settings import LIGHT
 from pipeline.stages.depth.gel.slopes import ChangedImage, make_changed_image
 from pipeline.stages.depth.illumination import selection
 from pipeline.stages.depth.illumination.light import FrameLight, Illumination, ImagePatch
@@ -27,7 +28,6 @@ from pipeline.stages.depth.poisson import Integrator
 _NOT_COVERED = StageWarning(
     "no indentation of the calibration covers this touch: it is measured without calibration"
 )
-_MIN_CONTEXT_TOUCHES = 2  # one tells no more than the frame itself
 _CODE = (
     "pipeline.stages.depth",
     "pipeline.stages.depth.gel",
@@ -81,7 +81,7 @@ def choose_for_recording(
 
     None for fewer.
     """
-    if len(images) < _MIN_CONTEXT_TOUCHES:
+    if len(images) < LIGHT.min_context_touches:
         return None
     source = rest.source
     calibration = rest.calibration
@@ -95,7 +95,7 @@ def choose_for_recording(
     def choose() -> Illumination:
         touches = [find_touch(image, reference, rest, progress) for image in images]
         found = [touch for touch in touches if touch is not None]
-        if len(found) < _MIN_CONTEXT_TOUCHES:
+        if len(found) < LIGHT.min_context_touches:
             return selection.DESCRIBED
         return selection.choose_for_recording(found) or selection.DESCRIBED
 

@@ -18,6 +18,7 @@ from pipeline.stages.depth.change_detection import ImageWindow
 from pipeline.stages.depth.gel.change import FrameChange
 from pipeline.stages.depth.gel.drift import RestImage
 from pipeline.stages.depth.gel.rest import RestState
+from pipeline.stages.depth.gel.settings import SLOPES
 from pipeline.stages.depth.illumination.light import (
     FrameLight,
     ImagePatch,
@@ -26,10 +27,6 @@ from pipeline.stages.depth.illumination.light import (
     look_up_slopes,
 )
 from pipeline.stages.depth.poisson import Boundary, Integrator, SideBoundaries, integrate_slopes
-
-_SATURATED_GREY = 254  # noise of one grey level moves what is clipped at 255 down to here
-_LEVEL_PIXELS = 1000  # outside the changed region, whose median is the level of a surface
-_MAX_SATURATED_SHARE = 0.01  # of the changed region; more is warned of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,7 +75,7 @@ class ChangedImage:
         """
         ends = self._find_boundaries()
         outside = np.flatnonzero(~patch.changed)
-        outside = outside[:: max(1, len(outside) // _LEVEL_PIXELS)]
+        outside = outside[:: max(1, len(outside) // SLOPES.level_pixels)]
 
         def integrate(gx: Floats, gy: Floats) -> Floats:
             progress.step(fraction, "integrating slopes")
@@ -162,7 +159,12 @@ def make_changed_image(
     params = SlopeParams() if params is None else params
     limit_grey = rest.source.limits.no_contact_change / params.sensitivity
     window = change_detection.detect_press(
-        image, change.rest.image_8bit, limit_grey, calibration.pixel_mm, change.press.dent_mm
+        image,
+        change.rest.image_8bit,
+        limit_grey,
+        calibration.pixel_mm,
+        change.press.dent_mm,
+        SLOPES,
     )
     return ChangedImage(
         image=image,
@@ -185,9 +187,9 @@ def _warn_of_image(changed: ChangedImage) -> tuple[str, ...]:
     if changed.source.markers is not None:
         notes.append("slopes under the printed markers were filled in from around them")
     red, green, blue = cv2.split(changed.image[window.rows, window.cols])
-    clipped = np.asarray(cv2.max(cv2.max(red, green), blue)) >= _SATURATED_GREY
+    clipped = np.asarray(cv2.max(cv2.max(red, green), blue)) >= SLOPES.saturated_grey
     share = np.count_nonzero(clipped & window.changed) / np.count_nonzero(window.changed)
-    if share > _MAX_SATURATED_SHARE:
+    if share > SLOPES.saturated_share:
         notes.append(
             StageWarning(
                 f"{share:.0%} of the touch is saturated: slopes there may be wrong; expose less"

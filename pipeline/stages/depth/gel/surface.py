@@ -12,6 +12,7 @@ from pipeline.core.progress import Progress
 from pipeline.physics.optics import compute_slopes
 from pipeline.stages.depth.gel.change import FrameChange
 from pipeline.stages.depth.gel.result import NOT_SCALED
+from pipeline.stages.depth.gel.settings import SLOPES, SURFACE
 from pipeline.stages.depth.gel.slopes import ChangedImage, FrameSlopes
 from pipeline.stages.depth.illumination import selection
 from pipeline.stages.depth.illumination.light import (
@@ -21,11 +22,6 @@ from pipeline.stages.depth.illumination.light import (
     compute_cell_means,
     upsample_surface,
 )
-
-# 42 balls on a real DIGIT: a reach of 1 mm, or .4 of the deepest point, measures them as well
-# (`docs/experiments.md`). of the deepest point of a coarse dent: surely indented; and around that
-_DENT_SHARE = 0.25
-_REACH_MM = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,10 +88,10 @@ def _weigh_by_distance(dent_mm: Floats, changed: ChangedImage, cells: ImagePatch
     dent = np.asarray(
         cv2.resize(dent_mm, changed.image.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     )
-    outside = (dent < _DENT_SHARE * dent.max()).astype(np.uint8)
+    outside = (dent < SLOPES.dent_share * dent.max()).astype(np.uint8)
     away_px = np.asarray(cv2.distanceTransform(outside, cv2.DIST_L2, 5), np.float32)
     away_px = compute_cell_means(
         away_px[changed.window.rows, changed.window.cols], cells.downsampling
     )
-    reach_px = np.float32(_REACH_MM / changed.calibration.pixel_mm)
+    reach_px = np.float32(SURFACE.reach_mm / changed.calibration.pixel_mm)
     return np.clip(np.float32(1.0) - away_px / reach_px, np.float32(0.0), np.float32(1.0))

@@ -38,12 +38,10 @@ from pipeline.core.arrays import Doubles, Floats, Mask
 from pipeline.physics import optics
 from pipeline.physics.optics import compute_slopes
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth.illumination.constants import CONSTANTS, FIELD_STEP
+from pipeline.stages.depth.gel.settings import LIGHT, SURFACE
 from pipeline.stages.depth.illumination.light import ImagePatch, Light, RenderedChange
 from pipeline.stages.depth.illumination.surface_refinement import clip_surface, refine_surface
 from pipeline.stages.depth.poisson import Integrator
-
-_MIN_BLUR_PX = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,7 +66,7 @@ def make_field_light(coefficients: Doubles, patch: ImagePatch, source: SensorSpe
     return FieldLight(
         source=source,
         patch=patch,
-        step_rule=FIELD_STEP,
+        step_rule=SURFACE.field_step,
         field=field,
         blur_px=optics.require_optics(source).blur_px,
     )
@@ -88,22 +86,22 @@ def fit_field(
     described light does.
     """
     q = patch.change * slope_model.compute_gain(patch.reference)
-    seen = patch.changed & (np.abs(q).max(axis=2) > CONSTANTS.min_relative_change)
-    if np.count_nonzero(seen) < CONSTANTS.min_field_samples:
+    seen = patch.changed & (np.abs(q).max(axis=2) > LIGHT.min_relative_change)
+    if np.count_nonzero(seen) < LIGHT.min_field_samples:
         return None
     prior = near_led_prior.compute_prior(source, source.pixel_mm, source.camera.shape)
     light = make_field_light(prior.mean, patch, source)
-    iterations = CONSTANTS.first_field_refinements
-    surface_mm, misfit = refine_surface(surface_mm, patch, light, integrate, iterations)
+    iterations = LIGHT.first_field_refinements
+    surface_mm, misfit = refine_surface(surface_mm, patch, light, integrate, iterations, SURFACE)
     coefficients = prior.mean
-    for _ in range(CONSTANTS.field_iterations):
+    for _ in range(LIGHT.field_iterations):
         touch = functools.partial(_sample_surface, surface_mm, light, q, seen)
         factor, coefficients = estimate_likeliest_depth(prior, touch)
         light = make_field_light(coefficients, patch, source)
         surface_mm, misfit = refine_surface(
-            surface_mm * np.float32(factor), patch, light, integrate, CONSTANTS.field_refinements
+            surface_mm * np.float32(factor), patch, light, integrate, LIGHT.fit_refinements, SURFACE
         )
-        if described_misfit <= CONSTANTS.hopeless_field_gain * misfit:
+        if described_misfit <= LIGHT.hopeless_field_gain * misfit:
             return None
     return coefficients, misfit
 
@@ -128,9 +126,9 @@ def estimate_likeliest_depth(
 
     `sample` returns the same cells and colours with the depth times a factor.
     """
-    logs = np.log(CONSTANTS.field_depth_factors)
+    logs = np.log(LIGHT.field_depth_factors)
     unlikeliness = [
-        _compute_posterior(prior, sample(factor))[0] for factor in CONSTANTS.field_depth_factors
+        _compute_posterior(prior, sample(factor))[0] for factor in LIGHT.field_depth_factors
     ]
     bend, slope, _ = np.polyfit(logs, unlikeliness, 2)
     at = -0.5 * slope / bend if bend > 0.0 else logs[int(np.argmin(unlikeliness))]
@@ -173,7 +171,7 @@ def _compute_posterior(prior: ShadingFieldPrior, dent: DentSamples) -> tuple[flo
     sums = np.zeros((n, n, N_SHADING_TERMS + 3, N_SHADING_TERMS))
     line = np.empty((7 + 28, len(dent.u)), np.float32)
     energy, count = sum_field_products(*dent, line, sums)
-    weight = CONSTANTS.field_independent_pixels / max(count, 1) / CONSTANTS.field_noise**2
+    weight = LIGHT.field_independent_pixels / max(count, 1) / LIGHT.field_noise**2
     along_u, along_v = _list_powers()
     block = N_POSITION_TERMS * N_SHADING_TERMS
     pairs = sums[along_v + along_v[:, None], along_u + along_u[:, None], :N_SHADING_TERMS]
@@ -197,10 +195,14 @@ def _sample_surface(
     import cv2
 
     patch = light.patch
-    width = max(_MIN_BLUR_PX, math.hypot(light.blur_px, patch.smoothing_px) / patch.downsampling)
+    width = max(
+        SURFACE.no_blur_px, math.hypot(light.blur_px, patch.smoothing_px) / patch.downsampling
+    )
     z = np.asarray(
         cv2.GaussianBlur(
-            clip_surface(surface_mm * np.float32(factor), patch, light), (0, 0), width
+            clip_surface(surface_mm * np.float32(factor), patch, light, SURFACE.bulge_mm),
+            (0, 0),
+            width,
         ),
         np.float32,
     )

@@ -1,5 +1,5 @@
 """Compiled rendering of the three light models, with derivatives, and the Gauss-Newton step of the
-slopes.
+slopes, and the normal equations of the shapes by which a surface is moved as a whole.
 
 Colour images (rows, cols, 3) are read as (rows, 3 cols) where that is faster: a stride that the
 compiler does not know is slow. `change` is in grey levels; `rate_x` and `rate_y` are its
@@ -19,8 +19,6 @@ N_LINES = 9  # scratch lines of a tile
 _LINE = tuple(np.uint64(k * TILE_PX) for k in range(N_LINES))
 _L1, _L2, _L3, _L4, _L5, _L6, _L7, _L8 = _LINE[1:]
 _COLOURS = np.uint64(3)
-_GREEN = np.uint64(1)
-_BLUE = np.uint64(2)
 # the camera carries no information beyond
 _MIN_GREY = np.float32(0.5)
 _MAX_GREY = np.float32(254.0)
@@ -236,7 +234,8 @@ def update_slopes(
 
     rendered (rows, cols, 3): the change that the surface shows, in grey levels, before the camera
     clips it; recorded: the recorded change and the reference image, each alike; confidence (rows,
-    cols, 3): weight of each colour. limits: see `StepRule`. line (9 TILE,): scratch. weights (3,
+    cols, 3): weight of each colour. limits: pull and steepest slope of
+    `StepRule`, Huber limit between them, outside weight last. line (9 TILE,): scratch. weights (3,
     rows, cols) is written: the information matrix (xx, xy, yy) of each pixel's slopes. The misfit
     sums the absolute residuals before the step, each at most twice the Huber limit.
     """
@@ -301,3 +300,40 @@ def update_slopes(
                 total += sums[5] if here else zero
             misfit += total
     return misfit
+
+
+@kernel(fastmath=FAST)
+def accumulate_normal_equations(gx, gy, target_x, target_y, xx, xy, yy, line, normal, pull):
+    """Write the normal equations of the sum of shapes that brings the first shape's slopes to the
+    target slopes.
+
+    gx, gy (n, rows, cols): the shapes' slopes; target_x, target_y and the weights xx, xy, yy (rows,
+    cols). normal (n, n) and pull (n,) are doubles: the weighted slopes of one shape times those of
+    another, and times the residual. line (2, cols): scratch.
+    """
+    n, rows, cols = gx.shape
+    normal[:] = 0.0
+    pull[:] = 0.0
+    for row in range(rows):
+        r = np.uint64(row)
+        for a in range(n):
+            one = np.uint64(a)
+            total = np.float32(0.0)
+            for i in range(cols):
+                c = np.uint64(i)
+                x = xx[r, c] * gx[one, r, c] + xy[r, c] * gy[one, r, c]
+                y = xy[r, c] * gx[one, r, c] + yy[r, c] * gy[one, r, c]
+                line[0, c] = x
+                line[1, c] = y
+                total += x * (target_x[r, c] - gx[0, r, c]) + y * (target_y[r, c] - gy[0, r, c])
+            pull[one] += total
+            for b in range(a + 1):
+                other = np.uint64(b)
+                total = np.float32(0.0)
+                for i in range(cols):
+                    c = np.uint64(i)
+                    total += line[0, c] * gx[other, r, c] + line[1, c] * gy[other, r, c]
+                normal[one, other] += total
+    for a in range(n):
+        for b in range(a):
+            normal[b, a] = normal[a, b]

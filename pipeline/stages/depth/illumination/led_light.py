@@ -20,24 +20,13 @@ from pipeline.core.arrays import Doubles, Floats
 from pipeline.physics.optics import apply_shadows, pack_leds, require_optics
 from pipeline.sensors.parts import Led, Optics, compute_mean_reference_light
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth.illumination.constants import DESCRIBED_STEP, TRUSTED_STEP
+from pipeline.stages.depth.gel.settings import LIGHT, SURFACE
 from pipeline.stages.depth.illumination.light import (
     ImagePatch,
     Light,
     RenderedChange,
     compute_cell_means,
 )
-
-# Standard deviations between sensor instances, as `simulation.variation` draws them.
-_AZIMUTH_DEG = 8.0
-_ELEVATION_DEG = 3.0
-# of a whole LED, and of each of its colours
-_LOG_POWER = 0.12
-_LOG_COLOUR = 0.08
-# fall-off, vignette, log blur, log shadow, shadow elevation (degrees)
-_OTHERS = (0.05, 0.08, 0.15, 0.25, 3.0)
-_ELEVATION_LIMITS_DEG = 5.0, 80.0
-_REFERENCE_BLUR_PX = 3.0  # of the brightness that the gain of near LEDs is compared with
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,7 +80,7 @@ def make_led_light(
         source=source,
         optics=optics,
         patch=patch,
-        step_rule=TRUSTED_STEP if trusted else DESCRIBED_STEP,
+        step_rule=SURFACE.trusted_step if trusted else SURFACE.described_step,
         gain=_compute_near_gain(source, patch) if near else np.ones_like(patch.reference),
         blur_px=optics.blur_px,
     )
@@ -101,13 +90,12 @@ def compute_led_prior_root(described: Optics) -> Doubles:
     """A root (m, m) of the prior covariance of the deviations; a LED's colours vary together."""
     n_leds = len(described.leds)
     led = np.zeros((5, 5))
-    led[0, 0] = _AZIMUTH_DEG
-    led[1, 1] = _ELEVATION_DEG
-    led[2:, 2:] = np.linalg.cholesky(_LOG_COLOUR**2 * np.eye(3) + _LOG_POWER**2)
+    led[0, 0] = LIGHT.azimuth_deg
+    led[1, 1] = LIGHT.elevation_deg
+    led[2:, 2:] = np.linalg.cholesky(LIGHT.log_colour**2 * np.eye(3) + LIGHT.log_power**2)
     m = 5 * n_leds
-    root = np.zeros((m + len(_OTHERS), m + len(_OTHERS)))
+    root = np.diag(np.concatenate([np.zeros(m), LIGHT.others]))
     root[:m, :m] = np.kron(np.eye(n_leds), led)
-    root[m:, m:] = np.diag(_OTHERS)
     return root
 
 
@@ -115,7 +103,7 @@ def shift_optics(described: Optics, deviations: Doubles) -> Optics:
     """The optics that deviate by (m,) from the described ones."""
     n = len(described.leds)
     falloff, vignette, blur, shadow, shadow_deg = (float(v) for v in deviations[5 * n :])
-    low, high = _ELEVATION_LIMITS_DEG
+    low, high = LIGHT.elevation_limits_deg
     return replace(
         described,
         leds=tuple(
@@ -131,7 +119,7 @@ def shift_optics(described: Optics, deviations: Doubles) -> Optics:
 
 def _shift_led(led: Led, deviations: Doubles) -> Led:
     red, green, blue = (float(v * s) for v, s in zip(led.rgb, np.exp(deviations[2:]), strict=True))
-    low, high = _ELEVATION_LIMITS_DEG
+    low, high = LIGHT.elevation_limits_deg
     return Led(
         azimuth_deg=float(led.azimuth_deg + deviations[0]) % 360.0,
         elevation_deg=min(max(float(led.elevation_deg + deviations[1]), low), high),
@@ -149,11 +137,11 @@ def _compute_near_gain(source: SensorSpec, patch: ImagePatch) -> Floats:
     import cv2
 
     rows, cols = patch.changed.shape
-    by = max(1, round(_REFERENCE_BLUR_PX / patch.downsampling))  # cells as wide as the blur
+    by = max(1, round(LIGHT.reference_blur_px / patch.downsampling))  # cells as wide as the blur
     cells = cv2.GaussianBlur(
         compute_cell_means(patch.reference, by),
         (0, 0),
-        _REFERENCE_BLUR_PX / patch.downsampling / by,
+        LIGHT.reference_blur_px / patch.downsampling / by,
     )
     offset = np.float32(slope_model.OFFSET_GREY)
     camera = source.camera

@@ -14,9 +14,7 @@ from pipeline.calibration.markers import detect_markers, inpaint_markers, remove
 from pipeline.core.arrays import Floats, Image, Mask
 from pipeline.sensors.spec import Markers, SensorSpec
 from pipeline.stages.depth.change_detection import ImageWindow
-from pipeline.stages.depth.illumination.constants import CONSTANTS, StepRule
-
-_NO_BLUR_PX = 0.3  # a Gaussian this narrow changes nothing
+from pipeline.stages.depth.gel.settings import SURFACE, StepRule
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,7 +78,7 @@ def extract_patch(
 
 
 def downsample_patch(
-    patch: ImagePatch, shape: tuple[int, ...], cells: int = CONSTANTS.grid_cells
+    patch: ImagePatch, shape: tuple[int, ...], cells: int = SURFACE.grid_cells
 ) -> ImagePatch:
     """The patch on a grid of at most `cells` cells along an image of `shape`.
 
@@ -149,7 +147,7 @@ def blur_change(change: Floats, patch: ImagePatch, lens_blur_px: float) -> Float
     width = math.hypot(lens_blur_px, patch.smoothing_px) / patch.downsampling
     return (
         np.asarray(cv2.GaussianBlur(change, (0, 0), width), np.float32)
-        if width > _NO_BLUR_PX
+        if width > SURFACE.no_blur_px
         else change
     )
 
@@ -165,7 +163,7 @@ def simulate_recorded_change(change: Floats, patch: ImagePatch, lens_blur_px: fl
 def sum_change_grey(patch: ImagePatch) -> float:
     """Sum of the absolute change in grey levels, cut and weighted as misfits are."""
     change = np.minimum(
-        np.abs(patch.change * patch.unmarked_share), np.float32(2.0 * CONSTANTS.huber_grey)
+        np.abs(patch.change * patch.unmarked_share), np.float32(2.0 * SURFACE.huber_grey)
     )
     return float(change[patch.changed].sum())
 

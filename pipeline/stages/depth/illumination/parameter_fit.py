@@ -27,7 +27,7 @@ from pipeline.physics import optics
 from pipeline.physics.optics import compute_slopes
 from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth.illumination.constants import CONSTANTS
+from pipeline.stages.depth.gel.settings import LIGHT, SURFACE
 from pipeline.stages.depth.illumination.led_light import (
     compute_led_prior_root,
     make_led_light,
@@ -54,32 +54,6 @@ class LedObservation:
     patch: ImagePatch
     surface_mm: Floats  # (rows, cols)
     integrate: Integrator
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FitRule:
-    """When LEDs are accepted: deviance / max_deviance + excess misfit / max_excess at most 1.
-
-    The deviance is t' C^-1 t, the excess the share of the change that is left beyond noise.
-    """
-
-    # Simulated instances reach up to 0.99 of the limit, one in fifty more; single balls on a real
-    # Mini from 1.19, other real instances from 2.1.
-    max_deviance: float = 70.0
-    max_excess: float = 0.28
-    independent_pixels: float = 800.0  # of one touch
-    noise_grey: float = 1.5  # grey levels of misfit per pixel that are noise
-    # This sum beyond which a fit ends: as described, after one step, two, ... 238 accepted fits
-    # (`benchmarks/simulated_depth.py`) have at most 1.97, 1.65, 1.78 and 1.25; all of 15 touches on
-    # a real GelSlim have more than 2 after two steps.
-    hopeless: tuple[float, ...] = (2.32, 1.9, 1.9, 1.4)
-    # Share of the deviance of random instances below which the description stands: walls and
-    # shadows on instances as described have up to this in three touches of four, others 0.22 or
-    # more.
-    as_described: float = 0.2
-
-
-LED_RULE = FitRule()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,29 +87,27 @@ def fit_leds(source: SensorSpec, touches: Sequence[LedObservation]) -> Doubles |
     change = 0.0
     for touch in touches:
         share = touch.patch.unmarked_share
-        noise += LED_RULE.noise_grey * float((share[..., 0] * touch.patch.changed).sum())
+        noise += LIGHT.misfit_noise_grey * float((share[..., 0] * touch.patch.changed).sum())
         change += sum_change_grey(touch.patch)
-    for iteration in range(CONSTANTS.fit_iterations + 1):
+    for iteration in range(LIGHT.fit_iterations + 1):
         touches, misfit = _refine_surfaces(model, deviations, touches)
         excess = max(0.0, misfit - noise) / max(change, 1.0)
         score = (
-            float(deviations @ precision @ deviations) / LED_RULE.max_deviance
-            + excess / LED_RULE.max_excess
+            float(deviations @ precision @ deviations) / LIGHT.max_deviance
+            + excess / LIGHT.max_excess
         )
-        if score > (*LED_RULE.hopeless, 1.0)[iteration]:
+        if score > LIGHT.hopeless[iteration]:
             return None
-        if iteration < CONSTANTS.fit_iterations:
+        if iteration < LIGHT.fit_iterations:
             systems = [_linearise(model, deviations, touch) for touch in touches]
             normal = precision + sum(system[0] for system in systems)
             step = np.linalg.solve(
                 normal, sum(system[1] for system in systems) - precision @ deviations
             )
             length = math.sqrt(float(step @ precision @ step))
-            deviations = deviations + step * min(1.0, CONSTANTS.max_fit_step / max(length, 1e-9))
+            deviations = deviations + step * min(1.0, LIGHT.max_fit_step / max(length, 1e-9))
     determined = float(np.trace(np.linalg.solve(normal, normal - precision)))
-    is_as_described = (
-        float(deviations @ precision @ deviations) < LED_RULE.as_described * determined
-    )
+    is_as_described = float(deviations @ precision @ deviations) < LIGHT.as_described * determined
     return np.zeros_like(deviations) if is_as_described else deviations
 
 
@@ -151,8 +123,8 @@ def _refine_surfaces(
             touch.patch,
             model.make_light(deviations, touch.patch),
             touch.integrate,
-            CONSTANTS.fit_refinements,
-            CONSTANTS.fit_cg_steps,
+            LIGHT.fit_refinements,
+            replace(SURFACE, cg_steps=LIGHT.fit_cg_steps),
         )
         refined.append(replace(touch, surface_mm=surface))
         total += misfit
@@ -167,14 +139,14 @@ def _linearise(
     """
     patch = touch.patch
     light = model.make_light(deviations, touch.patch)
-    surface = clip_surface(touch.surface_mm, patch, light)
+    surface = clip_surface(touch.surface_mm, patch, light, SURFACE.bulge_mm)
     slopes = compute_slopes(surface, patch.pixel_mm)
     rendered = light.render(surface, *slopes)
     residual = patch.change - simulate_recorded_change(rendered.change, patch, light.blur_px)
     weight = _compute_colour_weights(residual, patch) * patch.unmarked_share**2
     blurred = blur_change(rendered.change, patch, light.blur_px)
     columns = np.zeros((len(deviations), *blurred.shape), np.float32)
-    sizes = CONSTANTS.rate_step * np.sqrt((model.prior_root**2).sum(axis=1))
+    sizes = LIGHT.rate_step * np.sqrt((model.prior_root**2).sum(axis=1))
     for k, size in enumerate(sizes):
         shifted = deviations.copy()
         shifted[k] += size
@@ -189,8 +161,8 @@ def _linearise(
     _project_out_surface(columns, rendered, weight, patch, touch.integrate)
     flat = columns.reshape(len(deviations), -1).astype(np.float64)
     share = (
-        min(1.0, LED_RULE.independent_pixels / max(1, np.count_nonzero(patch.changed)))
-        / CONSTANTS.noise_grey**2
+        min(1.0, LIGHT.independent_pixels / max(1, np.count_nonzero(patch.changed)))
+        / LIGHT.noise_grey**2
     )
     weighted = flat * (share * weight.ravel().astype(np.float64))
     return weighted @ flat.T, weighted @ residual.ravel()
@@ -199,10 +171,8 @@ def _linearise(
 def _compute_colour_weights(residual: Floats, patch: ImagePatch) -> Floats:
     """Huber's weights (rows, cols, 3) of the residuals; 0 where the camera is clipped."""
     image = patch.reference + patch.change
-    huber = np.float32(CONSTANTS.huber_grey)
-    informative = (
-        (image > CONSTANTS.black_grey) & (image < CONSTANTS.white_grey) & patch.changed[..., None]
-    )
+    huber = np.float32(SURFACE.huber_grey)
+    informative = (image > LIGHT.black_grey) & (image < LIGHT.white_grey) & patch.changed[..., None]
     return np.asarray(
         informative * np.minimum(1.0, huber / np.maximum(np.abs(residual), huber)), np.float32
     )
@@ -219,8 +189,8 @@ def _project_out_surface(
     explains of each.
     """
     _, across, down = rendered
-    pull = np.float32(CONSTANTS.pull)
-    outside = np.float32(CONSTANTS.outside_weight)
+    pull = np.float32(SURFACE.trusted_step.pull)
+    outside = np.float32(SURFACE.outside_weight)
     xx = _sum(weight, across, across) + pull
     xy = _sum(weight, across, down)
     yy = _sum(weight, down, down) + pull
@@ -233,7 +203,7 @@ def _project_out_surface(
     )
     target = _single(yy * to_x - xy * to_y), _single(xx * to_y - xy * to_x)
     flat = np.zeros_like(target[0])
-    steps = CONSTANTS.projection_cg_steps
+    steps = LIGHT.projection_cg_steps
     bent = (
         solve_weighted_slopes(flat, target, _single(weights), patch.pixel_mm, integrate, steps)
         * patch.changed

@@ -15,8 +15,8 @@ from pipeline.core.arrays import Doubles, Floats
 from pipeline.physics import optics
 from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.depth.gel.settings import LIGHT, SURFACE
 from pipeline.stages.depth.illumination import led_light
-from pipeline.stages.depth.illumination.constants import CONSTANTS
 from pipeline.stages.depth.illumination.field_light import fit_field, make_field_light
 from pipeline.stages.depth.illumination.light import (
     Illumination,
@@ -54,14 +54,15 @@ class Touch:
     def refine(self, illumination: Illumination, start_mm: Floats) -> tuple[Floats, float]:
         """The surface (rows, cols) in an illumination, and what that leaves of the image."""
         trusted = illumination.is_trusted
-        iterations = CONSTANTS.trusted_iterations if trusted else CONSTANTS.iterations
+        iterations = SURFACE.trusted_iterations if trusted else LIGHT.iterations
         light = make_light(illumination, self.patch, self.source)
         integrate = self.make_integrator(self.patch)
-        return refine_surface(start_mm, self.patch, light, integrate, iterations)
+        return refine_surface(start_mm, self.patch, light, integrate, iterations, SURFACE)
 
     def observe(self, surface_mm: Floats) -> LedObservation:
         """The touch with a surface (rows, cols), on the coarser grid of the LED fit."""
-        cells = downsample_patch(self.patch, self.source.camera.shape, CONSTANTS.led_grid_cells)
+        # half the refinement grid determines the LEDs as well
+        cells = downsample_patch(self.patch, self.source.camera.shape, SURFACE.grid_cells // 2)
         if cells is not self.patch:
             surface_mm = compute_cell_means(
                 surface_mm, cells.downsampling // self.patch.downsampling
@@ -110,7 +111,7 @@ def choose_for_recording(touches: Sequence[Touch]) -> Illumination | None:
     light = choose_illumination(touches)
     holds = light.model == "leds" or not casts_shadows(touches[0].source)
     if light.model == "field" and not holds:
-        holds = not any(_fit_leds([touch]) for touch in touches[: CONSTANTS.field_touches])
+        holds = not any(_fit_leds([touch]) for touch in touches[: LIGHT.field_touches])
     return replace(light, from_context=True) if holds else None
 
 
@@ -128,11 +129,11 @@ def _try_field(touches: Sequence[Touch]) -> Illumination | None:
 
     Where LEDs cast shadows, which no field explains, more is enough: a real DIGIT.
     """
-    decisive = touches[: CONSTANTS.field_touches]
+    decisive = touches[: LIGHT.field_touches]
     described = sum(touch.described[1] for touch in decisive)
     alone = len(touches) == 1
     fits = [_fit_field(touch, touch.described[1] if alone else math.inf) for touch in decisive]
-    gain = 1.0 if casts_shadows(touches[0].source) else CONSTANTS.field_gain
+    gain = 1.0 if casts_shadows(touches[0].source) else LIGHT.field_gain
     if described <= gain * sum(fit[1] for fit in fits):
         return None
     return pack_leds("field", fits[0][0]) if alone else Illumination(model="field")
@@ -151,7 +152,7 @@ def _fit_field(touch: Touch, described_misfit: float = math.inf) -> tuple[Double
 def _is_explained(touches: Sequence[Touch], misfit: float) -> bool:
     """Whether a misfit is a small part of the touches' change."""
     change = sum(sum_change_grey(touch.patch) for touch in touches)
-    return misfit <= CONSTANTS.explained_share * change
+    return misfit <= LIGHT.explained_share * change
 
 
 def pack_leds(model: IlluminationModel, parameters: Doubles | None) -> Illumination | None:
@@ -199,15 +200,17 @@ def correct_surface(
     guess.
     """
     light = make_light(illumination, patch, source)
-    iterations = CONSTANTS.surface_iterations
+    iterations = SURFACE.iterations
     if illumination.is_trusted:
         described = get_optics(illumination, source)
         plain = led_light.make_led_light(source, described, patch, trusted=False)
         surface_mm, _ = refine_surface(
-            surface_mm, patch, plain, integrate, CONSTANTS.first_iterations
+            surface_mm, patch, plain, integrate, SURFACE.first_iterations, SURFACE
         )
-        iterations = CONSTANTS.trusted_iterations
-    return refine_surface(surface_mm, patch, light, integrate, iterations, until_settled=True)[0]
+        iterations = SURFACE.trusted_iterations
+    return refine_surface(
+        surface_mm, patch, light, integrate, iterations, SURFACE, until_settled=True
+    )[0]
 
 
 def add_walls(
@@ -221,7 +224,8 @@ def add_walls(
     steeper.
     """
     light = make_light(illumination, patch, source)
-    return refine_surface(surface_mm, patch, light, integrate, 1, CONSTANTS.fine_cg_steps)[0]
+    settings = replace(SURFACE, cg_steps=SURFACE.fine_cg_steps)
+    return refine_surface(surface_mm, patch, light, integrate, 1, settings)[0]
 
 
 def casts_shadows(source: SensorSpec) -> bool:

@@ -28,18 +28,13 @@ import numpy as np
 
 from pipeline.core.arrays import Floats, percentile
 from pipeline.physics.optics import compute_slopes
-from pipeline.stages.depth.illumination.constants import CONSTANTS
+from pipeline.stages.depth.gel.settings import SurfaceSettings
 from pipeline.stages.depth.illumination.light import (
     ImagePatch,
     Light,
     blur_change,
 )
 from pipeline.stages.depth.poisson import Integrator, solve_weighted_slopes
-
-_WALL_RANGES = ((0.1, 0.5), (0.3, 0.8), (0.6, 1.0))  # of the depth: where a wall is raised
-_DEEPEST = 99.5  # percentile that stands for the depth
-_MIN_DEPTH_MM = 0.02
-_RIDGE = 1e-6  # of the normal equations' trace
 
 
 def refine_surface(
@@ -48,7 +43,7 @@ def refine_surface(
     light: Light,
     integrate: Integrator,
     iterations: int,
-    cg_steps: int = CONSTANTS.cg_steps,
+    settings: SurfaceSettings,
     *,
     until_settled: bool = False,
 ) -> tuple[Floats, float]:
@@ -70,10 +65,13 @@ def refine_surface(
     rule = light.step_rule
     misfit = 0.0
     weights = np.empty((3, *patch.changed.shape), np.float32)
-    limits = rule.pack_limits()
+    limits = tuple(
+        np.float32(limit)
+        for limit in (rule.pull, settings.huber_grey, rule.max_slope, settings.outside_weight)
+    )
     scratch = np.empty(N_LINES * TILE_PX, np.float32)
     for _ in range(iterations):
-        surface = clip_surface(surface_mm, patch, light)
+        surface = clip_surface(surface_mm, patch, light, settings.bulge_mm)
         slopes = compute_slopes(surface, patch.pixel_mm)
         change, *rates = light.render(surface, *slopes)
         misfit = update_slopes(
@@ -89,31 +87,30 @@ def refine_surface(
         )
         before = surface_mm
         if rule.weighted:
-            raised = raise_walls(surface_mm, slopes, weights, patch.pixel_mm)
+            raised = raise_walls(surface_mm, slopes, weights, patch.pixel_mm, settings)
             surface_mm = solve_weighted_slopes(
-                raised, slopes, weights, patch.pixel_mm, integrate, cg_steps
+                raised, slopes, weights, patch.pixel_mm, integrate, settings.cg_steps
             )
         else:
             surface_mm = integrate(*slopes)
         moved_mm = cv2.norm(surface_mm, before, cv2.NORM_INF)
         depth_mm = cv2.norm(surface_mm, cv2.NORM_INF)
-        if until_settled and moved_mm < min(
-            CONSTANTS.settled_mm, CONSTANTS.settled_share * depth_mm
-        ):
+        if until_settled and moved_mm < min(settings.settled_mm, settings.settled_share * depth_mm):
             break
     return surface_mm, misfit
 
 
-def clip_surface(surface_mm: Floats, patch: ImagePatch, light: Light) -> Floats:
+def clip_surface(surface_mm: Floats, patch: ImagePatch, light: Light, bulge_mm: float) -> Floats:
     """The surface (rows, cols) within the range of the gel; 0 where nothing has changed."""
-    return (
-        np.clip(surface_mm, CONSTANTS.bulge_mm, light.source.limits.indentation_max_mm)
-        * patch.changed
-    )
+    return np.clip(surface_mm, bulge_mm, light.source.limits.indentation_max_mm) * patch.changed
 
 
 def raise_walls(
-    surface_mm: Floats, slopes: tuple[Floats, Floats], weights: Floats, pixel_mm: float
+    surface_mm: Floats,
+    slopes: tuple[Floats, Floats],
+    weights: Floats,
+    pixel_mm: float,
+    settings: SurfaceSettings,
 ) -> Floats:
     """The surface (rows, cols) in mm, moved as a whole toward these slopes.
 
@@ -123,11 +120,9 @@ def raise_walls(
     """
     import cv2
 
-    from pipeline.stages.depth.illumination.wall_correction_kernels import (
-        accumulate_normal_equations,
-    )
+    from pipeline.stages.depth.illumination.illumination_kernels import accumulate_normal_equations
 
-    shapes = _make_shapes(surface_mm)
+    shapes = _make_shapes(surface_mm, settings)
     if not shapes:
         return surface_mm
     n = len(shapes)
@@ -138,19 +133,19 @@ def raise_walls(
     accumulate_normal_equations(
         *compute_slopes(np.stack(shapes), pixel_mm), *slopes, *weights, line, normal, pull
     )
-    factors = np.linalg.solve(normal + _RIDGE * np.trace(normal) * np.eye(n), pull)
+    factors = np.linalg.solve(normal + settings.wall_ridge * np.trace(normal) * np.eye(n), pull)
     raised_mm = np.array(surface_mm, np.float32)
     for factor, shape in zip(factors, shapes, strict=True):
         cv2.scaleAdd(shape, float(factor), raised_mm, dst=raised_mm)
     return raised_mm
 
 
-def _make_shapes(surface_mm: Floats) -> list[Floats]:
+def _make_shapes(surface_mm: Floats, settings: SurfaceSettings) -> list[Floats]:
     """Ways of moving a surface as a whole, each (rows, cols)."""
-    depth_mm = float(percentile(surface_mm, _DEEPEST))
-    if depth_mm <= _MIN_DEPTH_MM:
+    depth_mm = float(percentile(surface_mm, settings.deepest_percent))
+    if depth_mm <= settings.min_depth_mm:
         return []
-    ramps = (_make_ramp(surface_mm, depth_mm, low, high) for low, high in _WALL_RANGES)
+    ramps = (_make_ramp(surface_mm, depth_mm, low, high) for low, high in settings.wall_ranges)
     return [surface_mm, *ramps]
 
 
