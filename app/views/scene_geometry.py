@@ -14,6 +14,7 @@ from pipeline.core.geometry import rigid
 from pipeline.sensors.spec import SensorSpec
 from pipeline.translation.pixel_trace import SOURCE
 from pipeline.translation.translate import Translation
+from pipeline.views.colours import SOURCE_COLOUR, TARGET_COLOUR, Rgb
 from pipeline.views.display_params import DisplayParams
 from pipeline.views.layers import ViewBounds, stretch_depth
 from pipeline.views.view import ProbePoint, to_xyz
@@ -102,6 +103,21 @@ def show_captions(window: MainWindow, opened: Translation, display: DisplayParam
         )
 
 
+def show_scene_caption(panel: View3DPanel, opened: Translation, display: DisplayParams) -> None:
+    """Update the caption of the scene; its legend has the colours of the cameras."""
+    panel.legend.setText(
+        f"{_colour(opened.source.title, SOURCE_COLOUR)} to "
+        f"{_colour(opened.target.title, TARGET_COLOUR)}"
+    )
+    panel.legend.setToolTip("Each sensor's camera, what it sees, and its axes")
+    stretch = get_depth_stretch("touch_depth", opened, display)
+    panel.caption.set_texts(*_format_captions("alignment", stretch))
+
+
+def _colour(text: str, colour: Rgb) -> str:
+    return f"<b style='color:{to_hex(colour)}'>{escape(text)}</b>"
+
+
 def _show_caption(panel: View3DPanel, legend: str, frame: str, stretch: float) -> None:
     panel.legend.setText(legend)
     panel.legend.setToolTip(legend)
@@ -122,11 +138,11 @@ def _format_captions(frame: str, stretch: float) -> tuple[str, str, str]:
 
 def _format_axes() -> str:
     colours = zip("xyz", get_theme_colours(QGuiApplication.palette()).axes, strict=True)
-    return " ".join(f"<b style='color:{to_hex(colour)}'>{name}</b>" for name, colour in colours)
+    return " ".join(_colour(name, colour) for name, colour in colours)
 
 
 # after the views of the columns
-_OTHER_VIEWS = ("compare_a", "compare_b", "track", "task")
+_OTHER_VIEWS = ("compare_a", "compare_b", "track", "task", "scene")
 
 
 class ViewCameras:

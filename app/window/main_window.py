@@ -109,6 +109,7 @@ class MainWindow(QMainWindow):
         self._hidden_stages = frozenset[str]()
         self.current_layout = Layout()
         self.view_panels = {name: View3DPanel(self.steps.get(name)) for name, _ in columns}
+        self.scene_panel = View3DPanel()
         self.verdict = VerdictLine()
         self.pages = QStackedWidget()
         self.comparison = ComparisonPage()
@@ -122,6 +123,8 @@ class MainWindow(QMainWindow):
             for widget in (column, column.head, self.view_panels[name]):
                 widget.setParent(self.look)
                 widget.hide()
+        self.scene_panel.setParent(self.look)
+        self.scene_panel.hide()
         self.source, self.target = (self._make_sensor_box(role) for role in ("source", "target"))
         self.route = ChoiceBox("choose_route", "route")
         self.route.setSizeAdjustPolicy(self.source.sizeAdjustPolicy())
@@ -298,13 +301,14 @@ class MainWindow(QMainWindow):
     @property
     def views_3d(self) -> tuple[View3D, ...]:
         """The 3D views: one per column, then the two of the comparison, the track's, the
-        task's.
+        task's, the scene's.
         """
         return (
             *(cell.view for cell in self.view_panels.values()),
             *(c.view for c in self.comparison.views_3d),
             self.track.scene.view,
             self.task.scene.view,
+            self.scene_panel.view,
         )
 
     def hide_stages(self, names: frozenset[str]) -> None:
@@ -321,7 +325,15 @@ class MainWindow(QMainWindow):
         self.look.filmstrip.setVisible(layout.name == "look")
         panes = layout.resolve_panes(self.route_columns) if page is self.look else ()
         self.look.show_panes(
-            [(name, self.columns[name], self.view_panels[name], dims) for name, dims in panes]
+            [
+                (
+                    name,
+                    self.columns[name],
+                    self.scene_panel if dims == "scene" else self.view_panels[name],
+                    dims,
+                )
+                for name, dims in panes
+            ]
         )
         self.show_inspector_if_checked()
         self.pages.setCurrentWidget(page)

@@ -1,0 +1,130 @@
+"""The scene: both sensors, their surfaces and the object as 3D layers in the alignment frame A."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.core.arrays import Doubles, freeze
+from pipeline.core.derived import derive_once
+from pipeline.core.geometry import rigid
+from pipeline.sensors.alignment import Alignment
+from pipeline.sensors.spec import SensorSpec
+from pipeline.views.colours import SOURCE_COLOUR, TARGET_COLOUR, Rgb, repeat_colour
+from pipeline.views.layers import Layer, ViewBounds, make_lines_layer
+from pipeline.views.view import to_xyz
+
+# stages whose surface is the target's membrane, the best one first
+MEMBRANE_STAGES = ("touch_depth", "touch", "target_depth")
+_RECORDED_OPACITY = 0.3
+_HOUSING_OPACITY = 0.1
+_AXIS_MM = 8.0
+_AXES_RGB = np.array(((220, 60, 60), (60, 170, 80), (80, 120, 235)), dtype=np.uint8)
+_DIRECTION = (0.75, 0.5, -0.12)  # from the side, the cameras above the touch
+_MARGIN = 0.92  # radius of the view in half diagonals of both sensors
+
+
+def make_scene_layers(
+    shown: Mapping[str, Sequence[Layer]],
+    source: SensorSpec,
+    target: SensorSpec,
+    alignment: Alignment,
+    recorded: Sequence[Layer] = (),
+) -> tuple[Layer, ...]:
+    """Return what stages show, by name, and both sensors, all placed in the alignment frame.
+
+    `recorded` is the membrane that the target itself measured: a ghost.
+    """
+    from_source = alignment.alignment_from_source
+    from_target = rigid.invert(alignment.target_from_alignment)
+    membrane = next((shown[name] for name in MEMBRANE_STAGES if name in shown), ())
+    objects = [layer for layer in shown.get("pose", ()) if layer.name == "object"]
+    ghosts = [
+        replace(layer, name=f"recorded {layer.name}", opacity=_RECORDED_OPACITY)
+        for layer in recorded
+    ]
+    return (
+        *_place((*shown.get("source", ()), *_outline("source", source)), from_source),
+        *_place((*membrane, *objects, *ghosts, *_outline("target", target)), from_target),
+        _draw_links(alignment),
+    )
+
+
+def compute_scene_bounds(
+    source: SensorSpec, target: SensorSpec, alignment: Alignment
+) -> ViewBounds:
+    """Return the view of both sensors from the side, with their cameras above the touch."""
+    corners = np.concatenate(
+        [
+            rigid.apply(alignment.alignment_from_source, _find_corners(source)),
+            rigid.apply(rigid.invert(alignment.target_from_alignment), _find_corners(target)),
+        ]
+    )
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    return ViewBounds(
+        centre_mm=to_xyz(0.5 * (low + high)),
+        radius_mm=_MARGIN * 0.5 * float(np.linalg.norm(high - low)),
+        frame="alignment",
+        direction=_DIRECTION,
+        up=(0.0, 0.0, -1.0),
+        origin_mm=(0.0, 0.0, 0.0),
+    )
+
+
+def _place(layers: Sequence[Layer], alignment_from_layers: Doubles) -> list[Layer]:
+    return [
+        replace(
+            layer,
+            view_from_layer=alignment_from_layers
+            if layer.view_from_layer is None
+            else alignment_from_layers @ layer.view_from_layer,
+        )
+        for layer in layers
+    ]
+
+
+def _find_corners(sensor: SensorSpec) -> Doubles:
+    """Return the camera and the corners of what it sees of the rest surface (5, 3), mm."""
+    rows, cols = sensor.camera.shape
+    z = float(np.median(sensor.rest_depth_mm))
+    x_px, y_px = (
+        np.array([-0.5, cols - 0.5, cols - 0.5, -0.5]),
+        np.array([-0.5, -0.5, rows - 0.5, rows - 0.5]),
+    )
+    ends = sensor.camera.back_project_at(x_px, y_px, np.full(4, z))
+    return np.concatenate([np.zeros((1, 3)), ends])
+
+
+@derive_once
+def _outline(role: str, sensor: SensorSpec) -> tuple[Layer, ...]:
+    """Return a sensor's housing, which is what its camera sees, with its edges and its axes."""
+    colour: Rgb = SOURCE_COLOUR if role == "source" else TARGET_COLOUR
+    corners = _find_corners(sensor)
+    around = np.array([(1, 2), (2, 3), (3, 4), (4, 1)])
+    rays = np.array([(0, 1), (0, 2), (0, 3), (0, 4)])
+    edges = corners[np.concatenate([around, rays])]
+    points = freeze(corners.astype(np.float32))
+    walls = Layer(
+        name=f"{role} housing",
+        points_mm=points,
+        rgb=repeat_colour(colour, len(points)),
+        triangles=freeze(np.insert(around, 0, 0, axis=1).astype(np.int32)),
+        opacity=_HOUSING_OPACITY,
+    )
+    tips = np.stack([np.zeros((3, 3)), _AXIS_MM * np.eye(3)], axis=1)
+    return (
+        make_lines_layer(f"{role} camera", edges, repeat_colour(colour, len(edges))),
+        make_lines_layer(f"{role} axes", tips, _AXES_RGB),
+        walls,
+    )
+
+
+def _draw_links(alignment: Alignment) -> Layer:
+    """Return T_S->A and T_A->T as lines from the source's camera over A to the target's."""
+    cameras = [
+        alignment.alignment_from_source[:3, 3],
+        rigid.invert(alignment.target_from_alignment)[:3, 3],
+    ]
+    ends = np.array([(camera, np.zeros(3)) for camera in cameras])
+    colours = np.array((SOURCE_COLOUR, TARGET_COLOUR), dtype=np.uint8)
+    return make_lines_layer("links", ends, colours)
