@@ -6,7 +6,12 @@ from app.session.state import Session
 from app.views.scene_geometry import show_scene_caption
 from app.views.stage_previews import StagePreview
 from pipeline.views.layers import Layer
-from pipeline.views.scene import MEMBRANE_STAGES, compute_scene_bounds, make_scene_layers
+from pipeline.views.scene import (
+    MEMBRANE_STAGES,
+    compute_scene_bounds,
+    find_scene_labels,
+    make_scene_layers,
+)
 
 
 class SceneController(Feature):
@@ -33,16 +38,18 @@ class SceneController(Feature):
             for name in (*opened.stages, "source")
             if (part := views.get_shown_stage(name)) is not None
         }
+        alignment = session.offsets.apply_to(opened.alignment)
         layers = make_scene_layers(
             {name: part.layers for name, part in parts.items()},
             opened.source,
             opened.target,
-            session.offsets.apply_to(opened.alignment),
+            alignment,
             next(filter(None, (_find_recorded(parts.get(name)) for name in MEMBRANE_STAGES)), ()),
         )
         bounds = compute_scene_bounds(opened.source, opened.target, opened.alignment)
         views.show_page_scene("scene", layers, bounds, session)
-        show_scene_caption(self._window.scene_panel, opened, session.display)
+        views.scene.label_points(views.page_views["scene"], find_scene_labels(alignment))
+        show_scene_caption(self._window, opened, session.display)
 
 
 def _find_recorded(part: object) -> tuple[Layer, ...]:

@@ -103,15 +103,19 @@ def show_captions(window: MainWindow, opened: Translation, display: DisplayParam
         )
 
 
-def show_scene_caption(panel: View3DPanel, opened: Translation, display: DisplayParams) -> None:
-    """Update the caption of the scene; its legend has the colours of the cameras."""
-    panel.legend.setText(
-        f"{_colour(opened.source.title, SOURCE_COLOUR)} to "
-        f"{_colour(opened.target.title, TARGET_COLOUR)}"
+def show_scene_caption(window: MainWindow, opened: Translation, display: DisplayParams) -> None:
+    """Update what is written under the scene; the sensors have the colours of their cameras."""
+    window.scene_legend.set_texts(
+        *(
+            f"{_colour(f'S {source}', SOURCE_COLOUR)} {_colour(f'T {target}', TARGET_COLOUR)}"
+            for source, target in (
+                (opened.source.title, opened.target.title),
+                ("source", "target"),
+            )
+        )
     )
-    panel.legend.setToolTip("Each sensor's camera, what it sees, and its axes")
     stretch = get_depth_stretch("touch_depth", opened, display)
-    panel.caption.set_texts(*_format_captions("alignment", stretch))
+    window.scene_panel.caption.set_texts(*_format_captions("alignment", stretch))
 
 
 def _colour(text: str, colour: Rgb) -> str:

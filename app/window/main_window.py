@@ -50,7 +50,7 @@ from widgets.task.task_page import TaskPage
 from widgets.timeline.timeline import Timeline
 from widgets.track.track_page import TrackPage
 from widgets.views.view_3d import View3D
-from widgets.views.view_3d_panel import StepsSlider, View3DPanel
+from widgets.views.view_3d_panel import FittingLabel, StepsSlider, View3DPanel
 
 DEFAULT_SIZE = QSize(1600, 950)
 _FRAME = QSize(2, 40)  # that a desktop draws around a window: borders and title bar
@@ -109,7 +109,8 @@ class MainWindow(QMainWindow):
         self._hidden_stages = frozenset[str]()
         self.current_layout = Layout()
         self.view_panels = {name: View3DPanel(self.steps.get(name)) for name, _ in columns}
-        self.scene_panel = View3DPanel()
+        self.scene_legend = FittingLabel(Qt.AlignmentFlag.AlignLeft)
+        self.scene_panel = View3DPanel(self.scene_legend)
         self.verdict = VerdictLine()
         self.pages = QStackedWidget()
         self.comparison = ComparisonPage()
@@ -119,12 +120,10 @@ class MainWindow(QMainWindow):
         self.look = LookPage(
             {name: f"{i + 1} {title}" for i, (name, title) in enumerate(columns)}, self.inspector
         )
-        for name, column in self.columns.items():  # until a pane shows them
-            for widget in (column, column.head, self.view_panels[name]):
-                widget.setParent(self.look)
-                widget.hide()
-        self.scene_panel.setParent(self.look)
-        self.scene_panel.hide()
+        held = ((c, c.head, self.view_panels[name]) for name, c in self.columns.items())
+        for widget in chain(*held, (self.scene_panel,)):  # until a pane shows them
+            widget.setParent(self.look)
+            widget.hide()
         self.source, self.target = (self._make_sensor_box(role) for role in ("source", "target"))
         self.route = ChoiceBox("choose_route", "route")
         self.route.setSizeAdjustPolicy(self.source.sizeAdjustPolicy())

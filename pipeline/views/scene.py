@@ -10,18 +10,20 @@ from pipeline.core.derived import derive_once
 from pipeline.core.geometry import rigid
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
-from pipeline.views.colours import SOURCE_COLOUR, TARGET_COLOUR, Rgb, repeat_colour
-from pipeline.views.layers import Layer, ViewBounds, make_lines_layer
+from pipeline.views.colours import RECORDED_COLOUR, SOURCE_COLOUR, TARGET_COLOUR, Rgb, repeat_colour
+from pipeline.views.layers import Layer, ViewBounds, make_cloud_layer, make_lines_layer
 from pipeline.views.view import to_xyz
 
 # stages whose surface is the target's membrane, the best one first
 MEMBRANE_STAGES = ("touch_depth", "touch", "target_depth")
-_RECORDED_OPACITY = 0.3
+_RECORDED_DOTS = 400
+_DOT_PX = 1.5
+_MEMBRANE_OPACITY = 0.8
 _HOUSING_OPACITY = 0.1
-_AXIS_MM = 8.0
+_AXIS = 0.2  # length in distances of the rest surface from the camera
 _AXES_RGB = np.array(((220, 60, 60), (60, 170, 80), (80, 120, 235)), dtype=np.uint8)
-_DIRECTION = (0.75, 0.5, -0.12)  # from the side, the cameras above the touch
-_MARGIN = 0.92  # radius of the view in half diagonals of both sensors
+_DIRECTION = (0.4, 0.85, -0.3)  # from the side, the cameras above the touch
+_MARGIN = 0.85  # radius of the view in half diagonals of both sensors
 
 
 def make_scene_layers(
@@ -37,17 +39,33 @@ def make_scene_layers(
     """
     from_source = alignment.alignment_from_source
     from_target = rigid.invert(alignment.target_from_alignment)
-    membrane = next((shown[name] for name in MEMBRANE_STAGES if name in shown), ())
     objects = [layer for layer in shown.get("pose", ()) if layer.name == "object"]
-    ghosts = [
-        replace(layer, name=f"recorded {layer.name}", opacity=_RECORDED_OPACITY)
-        for layer in recorded
+    name = next((name for name in MEMBRANE_STAGES if name in shown), "")
+    membrane = [
+        replace(layer, opacity=_MEMBRANE_OPACITY)
+        for layer in shown.get(name, ())
+        if layer.name == name
     ]
+    ghosts = [
+        make_cloud_layer("recorded", points, repeat_colour(RECORDED_COLOUR, len(points)), _DOT_PX)
+        for layer in recorded
+        for points in (layer.points_mm[:: max(1, len(layer.points_mm) // _RECORDED_DOTS)],)
+    ]
+    # translucent layers cover what is listed before them
     return (
+        *_place((*objects, *membrane, *ghosts, *_outline("target", target)), from_target),
         *_place((*shown.get("source", ()), *_outline("source", source)), from_source),
-        *_place((*membrane, *objects, *ghosts, *_outline("target", target)), from_target),
         _draw_links(alignment),
     )
+
+
+def find_scene_labels(alignment: Alignment) -> dict[str, tuple[float, float, float]]:
+    """Return the letters of the frames and where they are in the alignment frame, mm."""
+    return {
+        "S": to_xyz(alignment.alignment_from_source[:3, 3]),
+        "A": (0.0, 0.0, 0.0),
+        "T": to_xyz(rigid.invert(alignment.target_from_alignment)[:3, 3]),
+    }
 
 
 def compute_scene_bounds(
@@ -86,7 +104,7 @@ def _place(layers: Sequence[Layer], alignment_from_layers: Doubles) -> list[Laye
 def _find_corners(sensor: SensorSpec) -> Doubles:
     """Return the camera and the corners of what it sees of the rest surface (5, 3), mm."""
     rows, cols = sensor.camera.shape
-    z = float(np.median(sensor.rest_depth_mm))
+    z = sensor.pixel_mm * sensor.camera.fx_px  # of the rest surface
     x_px, y_px = (
         np.array([-0.5, cols - 0.5, cols - 0.5, -0.5]),
         np.array([-0.5, -0.5, rows - 0.5, rows - 0.5]),
@@ -111,7 +129,7 @@ def _outline(role: str, sensor: SensorSpec) -> tuple[Layer, ...]:
         triangles=freeze(np.insert(around, 0, 0, axis=1).astype(np.int32)),
         opacity=_HOUSING_OPACITY,
     )
-    tips = np.stack([np.zeros((3, 3)), _AXIS_MM * np.eye(3)], axis=1)
+    tips = np.stack([np.zeros((3, 3)), _AXIS * corners[1, 2] * np.eye(3)], axis=1)
     return (
         make_lines_layer(f"{role} camera", edges, repeat_colour(colour, len(edges))),
         make_lines_layer(f"{role} axes", tips, _AXES_RGB),
@@ -121,10 +139,7 @@ def _outline(role: str, sensor: SensorSpec) -> tuple[Layer, ...]:
 
 def _draw_links(alignment: Alignment) -> Layer:
     """Return T_S->A and T_A->T as lines from the source's camera over A to the target's."""
-    cameras = [
-        alignment.alignment_from_source[:3, 3],
-        rigid.invert(alignment.target_from_alignment)[:3, 3],
-    ]
-    ends = np.array([(camera, np.zeros(3)) for camera in cameras])
+    labels = find_scene_labels(alignment)
+    ends = np.array([(labels["S"], labels["A"]), (labels["A"], labels["T"])])
     colours = np.array((SOURCE_COLOUR, TARGET_COLOUR), dtype=np.uint8)
     return make_lines_layer("links", ends, colours)
