@@ -56,7 +56,12 @@ class Layout:
         return [name for name in _STAGES.get(self.name, available) if name in available]
 
     def with_stage(self, pane: int, stage: str, dims: Dims = "both") -> Layout:
-        """Copy with another stage in a pane; unchanged if a pane shows it."""
+        """Copy with another stage in a pane; unchanged if a pane shows it.
+
+        The pane that has the scene in place of the stage shows the stage.
+        """
+        if self.panes[pane : pane + 1] == ((stage, "scene"),):
+            return self.with_dims(pane, dims)
         if not 0 <= pane < len(self.panes) or stage in dict(self.panes):
             return self
         panes = list(self.panes)

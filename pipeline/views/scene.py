@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
@@ -16,9 +17,9 @@ from pipeline.views.view import to_xyz
 
 # stages whose surface is the target's membrane, the best one first
 MEMBRANE_STAGES = ("touch_depth", "touch", "target_depth")
-_RECORDED_DOTS = 400
+_RECORDED_DOTS = 220
 _DOT_PX = 1.5
-_MEMBRANE_OPACITY = 0.8
+_SURFACE_OPACITY = 0.8
 _HOUSING_OPACITY = 0.1
 _AXIS = 0.2  # length in distances of the rest surface from the camera
 _AXES_RGB = np.array(((220, 60, 60), (60, 170, 80), (80, 120, 235)), dtype=np.uint8)
@@ -42,7 +43,7 @@ def make_scene_layers(
     objects = [layer for layer in shown.get("pose", ()) if layer.name == "object"]
     name = next((name for name in MEMBRANE_STAGES if name in shown), "")
     membrane = [
-        replace(layer, opacity=_MEMBRANE_OPACITY)
+        replace(layer, opacity=_SURFACE_OPACITY)
         for layer in shown.get(name, ())
         if layer.name == name
     ]
@@ -51,12 +52,20 @@ def make_scene_layers(
         for layer in recorded
         for points in (layer.points_mm[:: max(1, len(layer.points_mm) // _RECORDED_DOTS)],)
     ]
-    # translucent layers cover what is listed before them
-    return (
-        *_place((*objects, *membrane, *ghosts, *_outline("target", target)), from_target),
-        *_place((*shown.get("source", ()), *_outline("source", source)), from_source),
-        _draw_links(alignment),
-    )
+    images = [
+        layer
+        if source.gel is not None
+        else replace(layer, name="source membrane", opacity=_SURFACE_OPACITY)
+        for layer in shown.get("source", ())
+    ]
+    placed = [
+        _place((*membrane, *ghosts, *_outline("target", target)), from_target),
+        _place((*images, *_outline("source", source)), from_source),
+    ]
+    # translucent layers cover what is listed before them: the smaller sensor is in the larger one
+    if _measure_reach_mm(source) > _measure_reach_mm(target):
+        placed.reverse()
+    return (*_place(objects, from_target), *chain(*placed), _draw_links(alignment))
 
 
 def find_scene_labels(alignment: Alignment) -> dict[str, tuple[float, float, float]]:
@@ -101,10 +110,15 @@ def _place(layers: Sequence[Layer], alignment_from_layers: Doubles) -> list[Laye
     ]
 
 
+def _measure_reach_mm(sensor: SensorSpec) -> float:
+    """Return the distance of the rest surface from the camera."""
+    return sensor.pixel_mm * sensor.camera.fx_px
+
+
 def _find_corners(sensor: SensorSpec) -> Doubles:
     """Return the camera and the corners of what it sees of the rest surface (5, 3), mm."""
     rows, cols = sensor.camera.shape
-    z = sensor.pixel_mm * sensor.camera.fx_px  # of the rest surface
+    z = _measure_reach_mm(sensor)
     x_px, y_px = (
         np.array([-0.5, cols - 0.5, cols - 0.5, -0.5]),
         np.array([-0.5, -0.5, rows - 0.5, rows - 0.5]),
@@ -117,19 +131,20 @@ def _find_corners(sensor: SensorSpec) -> Doubles:
 def _outline(role: str, sensor: SensorSpec) -> tuple[Layer, ...]:
     """Return a sensor's housing, which is what its camera sees, with its edges and its axes."""
     colour: Rgb = SOURCE_COLOUR if role == "source" else TARGET_COLOUR
-    corners = _find_corners(sensor)
+    corners = freeze(_find_corners(sensor).astype(np.float32))
     around = np.array([(1, 2), (2, 3), (3, 4), (4, 1)])
     rays = np.array([(0, 1), (0, 2), (0, 3), (0, 4)])
     edges = corners[np.concatenate([around, rays])]
-    points = freeze(corners.astype(np.float32))
     walls = Layer(
         name=f"{role} housing",
-        points_mm=points,
-        rgb=repeat_colour(colour, len(points)),
+        points_mm=corners,
+        rgb=repeat_colour(colour, len(corners)),
         triangles=freeze(np.insert(around, 0, 0, axis=1).astype(np.int32)),
         opacity=_HOUSING_OPACITY,
     )
-    tips = np.stack([np.zeros((3, 3)), _AXIS * corners[1, 2] * np.eye(3)], axis=1)
+    tips = np.stack([np.zeros((3, 3)), _AXIS * corners[1, 2] * np.eye(3)], axis=1).astype(
+        np.float32
+    )
     return (
         make_lines_layer(f"{role} camera", edges, repeat_colour(colour, len(edges))),
         make_lines_layer(f"{role} axes", tips, _AXES_RGB),
@@ -140,6 +155,6 @@ def _outline(role: str, sensor: SensorSpec) -> tuple[Layer, ...]:
 def _draw_links(alignment: Alignment) -> Layer:
     """Return T_S->A and T_A->T as lines from the source's camera over A to the target's."""
     labels = find_scene_labels(alignment)
-    ends = np.array([(labels["S"], labels["A"]), (labels["A"], labels["T"])])
+    ends = np.array([(labels["S"], labels["A"]), (labels["A"], labels["T"])], dtype=np.float32)
     colours = np.array((SOURCE_COLOUR, TARGET_COLOUR), dtype=np.uint8)
     return make_lines_layer("links", ends, colours)

@@ -199,7 +199,7 @@ class LookPage(QWidget):
         self.panes = tuple(Pane(number + 1) for number in range(MAX_PANES))
         self.active_pane = 1
         self._stages: tuple[str, ...] = ()
-        self._cells: tuple[View3DPanel, ...] = ()
+        self._has_scene: list[bool] = []  # in place of the stage, by pane
         row = fill(set_spacing(QHBoxLayout(), 4), *((pane, 1) for pane in self.panes), inspector)
         fill(set_spacing(QVBoxLayout(self), 4), self.filmstrip, (row, 1))
         for number, pane in enumerate(self.panes):
@@ -216,9 +216,10 @@ class LookPage(QWidget):
 
     def choose_stage(self, stage: str) -> None:
         """Activate the pane that shows a stage, else ask for it in the active one."""
-        if stage in self._stages:
-            self.activate_pane(self._stages.index(stage))
-        else:
+        pane = self._stages.index(stage) if stage in self._stages else -1
+        if pane >= 0:
+            self.activate_pane(pane)
+        if pane < 0 or self._has_scene[pane]:
             self.stage_chosen.emit(self.active_pane, stage)
 
     def activate_pane(self, number: int) -> None:
@@ -231,12 +232,12 @@ class LookPage(QWidget):
 
     def show_panes(self, held: Sequence[tuple[str, StageColumn, View3DPanel, str]]) -> None:
         """Show (stage, column, cell, dims) in one pane each."""
-        cells = tuple(cell for _, _, cell, _ in held)
-        stages = tuple(stage for stage, *_ in held)
-        if (stages, cells) != (self._stages, self._cells):
+        shown = {stage: dims for stage, _, _, dims in held}
+        has_scene = [dims == "scene" for dims in shown.values()]
+        if tuple(shown) != self._stages or has_scene != self._has_scene:
             for pane in self.panes:
                 pane.release_contents()
-        self._stages, self._cells = stages, cells
+        self._stages, self._has_scene = tuple(shown), has_scene
         for number, pane in enumerate(self.panes):
             pane.setVisible(number < len(held))
             if number < len(held):

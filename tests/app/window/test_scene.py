@@ -79,6 +79,22 @@ def test_the_scene_follows_offsets_and_is_made_only_in_a_pane(bubble_window):
     assert _scene_layers(controller)["touch_depth"] is not after["touch_depth"]
 
 
+def test_a_card_replaces_the_scene_and_a_button_brings_it_back(bubble_window):
+    window = bubble_window.window
+    for active, stage in enumerate(("source", "touch_depth")):
+        window.look.activate_pane(active)
+        window.look.choose_stage(stage)
+    assert bubble_window.session.layout.panes[1] == ("touch_depth", "both")
+    assert window.columns["touch_depth"].isVisible()
+    assert window.columns["touch_depth"].head.isVisible()
+    assert not window.scene_panel.isVisible()
+    window.look.panes[1].dims_chosen.emit("scene")
+    assert bubble_window.session.layout.panes == PANES
+    assert window.scene_panel.isVisible()
+    assert not window.columns["touch_depth"].head.isVisible()
+    assert not window.view_panels["touch_depth"].isVisible()
+
+
 def test_one_pane_at_most_has_the_scene():
     moved = Layout(panes=PANES).with_dims(0, "scene")
     assert moved.panes == (("source", "scene"), ("touch_depth", "3D"), ("touch", "both"))

@@ -63,7 +63,8 @@ def test_a_point_of_source_and_target_is_where_the_alignment_says(
     names = [layer.name for layer in layers]
     assert len(set(names)) == len(names)
     expected = rigid.apply(inward, point)
-    for name in ("source", "touch_depth", "object", "recorded"):
+    image = "source membrane" if source == "soft_bubble" else "source"
+    for name in (image, "touch_depth", "object", "recorded"):
         np.testing.assert_allclose(_find(layers, name)[0], expected, atol=1e-3)
     labels = find_scene_labels(alignment)
     np.testing.assert_allclose(labels["S"], inward[:3, 3])
