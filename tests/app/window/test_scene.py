@@ -65,7 +65,9 @@ def test_the_scene_follows_offsets_and_is_made_only_in_a_pane(bubble_window):
         after["touch_depth"].view_from_layer, rigid.invert(alignment.target_from_alignment)
     )
     np.testing.assert_allclose(
-        after["source"].view_from_layer, before["source"].view_from_layer, atol=1e-12
+        after["source membrane"].view_from_layer,
+        before["source membrane"].view_from_layer,
+        atol=1e-12,
     )
     controller.window.look.panes[1].dims_chosen.emit("3D")
     controller.change("move back", offsets=Offsets())
