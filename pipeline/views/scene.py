@@ -24,7 +24,8 @@ _HOUSING_OPACITY = 0.1
 _AXIS = 0.2  # length in distances of the rest surface from the camera
 _AXES_RGB = np.array(((220, 60, 60), (60, 170, 80), (80, 120, 235)), dtype=np.uint8)
 _DIRECTION = (0.4, 0.85, -0.3)  # from the side, the cameras above the touch
-_MARGIN = 0.85  # radius of the view in half diagonals of both sensors
+_LOWER = 0.58  # height of the view's centre between the cameras and the touch
+_MARGIN = 0.9  # radius of the view in half diagonals of both sensors
 
 
 def make_scene_layers(
@@ -88,8 +89,10 @@ def compute_scene_bounds(
         ]
     )
     low, high = corners.min(axis=0), corners.max(axis=0)
+    # perspective enlarges what is below, nearer to the eye: its middle is lower
+    centre = low + np.array((0.5, 0.5, _LOWER)) * (high - low)
     return ViewBounds(
-        centre_mm=to_xyz(0.5 * (low + high)),
+        centre_mm=to_xyz(centre),
         radius_mm=_MARGIN * 0.5 * float(np.linalg.norm(high - low)),
         frame="alignment",
         direction=_DIRECTION,
