@@ -1,7 +1,7 @@
 """Shows results in the window: columns, 3D views, captions."""
 
 from collections.abc import Mapping, Sequence, Set
-from typing import Literal
+from typing import Literal, get_args
 
 from app.document.evaluator import EvaluatedFrame
 from app.session.state import Session
@@ -22,7 +22,7 @@ from widgets.stages.timings_panel import TimingRow
 from widgets.views.scene_renderer import SceneRenderer
 from widgets.views.view_3d_panel import AnyStep
 
-PageScene = Literal["track", "task"]  # pages with a 3D scene of their own
+PageScene = Literal["track", "task", "scene"]  # 3D views of more than a stage
 _PREVIEWED = "target_depth"  # stage that an alignment drag previews
 _GENERATED = "touch"  # stage that is shown with its truth under a wipe
 
@@ -49,8 +49,10 @@ class StageViews:
             tuple[str, Translation | None], ...
         ] = ()  # stage and translation in the 3D views of the comparison
         self._shown: dict[str, SourcePreview | StagePreview] = {}
-        last = len(window.views_3d) - 1
-        self.page_views: Mapping[PageScene, int] = {"track": last - 1, "task": last}
+        first = len(window.views_3d) - len(get_args(PageScene))
+        self.page_views: Mapping[PageScene, int] = {
+            page: first + k for k, page in enumerate(get_args(PageScene))
+        }
         self._page_layers: dict[PageScene, tuple[Layer, ...]] = {}
         self._page_bounds: dict[PageScene, ViewBounds] = {}
         for name, thumbnail in window.look.filmstrip.thumbnails.items():

@@ -11,7 +11,7 @@ from msgspec import Meta
 from pipeline.core.typed_data import Name
 
 LayoutName = Literal["look", "compare", "align", "track", "task"]
-Dims = Literal["2D", "3D", "both"]
+Dims = Literal["2D", "3D", "both", "scene"]  # scene: both sensors, in one pane at most
 DIMS: tuple[Dims, ...] = get_args(Dims)
 LAYOUT_NAMES: tuple[LayoutName, ...] = get_args(LayoutName)
 # Stages that a layout shows; those of the route where a layout is not listed.
@@ -35,7 +35,7 @@ class Layout:
     """Layout by name, with the panes of *Look*."""
 
     name: LayoutName = "look"
-    panes: _Panes = (("source", "both"), ("touch_depth", "3D"), ("touch", "both"))
+    panes: _Panes = (("source", "both"), ("touch_depth", "scene"), ("touch", "both"))
 
     def resolve_panes(self, available: Sequence[str]) -> tuple[tuple[str, Dims], ...]:
         """Return the panes with every stage that is not in `available` replaced by a spare one."""
@@ -45,7 +45,10 @@ class Layout:
         panes: list[tuple[str, Dims]] = []
         for name, dims in self.panes:
             if name in available or spare:
-                panes.append((name if name in available else spare.pop(0), dims))
+                # one widget: a file may name two
+                is_second = dims == "scene" and dims in dict(panes).values()
+                shown = name if name in available else spare.pop(0)
+                panes.append((shown, "3D" if is_second else dims))
         return tuple(panes)
 
     def list_stages(self, available: Sequence[str]) -> list[str]:
@@ -53,7 +56,12 @@ class Layout:
         return [name for name in _STAGES.get(self.name, available) if name in available]
 
     def with_stage(self, pane: int, stage: str, dims: Dims = "both") -> Layout:
-        """Copy with another stage in a pane; unchanged if a pane shows it."""
+        """Copy with another stage in a pane; unchanged if a pane shows it.
+
+        The pane that has the scene in place of the stage shows the stage.
+        """
+        if self.panes[pane : pane + 1] == ((stage, "scene"),):
+            return self.with_dims(pane, dims)
         if not 0 <= pane < len(self.panes) or stage in dict(self.panes):
             return self
         panes = list(self.panes)
@@ -64,7 +72,7 @@ class Layout:
         """Copy with a pane that shows 2D, 3D or both."""
         if not 0 <= pane < len(self.panes):
             return self
-        panes = list(self.panes)
+        panes = [(name, "3D" if old == dims == "scene" else old) for name, old in self.panes]
         panes[pane] = (panes[pane][0], dims)
         return replace(self, panes=tuple(panes))
 

@@ -30,6 +30,7 @@ from app.shell.welcome import WelcomeController
 from app.stages.pan_zoom import ColourLimitController, PanZoomController
 from app.stages.pinned_probes import PinnedProbesController
 from app.stages.probe_3d import Probe3DController
+from app.stages.scene import SceneController
 from app.stages.section_line import SectionLineController
 from app.stages.step_scrubber import StepScrubberController
 from app.task.rollout_attribution import RolloutAttributionController
@@ -103,6 +104,7 @@ def connect(controller: SessionController, theme: Theme = "dark") -> AutosaveCon
     reference = ReferenceController(controller)
     alignment = AlignmentController(controller)
     gizmo = AlignmentGizmoController(controller, alignment)
+    scene = SceneController(controller)
     layouts = LayoutController(controller)
 
     # A session change (`change`, undo, redo, opening) becomes work here, and only here: the stages
@@ -119,6 +121,7 @@ def connect(controller: SessionController, theme: Theme = "dark") -> AutosaveCon
         alignment.show_session,  # offsets; drops a proposal for another alignment
         gizmo.show_session,  # its place
         track.show_session,  # drops a track of another recording
+        scene.show_session,  # places what the stages show
         rollouts.show_session,  # reads the trial of the Task layout
         layouts.show_session,  # drawers and comparison mode of the layout
     ):

@@ -14,6 +14,7 @@ from pipeline.core.geometry import rigid
 from pipeline.sensors.spec import SensorSpec
 from pipeline.translation.pixel_trace import SOURCE
 from pipeline.translation.translate import Translation
+from pipeline.views.colours import SOURCE_COLOUR, TARGET_COLOUR, Rgb
 from pipeline.views.display_params import DisplayParams
 from pipeline.views.layers import ViewBounds, stretch_depth
 from pipeline.views.view import ProbePoint, to_xyz
@@ -102,6 +103,25 @@ def show_captions(window: MainWindow, opened: Translation, display: DisplayParam
         )
 
 
+def show_scene_caption(window: MainWindow, opened: Translation, display: DisplayParams) -> None:
+    """Update what is written under the scene; the sensors have the colours of their cameras."""
+    window.scene_legend.set_texts(
+        *(
+            f"{_colour(f'S {source}', SOURCE_COLOUR)} {_colour(f'T {target}', TARGET_COLOUR)}"
+            for source, target in (
+                (opened.source.title, opened.target.title),
+                ("source", "target"),
+            )
+        )
+    )
+    stretch = get_depth_stretch("touch_depth", opened, display)
+    window.scene_panel.caption.set_texts(*_format_captions("alignment", stretch))
+
+
+def _colour(text: str, colour: Rgb) -> str:
+    return f"<b style='color:{to_hex(colour)}'>{escape(text)}</b>"
+
+
 def _show_caption(panel: View3DPanel, legend: str, frame: str, stretch: float) -> None:
     panel.legend.setText(legend)
     panel.legend.setToolTip(legend)
@@ -122,11 +142,11 @@ def _format_captions(frame: str, stretch: float) -> tuple[str, str, str]:
 
 def _format_axes() -> str:
     colours = zip("xyz", get_theme_colours(QGuiApplication.palette()).axes, strict=True)
-    return " ".join(f"<b style='color:{to_hex(colour)}'>{name}</b>" for name, colour in colours)
+    return " ".join(_colour(name, colour) for name, colour in colours)
 
 
 # after the views of the columns
-_OTHER_VIEWS = ("compare_a", "compare_b", "track", "task")
+_OTHER_VIEWS = ("compare_a", "compare_b", "track", "task", "scene")
 
 
 class ViewCameras:

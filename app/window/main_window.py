@@ -50,7 +50,7 @@ from widgets.task.task_page import TaskPage
 from widgets.timeline.timeline import Timeline
 from widgets.track.track_page import TrackPage
 from widgets.views.view_3d import View3D
-from widgets.views.view_3d_panel import StepsSlider, View3DPanel
+from widgets.views.view_3d_panel import FittingLabel, StepsSlider, View3DPanel
 
 DEFAULT_SIZE = QSize(1600, 950)
 _FRAME = QSize(2, 40)  # that a desktop draws around a window: borders and title bar
@@ -109,6 +109,8 @@ class MainWindow(QMainWindow):
         self._hidden_stages = frozenset[str]()
         self.current_layout = Layout()
         self.view_panels = {name: View3DPanel(self.steps.get(name)) for name, _ in columns}
+        self.scene_legend = FittingLabel(Qt.AlignmentFlag.AlignLeft)
+        self.scene_panel = View3DPanel(self.scene_legend)
         self.verdict = VerdictLine()
         self.pages = QStackedWidget()
         self.comparison = ComparisonPage()
@@ -118,10 +120,10 @@ class MainWindow(QMainWindow):
         self.look = LookPage(
             {name: f"{i + 1} {title}" for i, (name, title) in enumerate(columns)}, self.inspector
         )
-        for name, column in self.columns.items():  # until a pane shows them
-            for widget in (column, column.head, self.view_panels[name]):
-                widget.setParent(self.look)
-                widget.hide()
+        held = ((c, c.head, self.view_panels[name]) for name, c in self.columns.items())
+        for widget in chain(*held, (self.scene_panel,)):  # until a pane shows them
+            widget.setParent(self.look)
+            widget.hide()
         self.source, self.target = (self._make_sensor_box(role) for role in ("source", "target"))
         self.route = ChoiceBox("choose_route", "route")
         self.route.setSizeAdjustPolicy(self.source.sizeAdjustPolicy())
@@ -298,13 +300,14 @@ class MainWindow(QMainWindow):
     @property
     def views_3d(self) -> tuple[View3D, ...]:
         """The 3D views: one per column, then the two of the comparison, the track's, the
-        task's.
+        task's, the scene's.
         """
         return (
             *(cell.view for cell in self.view_panels.values()),
             *(c.view for c in self.comparison.views_3d),
             self.track.scene.view,
             self.task.scene.view,
+            self.scene_panel.view,
         )
 
     def hide_stages(self, names: frozenset[str]) -> None:
@@ -321,7 +324,15 @@ class MainWindow(QMainWindow):
         self.look.filmstrip.setVisible(layout.name == "look")
         panes = layout.resolve_panes(self.route_columns) if page is self.look else ()
         self.look.show_panes(
-            [(name, self.columns[name], self.view_panels[name], dims) for name, dims in panes]
+            [
+                (
+                    name,
+                    self.columns[name],
+                    self.scene_panel if dims == "scene" else self.view_panels[name],
+                    dims,
+                )
+                for name, dims in panes
+            ]
         )
         self.show_inspector_if_checked()
         self.pages.setCurrentWidget(page)

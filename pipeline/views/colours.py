@@ -19,6 +19,9 @@ NO_VALUE_COLOUR: Rgb = (224, 226, 230)  # NaN: a grey that no map contains
 REGISTERED_POINT_COLOUR: Rgb = (213, 94, 0)  # registered points, Okabe-Ito vermilion
 UNMATCHED_POINT_COLOUR: Rgb = (128, 130, 136)  # such a point beyond the distance limit
 OBJECT_COLOUR: Rgb = (86, 140, 190)
+SOURCE_COLOUR: Rgb = (230, 159, 0)  # the source's camera in a scene, Okabe-Ito orange
+TARGET_COLOUR: Rgb = (86, 180, 233)  # the target's, sky blue
+RECORDED_COLOUR: Rgb = (205, 210, 220)  # the membrane that the target itself recorded
 MEMBRANE_COLOUR: Rgb = (150, 160, 175)
 
 # Every 16th colour of the perceptually uniform map D1 (Kovesi, "Good colour maps",

@@ -50,6 +50,7 @@ class ViewBounds:
     frame: str  # views of the same frame may share a camera
     direction: tuple[float, float, float] = (0.0, 0.6, -1.0)  # from the centre to the camera
     up: tuple[float, float, float] = (0.0, -1.0, 0.0)
+    origin_mm: tuple[float, float, float] | None = None  # of the axes; None = near a corner
 
 
 def make_surface_layer(

@@ -5,11 +5,11 @@ from functools import partial
 from typing import Any
 
 from PyQt6.QtCore import QEvent, QObject, QSize, Qt, pyqtSignal
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QToolButton, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QToolButton, QVBoxLayout, QWidget
 
 from widgets.stages.stage_column import StageColumn
 from widgets.style.base import EventListener
-from widgets.style.styling import FittingSplitter, fill, set_spacing
+from widgets.style.styling import FittingSplitter, fill, make_bold, set_spacing
 from widgets.timeline.filmstrip import Filmstrip
 from widgets.views.view_3d_panel import View3DPanel
 
@@ -22,8 +22,13 @@ _USUAL_TALL = 0.78  # rows over columns for the layout: all panes use the same o
 _WORTH = 1.15
 _STILL = 1.08
 _WAY = Qt.Orientation
-DIMS = ("2D", "3D", "both")
+DIMS = ("2D", "3D", "both", "scene")
+_DIMS_WORDS = {
+    "both": "the image and the 3D view",
+    "scene": "both sensors and the object",
+}
 MAX_PANES = 3
+_SCENE_TITLE = "Both sensors and the object"
 _LEAST_WIDE_PX = 480
 _COLLAPSED_BELOW_PX = 550  # a lower page collapses the cards to names
 
@@ -118,13 +123,14 @@ class Pane(QFrame):
             button.setCheckable(True)
             button.setAutoRaise(True)
             button.setObjectName(f"pane_{number}_{dims.lower()}")
-            button.setToolTip(
-                f"Show {'the image and the 3D view' if dims == 'both' else dims} in this pane"
-            )
+            button.setToolTip(f"Show {_DIMS_WORDS.get(dims, dims)} in this pane")
             button.clicked.connect(partial(self.dims_chosen.emit, dims))
         self._both = PaneSplitter()
         self._both.setObjectName(f"split_pane_{number}")
-        self._head = fill(set_spacing(QHBoxLayout(), 0), *self._buttons.values())
+        self._title = QLabel(_SCENE_TITLE)
+        self._title.setIndent(4)
+        make_bold(self._title)
+        self._head = fill(set_spacing(QHBoxLayout(), 0), (self._title, 1), *self._buttons.values())
         fill(set_spacing(QVBoxLayout(self), 0), self._rim, self._head, (self._both, 1))
         self._held: tuple[StageColumn, View3DPanel] | None = None
 
@@ -137,8 +143,10 @@ class Pane(QFrame):
             for widget in (column, column.head, cell):
                 _watch(widget, self)
             self._held = column, cell
-        column.head.show()
-        column.setVisible(dims != "3D")
+        is_scene = dims == "scene"
+        self._title.setVisible(is_scene)
+        column.head.setVisible(not is_scene)
+        column.setVisible(dims in ("2D", "both"))
         cell.setVisible(dims != "2D")
         for name, button in self._buttons.items():
             button.setChecked(name == dims)
@@ -191,6 +199,7 @@ class LookPage(QWidget):
         self.panes = tuple(Pane(number + 1) for number in range(MAX_PANES))
         self.active_pane = 1
         self._stages: tuple[str, ...] = ()
+        self._has_scene: list[bool] = []  # in place of the stage, by pane
         row = fill(set_spacing(QHBoxLayout(), 4), *((pane, 1) for pane in self.panes), inspector)
         fill(set_spacing(QVBoxLayout(self), 4), self.filmstrip, (row, 1))
         for number, pane in enumerate(self.panes):
@@ -207,9 +216,10 @@ class LookPage(QWidget):
 
     def choose_stage(self, stage: str) -> None:
         """Activate the pane that shows a stage, else ask for it in the active one."""
-        if stage in self._stages:
-            self.activate_pane(self._stages.index(stage))
-        else:
+        pane = self._stages.index(stage) if stage in self._stages else -1
+        if pane >= 0:
+            self.activate_pane(pane)
+        if pane < 0 or self._has_scene[pane]:
             self.stage_chosen.emit(self.active_pane, stage)
 
     def activate_pane(self, number: int) -> None:
@@ -222,11 +232,12 @@ class LookPage(QWidget):
 
     def show_panes(self, held: Sequence[tuple[str, StageColumn, View3DPanel, str]]) -> None:
         """Show (stage, column, cell, dims) in one pane each."""
-        stages = tuple(stage for stage, *_ in held)
-        if stages != self._stages:
+        shown = {stage: dims for stage, _, _, dims in held}
+        has_scene = [dims == "scene" for dims in shown.values()]
+        if tuple(shown) != self._stages or has_scene != self._has_scene:
             for pane in self.panes:
                 pane.release_contents()
-        self._stages = stages
+        self._stages, self._has_scene = tuple(shown), has_scene
         for number, pane in enumerate(self.panes):
             pane.setVisible(number < len(held))
             if number < len(held):

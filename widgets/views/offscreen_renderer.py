@@ -164,8 +164,9 @@ class OffscreenRenderer:
                 camera = shared[sight.frame] = _camera(sight)
             self.renderers[column].SetActiveCamera(camera)
             corner = np.array(sight.centre_mm) + sight.radius_mm * np.array([-0.62, 0.66, 0.0])
+            origin = corner if sight.origin_mm is None else sight.origin_mm
             for actor in self._axes[column]:
-                actor.SetPosition(*corner)
+                actor.SetPosition(*origin)
                 actor.SetScale(0.25 * sight.radius_mm)
                 actor.SetVisibility(True)
 

@@ -64,6 +64,7 @@ class SceneRenderer(QObject):
         self._layers: dict[int, tuple[Layer, ...]] = {}
         self._placed: dict[int, dict[str, Doubles]] = {}
         self._marks: dict[int, Point3] = {}
+        self._labels: dict[int, Mapping[str, Point3]] = {}
         # asked for before it is open
         self._bounds = dict[int, ViewBounds]()
         self._cameras = dict[int, CameraState]()
@@ -173,6 +174,11 @@ class SceneRenderer(QObject):
             self._marks[column] = place_mm
         self._show_dot(column)
 
+    def label_points(self, column: int, labels: Mapping[str, Point3]) -> None:
+        """Show short texts beside points of a view."""
+        self._labels[column] = labels
+        self._show_dot(column)
+
     def find_nearest_point(self, column: int, at: QPointF, points_mm: Doubles) -> int:
         """Return the foremost of the points (n, 3) drawn within a few pixels of a position.
 
@@ -274,14 +280,16 @@ class SceneRenderer(QObject):
     def _show_dot(self, column: int) -> None:
         if not self.is_open:
             return
-        place = self._marks.get(column)
         view = self.views[column]
-        at = (
-            None
-            if place is None
-            else self._stage.project_point(column, place, view.width() / max(1, view.height()))
-        )
-        view.show_dot(None if at is None else QPointF(*at))
+        aspect = view.width() / max(1, view.height())
+
+        def find(place: Point3 | None) -> QPointF | None:
+            at = None if place is None else self._stage.project_point(column, place, aspect)
+            return None if at is None else QPointF(*at)
+
+        view.show_dot(find(self._marks.get(column)))
+        labels = {text: find(place) for text, place in self._labels.get(column, {}).items()}
+        view.show_labels({text: at for text, at in labels.items() if at is not None})
 
     def _tell(self, column: int, event: Any, what: str) -> None:
         """Pass a mouse event to VTK in pixels of its image.

@@ -2,7 +2,7 @@
 renderer.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
@@ -33,6 +33,7 @@ class View3D(QWidget):
         self.image: QImage | None = None
         self.notice = ""  # shown in place of an image
         self.marker: QPointF | None = None  # shares of width and height
+        self.labels: Mapping[str, QPointF] = {}  # text -> shares of width and height
         self._pressed: QPointF | None = None
         self.setMouseTracking(True)
         kinds = QEvent.Type.Resize, QEvent.Type.Show, QEvent.Type.PaletteChange
@@ -59,6 +60,12 @@ class View3D(QWidget):
             self.marker = dot
             self.update()
 
+    def show_labels(self, labels: Mapping[str, QPointF]) -> None:
+        """Show short texts beside points, given in shares of width and height."""
+        if labels != self.labels:
+            self.labels = labels
+            self.update()
+
     def show_notice(self, text: str) -> None:
         """Show why there is no image."""
         self.notice = text
@@ -80,6 +87,11 @@ class View3D(QWidget):
             )
             return
         painter.drawImage(QRectF(self.rect()), self.image)
+        for text, at in self.labels.items():
+            place = QPointF(at.x() * self.width() + _DOT_PX, at.y() * self.height() - _DOT_PX)
+            for ink, moved in (self.palette().window(), 1.0), (self.palette().windowText(), 0.0):
+                painter.setPen(ink.color())
+                painter.drawText(place + QPointF(moved, moved), text)
         if self.marker is not None:
             painter.setRenderHint(QPainter.RenderHint.Antialiasing)
             painter.setPen(QPen(Qt.GlobalColor.white, 1.5))

@@ -40,11 +40,11 @@ class View3DPanel(QWidget):
 class FittingLabel(QLabel):
     """One line of rich text: the longest of several versions that fits."""
 
-    def __init__(self) -> None:
+    def __init__(self, side: Qt.AlignmentFlag = Qt.AlignmentFlag.AlignRight) -> None:
         super().__init__()
         self.setTextFormat(Qt.TextFormat.RichText)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        self.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        self.setAlignment(side | Qt.AlignmentFlag.AlignVCenter)
         self._tellings: tuple[str, ...] = ()
         self._widths: list[int] = []
         EventListener(self, self._fit, QEvent.Type.Resize)

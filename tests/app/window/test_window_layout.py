@@ -13,7 +13,7 @@ from app.window.main_window import MainWindow
 
 def test_captions_under_3d_views_shorten_with_the_room(bubble_window, qtbot):
     window = bubble_window.window
-    caption = window.view_panels["touch_depth"].caption
+    caption = window.scene_panel.caption
     window.resize(1900, 1000)
     qtbot.waitUntil(lambda: "frame" in caption.text(), timeout=240_000)
     window.resize(1366, 768)
