@@ -265,11 +265,12 @@ def _compute_more_relief(one: list[Floats], other: list[Floats]) -> float:
     |difference of squared reliefs / squared change|, the latter at most 1. What the largest blocks
     alone show may be light.
     """
-    gain = np.median(other[-1] / np.maximum(one[-1], 1.0), axis=(0, 1))
+    ratio = np.median(other[-1] / np.maximum(one[-1], 1.0), axis=(0, 1))
+    gain = np.maximum(ratio, 0.01).astype(np.float32)
     more = list[float]()
     for before, after in zip(one, other, strict=True):
         here = _compute_relief(before)
-        there = _compute_relief(after / np.maximum(gain, 0.01))
+        there = _compute_relief(after / gain)
         change = ((there - here) ** 2).sum(axis=2)
         squares = [(relief**2).sum(axis=2) for relief in (here, there)]
         grown = float(squares[1].sum() - squares[0].sum())
