@@ -8,7 +8,7 @@ from pipeline.core.arrays import Floats, Image
 from pipeline.core.errors import FileProblem, SettingProblem, ShapeError, TouchError
 from pipeline.core.files import describe_os_error, require_file
 from pipeline.core.values.frames import Recording, Stream, TactileFrame
-from pipeline.io import depth_arrays, image_files, reference_estimate
+from pipeline.io import depth_arrays, image_files, reference_estimate, reference_images
 from pipeline.io.folder_contents import PICKLE_REFUSAL, PICKLE_SUFFIXES, find_recording
 from pipeline.io.formats import (
     DepthUnit,
@@ -166,7 +166,9 @@ def _use_own_frames(recording: Recording, options: ReadOptions) -> Recording:
         recording.close()
         raise
     kept = tuple(
-        note for note in recording.notes if not note.endswith(image_files.NO_REFERENCE_NOTE)
+        note
+        for note in recording.notes
+        if not note.endswith(image_files.NO_REFERENCE_NOTE) and reference_images.TAKEN not in note
     )
     return _replace_reference(
         replace(recording, notes=kept), stream, reference, f"{note}, as chosen"

@@ -4,6 +4,7 @@ The noise of one reference image enters every comparison; the median of a dozen 
 """
 
 import contextlib
+import math
 from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
 
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Floats, Image, freeze
 from pipeline.core.errors import FileProblem, StageWarning
+
+TAKEN = "is taken as the reference"  # in every note of `find_first_reference`
 
 T = TypeVar("T")
 A = TypeVar("A", bound=NDArray[np.generic])
@@ -24,10 +27,13 @@ _SAME_GREY = 1.5  # grey levels: change of a block's mean without contact
 _NOISE_FACTOR = 3.5  # times the median change, the limit where it is larger than `_SAME_GREY`
 _MAX_NOISE_GREY = 4.0  # grey levels: median change beyond which frames are not alike
 _QUIET_SHARE = 0.995  # of the blocks must be alike; dirt on the lens may cover the rest
-_TOUCH_BLOCKS = 24  # along the longer side: markers and noise average out, a touch does not
-_DIFFERS_GREY = 8.0  # grey levels: change of a block's mean by a touch, not noise
-_MIN_RELIEF_GREY = 1.0  # grey levels: least relief of a touch
-_MAX_RELIEF_RATIO = 0.6  # of a reference to the first frame, where they differ
+# blocks along the longer side, by scale: the first show a weave, markers average out in the last
+_RELIEF_BLOCKS = (96, 48, 24, 12)
+# Of a touch. Noise and drift: up to 0.02, by JPEG up to 0.13, of a dithered film up to 0.42; a book
+# cover 0.3, large balls of .1 mm and light cloth from 0.4, paper 7.
+_MORE_RELIEF = 0.25
+_COARSE_RATIO = 2.0  # at most, of the relief of the largest blocks to that of all smaller ones
+_ALIKE_RELIEF = 0.5  # the most of frames without contact that are averaged, dithered ones too
 # frames compared with the first: seeking in a long video is slow
 _MAX_CANDIDATES = 16
 _N_BRIGHTNESS = 5
@@ -74,15 +80,15 @@ def find_first_reference(
         return None, ""
     reference, n_averaged = denoise_reference(first, frames)
     later = sample_frames(read, n_frames, first=start + n_averaged + 1)
-    better = select_reference_frame(reference, later)
+    better, is_certain = select_reference_frame(first, later)
     if better is not None and is_film:
         at, image = better
         after = read_until_damaged(read, range(at + 1, n_frames))
         reference, n_averaged = denoise_reference(image, after)
         which = f"the median of frames {at} to {at + n_averaged}" if n_averaged else f"frame {at}"
         return reference, StageWarning(
-            f"the first frame shows contact, so {which} is taken as the reference; if it shows "
-            "contact too, depth is wrong: give a reference image with --reference"
+            f"the first frame shows contact, so {which} {TAKEN}; if it shows contact too, "
+            "depth is wrong: give a reference image with --reference"
         )
     if better is not None or not (n_averaged or is_film):
         return None, ""
@@ -92,7 +98,14 @@ def find_first_reference(
         which = name(start) if start else "the first frame"
     dark = "the frame before is" if start == 1 else f"the {start} frames before are"
     why = f"; {dark} darker or overexposed, as of a camera that starts" if start else ""
-    return reference, f"{which} is taken as the reference{why}"
+    note = f"{which} {TAKEN}{why}"
+    if is_certain:
+        return reference, note
+    return reference, StageWarning(
+        f"{note}; later frames differ from it, but none clearly has more contact or less: if it "
+        "shows a touch, depth is wrong; give a reference image with --reference, or say which "
+        "frames show none with --reference-frames"
+    )
 
 
 def find_untouched_reference(read: Callable[[int], Image], n_frames: int) -> tuple[Image, int]:
@@ -103,7 +116,7 @@ def find_untouched_reference(read: Callable[[int], Image], n_frames: int) -> tup
     """
     start = find_bright_start(read, n_frames)
     first, *later = [*sample_frames(read, n_frames, first=start)] or [(start, read(start))]
-    chosen, image = select_reference_frame(first[1], later) or first
+    chosen, image = select_reference_frame(first[1], later)[0] or first
     blocks = compute_block_means(image, _BLOCKS_ALONG)
     alike = (
         other
@@ -186,12 +199,14 @@ def denoise_reference(reference: Image, frames: Iterable[Image]) -> tuple[Image,
     """
     n_max = min(_MAX_FRAMES, _MAX_PIXELS // max(1, reference.shape[0] * reference.shape[1]))
     reference_blocks = compute_block_means(reference, _BLOCKS_ALONG)
+    scales = _average_by_scale(reference)
     stack = [reference]
     for image in frames:
         if (
             len(stack) > n_max
             or image.shape != reference.shape
             or not _are_alike(image, reference_blocks)
+            or abs(_compute_more_relief(scales, _average_by_scale(image))) > _ALIKE_RELIEF
         ):
             break
         stack.append(image)
@@ -210,42 +225,66 @@ def _are_alike(image: Image, reference_blocks: Floats) -> bool:
 
 def select_reference_frame(
     first: Image, later: Iterable[tuple[int, Image]]
-) -> tuple[int, Image] | None:
-    """(index, image) of the frame with least contact; None unless `first` clearly has more contact.
+) -> tuple[tuple[int, Image] | None, bool]:
+    """((index, image) of the frame with least contact, whether it is certain); None unless `first`
+    clearly has more contact.
 
-    A touch adds light and shade in one place, so that the image is less smooth there. Where two
-    frames differ, the smoother one has less contact. Drift and exposure change the smoothness of
-    both alike.
+    It is uncertain where frames differ from the first and none clearly has more contact or less.
     """
     best: tuple[int, Image] | None = None
-    first_blocks = best_blocks = compute_block_means(first, _TOUCH_BLOCKS)
+    blocks = compute_block_means(first, _BLOCKS_ALONG)
+    scales = least = _average_by_scale(first)
+    differ = has_more = False
     for index, image in later:
         if image.shape != first.shape:
             continue
-        blocks = compute_block_means(image, _TOUCH_BLOCKS)
-        is_smooth = _compute_relief_ratio(blocks, first_blocks) <= _MAX_RELIEF_RATIO
-        if is_smooth and (best is None or _compute_relief_ratio(blocks, best_blocks) < 1.0):
-            best = (index, image)
-            best_blocks = blocks
-    return best
+        found = _average_by_scale(image)
+        has_more |= _compute_more_relief(scales, found) > _MORE_RELIEF
+        differ |= not _are_alike(image, blocks)
+        if _compute_more_relief(least, found) < (-_MORE_RELIEF if best is None else 0.0):
+            best, least = (index, image), found
+    return best, best is not None or has_more or not differ
 
 
-def _compute_relief_ratio(other: Floats, one: Floats) -> float:
-    """Relief of the blocks `other` over that of `one`, where the two differ.
-
-    Infinite if they do not.
+def _average_by_scale(image: Image) -> list[Floats]:
+    """Block means by scale, without a border as wide as the largest block: glints of the gel's edge
+    come and go there.
     """
-    differs = np.abs(other - one).max(axis=2) > _DIFFERS_GREY
-    if not differs.any():
-        return np.inf
-    here, there = (float(_compute_relief(blocks)[differs].mean()) for blocks in (other, one))
-    return here / there if there > _MIN_RELIEF_GREY else np.inf
+    border = -(-max(image.shape) // _RELIEF_BLOCKS[-1])
+    inner = image[border:-border, border:-border]
+    inner = inner if inner.size else image
+    return [compute_block_means(inner, min(n, max(inner.shape) // 2)) for n in _RELIEF_BLOCKS]
+
+
+def _compute_more_relief(one: list[Floats], other: list[Floats]) -> float:
+    """How much more relief the second image has than the first, both as block means by scale.
+
+    A touch adds light and shade to what a gel shows anyway, so that the squared relief grows by the
+    squared change, and shrinks by it where the touch ends. Of noise and of two touches neither is
+    the case. The sum over scales of log(ratio of squared reliefs where the images differ) times
+    |difference of squared reliefs / squared change|, the latter at most 1. What the largest blocks
+    alone show may be light.
+    """
+    ratio = np.median(other[-1] / np.maximum(one[-1], 1.0), axis=(0, 1))
+    gain = np.maximum(ratio, 0.01).astype(np.float32)
+    more = list[float]()
+    for before, after in zip(one, other, strict=True):
+        here = _compute_relief(before)
+        there = _compute_relief(after / gain)
+        change = ((there - here) ** 2).sum(axis=2)
+        squares = [(relief**2).sum(axis=2) for relief in (here, there)]
+        grown = float(squares[1].sum() - squares[0].sum())
+        low, high = (float((change * square).sum()) + 1e-6 for square in squares)
+        share = min(1.0, abs(grown) / (float(change.sum()) + 1e-6))
+        more.append(share * math.log(high / low))
+    *fine, coarse = more
+    limit = _COARSE_RATIO * abs(sum(fine))
+    return sum(fine) + min(max(coarse, -limit), limit)
 
 
 def _compute_relief(blocks: Floats) -> Floats:
-    """Difference of each block (rows, cols) from the mean of its neighbours, in grey levels."""
+    """Difference of each block (rows, cols, channels) from the mean of its neighbours."""
     import cv2
 
-    return np.abs(
-        np.asarray(cv2.Laplacian(blocks, cv2.CV_32F, borderType=cv2.BORDER_REPLICATE))
-    ).max(axis=2)
+    relief = cv2.Laplacian(blocks, cv2.CV_32F, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(relief, np.float32)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 import cv2
 import numpy as np
 import pytest
 
-from pipeline.core.errors import select_warnings
+from pipeline.core.errors import StageWarning, select_warnings
 from pipeline.io.format_dispatch import open_recording
-from pipeline.io.reference_images import denoise_reference
-from pipeline.physics import optics
+from pipeline.io.reference_images import denoise_reference, find_first_reference
+from pipeline.physics import gel, optics
 from pipeline.sensors.spec import load_sensor
 from tests.pipeline.stages.test_depth import press
 
@@ -134,3 +136,81 @@ def test_a_light_that_was_raised_later_leaves_the_first_frames_as_reference(film
     recording = open_recording(film(*[STILL] * 4, *[raised] * 8), sensor="gelsight_mini")
     assert np.abs(recording.streams[0].frame(0).reference.astype(float) - STILL).mean() < 3.0
     recording.close()
+
+
+def press_cloth(name, deep_mm=0.05, weave_mm=0.04):
+    """(untouched, touched) images: a woven cloth on a soft pad, threads 1 mm apart."""
+    source = load_sensor(name)
+    y, x = np.indices(source.camera.shape) * source.pixel_mm
+    x, y = x - x.mean(), y - y.mean()
+    weave = np.sin(2 * np.pi * (x + y) / 1.4) * np.sin(2 * np.pi * (x - y) / 1.4)
+    overlap = deep_mm + weave_mm * weave - deep_mm * (x**2 + y**2) / 8
+    touch = gel.press_gel(source.gel, source.pixel_mm, overlap, tolerance_mm=2e-3)
+    return optics.render_reference(source), optics.render(source, touch.indentation_mm, seed=None)
+
+
+def find_reference(images):
+    frames = [noisy(image, k, 1.0) for k, image in enumerate(images)]
+    return find_first_reference(
+        lambda index: frames[index], len(frames), lambda index: f"frame {index}", is_film=True
+    )
+
+
+CLOTH = pytest.mark.parametrize("name", ["gelslim", "gelslim_dotless", "gelsight_mini", "digit"])
+
+
+@CLOTH
+def test_a_film_that_begins_on_cloth_takes_a_later_frame_as_reference(name: str):
+    still, touch = press_cloth(name)
+    reference, note = find_reference([*[touch] * 8, *[still] * 5, *[touch] * 3])
+    assert isinstance(note, StageWarning)
+    assert "first frame shows contact" in note
+    assert np.abs(reference.astype(float) - still).mean() < 0.9
+
+
+@CLOTH
+@pytest.mark.parametrize("n_untouched", [1, 4])
+def test_cloth_that_comes_later_leaves_the_first_frames_as_reference(name: str, n_untouched: int):
+    still, touch = press_cloth(name, 0.005, 0.015)
+    images = [*[still] * n_untouched, *[touch] * 12]
+    reference, note = find_reference(images)
+    assert not isinstance(note, StageWarning)
+    expected, _ = denoise_reference(
+        noisy(still, 0, 1.0), (noisy(still, k, 1.0) for k in range(1, n_untouched))
+    )
+    assert np.array_equal(reference, expected)
+
+
+@pytest.mark.parametrize("is_reversed", [False, True])
+def test_frames_that_differ_by_what_may_be_light_are_warned_of(film, is_reversed: bool):
+    ramp = np.linspace(-14, 14, STILL.shape[1])[:, None]
+    later = np.clip(np.rint(STILL + ramp), 0, 255).astype(np.uint8)
+    images = [*[STILL] * 5, *[later] * 5][:: -1 if is_reversed else 1]
+    path = film(*images)
+    with_warning = open_recording(path, sensor="gelsight_mini")
+    (warning,) = select_warnings(with_warning.notes)
+    assert "none clearly has more contact" in warning
+    assert "--reference-frames" in warning
+    with_warning.close()
+    chosen = open_recording(path, sensor="gelsight_mini", reference_frames="0")
+    assert select_warnings(chosen.notes) == ()
+    chosen.close()
+
+
+def test_a_film_in_which_nothing_happens_is_not_warned_of():
+    assert not isinstance(find_reference([STILL] * 20)[1], StageWarning)
+
+
+def read_things(folder):
+    images = [folder / "ref.jpg", *sorted(folder.glob("frame_*.jpg"))]
+    return [cv2.imread(str(image))[..., ::-1] for image in images]
+
+
+@pytest.mark.parametrize("is_touched", [False, True])
+def test_everyday_things_are_told_from_the_untouched_gel(real_data, is_touched: bool):
+    for folder in sorted((real_data / "mini_things").iterdir()):
+        still, *_, touch = read_things(folder)
+        images = [[touch] * 6, [still] * 6][:: 1 if is_touched else -1]
+        reference, note = find_reference(chain.from_iterable(images))
+        assert isinstance(note, StageWarning) == is_touched, folder.name
+        assert np.abs(reference.astype(float) - still).mean() < 0.9, folder.name
