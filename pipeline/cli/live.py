@@ -108,6 +108,7 @@ def _watch_sensor(
         reader.set_listener(recorder.offer)
     live: LiveTranslation | None = None
     shown: list[LiveResult] = []
+    has_shown = False
     start_s = said_s = time.monotonic()
     mount(_LIVE, lambda: reader.make_recording(_LIVE))
     try:
@@ -120,9 +121,16 @@ def _watch_sensor(
                     ended.wait(_POLL_S)
                 else:
                     shown += live.poll(_POLL_S)
+                    has_shown = has_shown or bool(shown)
                 now_s = time.monotonic()
                 if now_s - said_s >= _STATUS_PERIOD_S:
-                    translated = "" if live is None else _describe(live, shown, now_s - said_s)
+                    translated = ""
+                    if live is not None:
+                        translated = (
+                            _describe(live, shown, now_s - said_s)
+                            if has_shown or live.problem
+                            else "the processes that translate are starting"
+                        )
                     _print_status(reader, recorder, translated)
                     shown, said_s = [], now_s
     finally:
