@@ -240,10 +240,9 @@ def _outside_px(contact: Mask) -> Doubles:
     def to(mask: Mask) -> Doubles:
         if mask.all():
             return np.full(mask.shape, float(max(mask.shape)))
-        return np.asarray(
-            cv2.distanceTransform(mask.view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE),
-            np.float64,
-        )
+        found = cv2.distanceTransform(mask.view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        # OpenCV's last bit depends on how many of its threads are free; squares are whole numbers
+        return np.sqrt(np.rint(np.square(found, dtype=np.float64)))
 
     return np.where(contact, 0.5 - to(contact), to(~contact) - 0.5)
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -198,6 +199,19 @@ def test_the_same_touches_give_the_same_bytes(touches):
     a = refine_alignment(touches[:2], start)
     b = refine_alignment(touches[:2], start)
     assert a.motion.tobytes() == b.motion.tobytes()
+
+
+def test_a_distance_does_not_depend_on_opencvs_threads():
+    contact = np.random.default_rng(0).random((320, 427)) > 0.99
+    before = cv2.getNumThreads()
+    try:
+        found = []
+        for n_threads in (1, 2):
+            cv2.setNumThreads(n_threads)
+            found.append(residuals._outside_px(contact).tobytes())
+    finally:
+        cv2.setNumThreads(before)
+    assert found[0] == found[1]
 
 
 def test_refining_stops_when_nobody_wants_it(touches):
