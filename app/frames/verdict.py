@@ -9,6 +9,7 @@ from app.document.evaluator import EvaluatedFrame
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
 from app.frames.error_attribution import ErrorAttributionController
+from pipeline.core.errors import find_uncertain_contact
 from pipeline.core.graph import StageResult
 from pipeline.core.values.results import DepthMap
 from pipeline.stages.metrics.stage_metrics import METRICS
@@ -62,46 +63,25 @@ class VerdictController(Feature):
         self._show_figures()
         self._window.look.filmstrip.show_shares(collect_shares(self._attribution))
         findings = self._list_findings(latest.results)
-        state, sentence, cause = self._judge(latest, findings)
+        state, sentence, cause = judge_frame(latest, findings, self._attribution)
         self._window.verdict.show_verdict(
             state, sentence, cause, findings, (*self._offer_place(), *self._controller.remedies)
         )
 
     def _list_findings(self, results: Mapping[str, StageResult]) -> list[Finding]:
-        """List all warnings; those that every frame has come last."""
+        """List all warnings and fallbacks; those that every frame has come last."""
         stage = self._controller.catalogue.stage
         common = self._window.frames.model.common_warnings
         found = [
             (f"{stage(name).title.lower()}: {warning}" in common, name, warning)
             for name, result in results.items()
-            for warning in result.warnings
+            for warning in (*filter(None, (result.fallback,)), *result.warnings)
         ]
         found.sort(key=lambda one: one[0])
         return [
             Finding(sentence=f"{stage(name).title}: {warning}", stage=name)
             for _, name, warning in found
         ]
-
-    def _judge(self, latest: EvaluatedFrame, findings: Sequence[Finding]) -> tuple[str, str, str]:
-        """Return a state, a sentence and its cause."""
-        if not latest.results:
-            return "", "", ""  # of a layout that computes no stage
-        which = f"Frame {latest.index}"
-        depth = latest.results["depth"].output if "depth" in latest.results else None
-        if isinstance(depth, DepthMap) and not depth.contact.any():
-            return "", f"{which} has no contact.", "The target's reference image is the answer."
-        error_mm = latest.metrics.get(DEFAULT_METRIC, math.nan)
-        if math.isfinite(error_mm):
-            is_wrong = bool(findings) or self._attribution is not None
-            return (
-                "warning" if is_wrong else "",
-                f"{which} is {error_mm:.2f} mm off.",
-                describe_cause(self._attribution, latest.results),
-            )
-        if findings:
-            return "warning", f"{which}:", f"{findings[0].sentence}."
-        is_whole = DEFAULT_METRIC.partition(".")[0] in latest.results
-        return "", f"{which}: no warning.", _NO_TRUTH if is_whole else ""
 
     def _offer_place(self) -> list[Choice]:
         """Offer to show where the largest share of the error is."""
@@ -131,6 +111,33 @@ class VerdictController(Feature):
                 text = f"{value:.3f} {metric.unit}".rstrip()
                 shown.append((metric.title, text, metric.meaning))
         self._window.inspector.show_figures(shown)
+
+
+def judge_frame(
+    latest: EvaluatedFrame, findings: Sequence[Finding], attribution: ErrorAttribution | None
+) -> tuple[str, str, str]:
+    """Return a state, a sentence and its cause."""
+    if not latest.results:
+        return "", "", ""  # of a layout that computes no stage
+    which = f"Frame {latest.index}"
+    depth = latest.results["depth"].output if "depth" in latest.results else None
+    if isinstance(depth, DepthMap) and not depth.contact.any():
+        doubt = find_uncertain_contact(depth.notes)
+        if doubt is not None:
+            return "warning", f"{which}:", f"{doubt}."
+        return "", f"{which} has no contact.", "The target's reference image is the answer."
+    error_mm = latest.metrics.get(DEFAULT_METRIC, math.nan)
+    if math.isfinite(error_mm):
+        is_wrong = bool(findings) or attribution is not None
+        return (
+            "warning" if is_wrong else "",
+            f"{which} is {error_mm:.2f} mm off.",
+            describe_cause(attribution, latest.results),
+        )
+    if findings:
+        return "warning", f"{which}:", f"{findings[0].sentence}."
+    is_whole = DEFAULT_METRIC.partition(".")[0] in latest.results
+    return "", f"{which}: no warning.", _NO_TRUTH if is_whole else ""
 
 
 def find_largest_share(attribution: ErrorAttribution) -> ErrorShare | None:

@@ -99,11 +99,16 @@ class FrameWorkers:
         return answer
 
     def _finish(self, block: SharedBlock, answer: Future[Results], task: Future[Parcel]) -> None:
-        error = None if task.cancelled() else task.exception()
-        results = [] if task.cancelled() or error else block.take(task.result())
+        results: Sequence[StageResult] = ()
+        problem: Exception | None = None
+        if not task.cancelled():
+            try:
+                results = block.take(task.result())
+            except Exception as error:  # noqa: BLE001 - whoever waits for the answer gets it
+                problem = error
         self._free.append(block)
-        if error is not None:
-            answer.set_exception(error)
+        if problem is not None:
+            answer.set_exception(problem)
         elif not task.cancelled():
             answer.set_result(
                 {one.name: replace(one, method=self._methods[one.name]) for one in results}
