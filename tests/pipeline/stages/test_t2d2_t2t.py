@@ -407,10 +407,7 @@ def test_shipped_weights_are_better_than_physics_on_unseen_grasps(target):
     task = TouchResidualTask(target=target)
     held_out = [task.make_validation_example("unseen_grasps", index) for index in range(6)]
     figures = task.evaluate(net, held_out)
-    assert (
-        figures["error in contact, mm"]
-        < 0.95 * figures["no-prediction error in contact, mm"]
-    )
+    assert figures["error in contact, mm"] < 0.95 * figures["no-prediction error in contact, mm"]
     assert found.card["minutes"]
 
 
