@@ -58,7 +58,6 @@ from pipeline.sensors.alignment import (
 )
 from pipeline.stages.networks.weights import Weights, load_weights, save_weights
 from pipeline.translation.cross_section import SectionLine
-from pipeline.translation.reports.viewer_files import StageSample, write_mcap
 from pipeline.views.display_params import DisplayParams
 from pipeline.views.preview import Tile
 
@@ -709,50 +708,6 @@ def check_reference(image: Any, folder: Path) -> None:
     same(read_rgb(folder / "reference.png"), image)
 
 
-@st.composite
-def viewer_samples(draw: Any) -> StageSample:
-    depth = arrays(np.float32, (3, 4), st.just(np.nan) | st.floats(1.0, 99.0, width=32))
-    points = draw(arrays(np.float32, (2, 3), st.floats(-99.0, 99.0, width=32)))
-    return StageSample(
-        name=draw(st.sampled_from(("depth", "touch"))),
-        frame=draw(st.integers(0, 99)),
-        time_s=draw(st.floats(0.0, 1e6)),
-        pixels=draw(arrays(np.uint8, (3, 4, 3))),
-        points_mm=points,
-        rgb=np.full((2, 3), 7, np.uint8),
-        depth_mm=draw(optional(depth)),
-        metrics={},
-        target_from_object=draw(optional(POSES)),
-    )
-
-
-def check_viewer_file(sample: StageSample, folder: Path) -> None:
-    """Our exports are read by the viewers' own reader."""
-    import cv2
-    from mcap.reader import make_reader
-    from mcap_protobuf.decoder import DecoderFactory
-
-    write_mcap(folder / "v.mcap", [sample])
-    with (folder / "v.mcap").open("rb") as file:
-        read = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
-        found = {one.channel.topic: one.decoded_message for one in read}
-    image = cv2.imdecode(
-        np.frombuffer(found[f"/{sample.name}/image"].data, np.uint8), cv2.IMREAD_COLOR
-    )
-    same(np.asarray(image)[:, :, ::-1], sample.pixels)
-    depth = found.get(f"/{sample.name}/depth")
-    assert (depth is None) is (sample.depth_mm is None)
-    if depth is not None and sample.depth_mm is not None:
-        same(
-            np.frombuffer(depth.data, "<f4").reshape(3, 4), sample.depth_mm * np.float32(1e-3), 1e-6
-        )
-    pose = found.get("/object")
-    assert (pose is None) is (sample.target_from_object is None)
-    if pose is not None and sample.target_from_object is not None:
-        place = pose.pose.position
-        same(np.array([place.x, place.y, place.z]), sample.target_from_object[:3, 3] * 1e-3, 1e-9)
-
-
 class Case(NamedTuple):
     values: st.SearchStrategy[Any]
     check: Callable[[Any, Path], None]
@@ -777,7 +732,6 @@ CASES = {
         st.lists(st.tuples(WORDS, st.dictionaries(NAMES, NUMBERS, max_size=2)), max_size=3),
         check_tiles,
     ),
-    "viewer file": Case(viewer_samples(), check_viewer_file),
     "reference": Case(arrays(np.uint8, (4, 5, 3)), check_reference),
 }
 
@@ -802,7 +756,6 @@ WRITERS = {
     "pipeline/translation/reports/report.py": "report",
     "pipeline/translation/reports/repro_bundle.py": "report",
     "pipeline/translation/reports/video.py": "no reader: its frames are counted before it is moved",
-    "pipeline/translation/reports/viewer_files.py": "viewer file",
     "pipeline/sensors/alignment.py": "alignment",
     "pipeline/lab/tasks/rerun.py": "report",
     "pipeline/lab/tracking/track_record.py": "track",

@@ -51,12 +51,11 @@ def export(
     Args:
         out: File to write: .png or .pdf of a pane or the sheet, .ply of a pane's points in mm, .npz
             of its arrays, .csv of force and metrics of all frames, up to the pane, .mp4 or .avi of
-            a pane through the frames, .rrd (Rerun) or .mcap (Foxglove) of all stages through the
-            frames.
+            a pane through the frames.
         pane: A stage, `source`, or `sheet` for all of them side by side.
         content: Computed value, ground truth, or their difference; the last two need ground truth.
         frame: Frame of an image, of points or of arrays.
-        frames: Frames of a table, video or viewer file, such as `0,3-7`; default: all.
+        frames: Frames of a table or a video, such as `0,3-7`; default: all.
         section: x, y of the start and of the end of a line in mm from the source camera's axis, on
             the gel: the .csv then holds the height of each pane along it on one frame; --pane takes
             several, comma-separated.

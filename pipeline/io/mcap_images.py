@@ -26,7 +26,7 @@ from pipeline.io.gel_streams import ImageSource, make_film, make_streams
 from pipeline.io.image_files import NO_DEPTH, decode_rgb, unpack_rgb
 from pipeline.io.mcap_records import McapChannel, McapFile, McapMessage
 
-PREVIEW_PROFILE = "tactoscope previews"  # profile of the files that are exported for viewers
+_PREVIEW_PROFILE = "tactoscope previews"  # of previews that version 0.2 wrote
 IMAGE_SCHEMAS = frozenset(
     {
         "foxglove.CompressedImage",
@@ -64,7 +64,7 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     file = McapFile(path)
     try:
         topics, others = _list_images(file, decoders)
-        if file.profile == PREVIEW_PROFILE:
+        if file.profile == _PREVIEW_PROFILE:
             raise FileProblem(
                 "the file holds coloured previews that were exported for viewers, not images of a "
                 "sensor; open the "

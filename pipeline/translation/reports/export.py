@@ -1,5 +1,4 @@
-"""Export one file of a translation, as the window shows it: image, points, arrays, table, video or
-viewer file.
+"""Export one file of a translation, as the window shows it: image, points, arrays, table or video.
 
 The window and the command line both call `export_file`, so that they write the same bytes.
 """
@@ -18,17 +17,15 @@ import numpy as np
 from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.files import check_folder_for, open_atomic, require_separate, write_arrays
 from pipeline.core.frame_lists import parse_frames
-from pipeline.core.geometry import rigid
 from pipeline.core.graph import StageResult
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame
 from pipeline.translation import cross_section
 from pipeline.translation.force import measure_force
-from pipeline.translation.reports import sheet, viewer_files
+from pipeline.translation.reports import sheet
 from pipeline.translation.reports.export_request import SHEET, SOURCE, ExportRequest
 from pipeline.translation.reports.report import collect_stage_arrays
 from pipeline.translation.reports.video import write_video
-from pipeline.translation.reports.viewer_files import StageSample
 from pipeline.translation.translate import Translation, open_translation
 from pipeline.translation.translated_frame import FrameReport
 
@@ -274,45 +271,6 @@ def _video(work: _Work) -> None:
     write_video(work.asked.path, images, _rate_hz(work.translation, work.frame_indices))
 
 
-def _sample_stages(work: _Work) -> Iterator[StageSample]:
-    """Yield source and stages of every requested frame, or the requested pane, with points in
-    the target's frame.
-    """
-    translation = work.translation
-    panes = (SOURCE, *translation.stages) if work.asked.pane == SHEET else (work.asked.pane,)
-
-    def evaluate(index: int) -> tuple[TactileFrame, dict[str, StageResult], dict[str, float]]:
-        frame, results = work.evaluate_frame(index, every=True)
-        return frame, results, translation.compute_metrics(results, index)
-
-    for frame, results, metrics in work.make_each(evaluate):
-        target_from_source = translation.alignment.target_from_source
-        for name in panes:
-            shown = sheet.render_pane(
-                name, frame, results, translation, work.display, work.asked.content
-            )
-            is_source = name == SOURCE or translation.catalogue.stage(name).sensor_role == "source"
-            value = None if name == SOURCE else results[name].output
-            points_mm = (
-                rigid.apply(target_from_source, shown.points_mm) if is_source else shown.points_mm
-            )
-            yield StageSample(
-                name=name,
-                frame=frame.index,
-                pixels=shown.preview.pixels,
-                points_mm=points_mm.astype(np.float32),
-                rgb=shown.rgb,
-                depth_mm=getattr(value, "depth_mm", None),
-                time_s=frame.time_s
-                if np.isfinite(frame.time_s)
-                else frame.index / DEFAULT_VIDEO_RATE_HZ,
-                target_from_object=getattr(value, "sensor_from_object", None),
-                metrics={
-                    key: number for key, number in metrics.items() if key.startswith(f"{name}.")
-                },
-            )
-
-
 def _rgb(drawn: Figure) -> Any:
     """Return (rows, cols, 3) uint8 with even sizes, which most codecs need."""
     canvas: Any = drawn.canvas
@@ -345,8 +303,4 @@ _WRITERS: Mapping[str, Callable[[_Work], None]] = {
     ".csv": _table,
     ".mp4": _video,
     ".avi": _video,
-    ".rrd": lambda work: viewer_files.write_rrd(
-        work.asked.path, _sample_stages(work), work.translation.mesh
-    ),
-    ".mcap": lambda work: viewer_files.write_mcap(work.asked.path, _sample_stages(work)),
 }
