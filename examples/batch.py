@@ -1,23 +1,24 @@
-"""A batch on a cluster: each worker opens the recording itself, and returns what is measured of
-a frame.
+"""A batch on a cluster: each job of an array measures its share of the frames and writes one file.
+
+With Slurm: sbatch --array=0-3 --wrap 'python examples/batch.py $SLURM_ARRAY_TASK_ID 4'
+In a shell: for i in 0 1 2 3; do python examples/batch.py $i 4 & done; wait
 """
 
-from distributed import Client, LocalCluster
+import csv
+import sys
+from pathlib import Path
 
 import tactoscope as ts
 
-RECORDING = "sample_data/recordings/first_touch.h5"  # at a path that every worker can read
+RECORDING = "sample_data/recordings/first_touch.h5"  # at a path that every machine can read
+job, n_jobs = map(int, sys.argv[1:] or (0, 3))
 
-
-def measure(index: int) -> dict[str, float]:
-    with ts.open(RECORDING, "soft_bubble", source="gelslim") as touches:
-        return dict(touches[index].metrics)
-
-
-if __name__ == "__main__":
-    # or the address of a scheduler
-    cluster = LocalCluster(n_workers=2, processes=False, dashboard_address=":0")
-    with cluster, Client(cluster) as client:
-        rows = client.gather(client.map(measure, range(4, 7)))
-    for index, row in enumerate(rows, start=4):
-        print(index, f"{row['touch_depth.mae_mm']:.3f} mm")
+with ts.open(RECORDING, "soft_bubble", source="gelslim") as touches:
+    rows = [
+        {"frame": index, **touches[index].metrics} for index in range(job, len(touches), n_jobs)
+    ]
+with Path(f"metrics_{job}.csv").open("w", newline="") as file:
+    table = csv.DictWriter(file, fieldnames=list({name: None for row in rows for name in row}))
+    table.writeheader()
+    table.writerows(rows)
+print(f"{len(rows)} of {len(touches)} frames: metrics_{job}.csv")

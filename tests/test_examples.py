@@ -98,9 +98,14 @@ def test_train_on_pairs():
     assert result.method.name == "t2t"
 
 
-def test_batch():
-    pytest.importorskip("distributed")
-    assert [row["touch_depth.contact_mae_mm"] > 0 for row in run("batch")["rows"]] == [True] * 3
+def test_batch(place, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["batch.py", "4", "11"])
+    rows = run("batch")["rows"]
+    assert [row["frame"] for row in rows] == [4, 15]
+    assert rows[0]["touch_depth.contact_mae_mm"] > 0
+    lines = (place / "metrics_4.csv").read_text().splitlines()
+    assert lines[0].startswith("frame,depth.")
+    assert len(lines) == 3
 
 
 def test_the_notebook_shows_figures():

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,7 +10,6 @@ from cyclopts import Parameter
 
 from pipeline.cli.terminal import open_progress_bar, print_line, print_table
 from pipeline.cli.translation_options import StageSettings, split_list
-from pipeline.core.cluster import connect_cluster
 from pipeline.core.errors import SettingProblem
 from pipeline.core.files import check_folder, check_folder_for, write_json
 from pipeline.core.machine import describe_machine, format_machine
@@ -66,7 +64,6 @@ def evaluate(
     poses: str = "signed_distances,network",
     figures: Path | None = None,
     folder: Path | None = None,
-    scheduler: str = "",
 ) -> int:
     """Evaluate all candidates, print the tables and write them.
 
@@ -95,9 +92,6 @@ def evaluate(
         figures: Folder for the paper's figures 4 and 5 of this split: touches by T2T and T2D2 next
             to the recorded ones.
         folder: Folder of the simulated touches; default: the user's cache.
-        scheduler: Address of a Dask scheduler whose workers score the recordings, such as
-            `tcp://host:8786`. It must be
-            trusted: what it sends is run on this machine.
     """
     chosen: dict[str, str] = {}
     for assignment in stage_methods:
@@ -127,10 +121,8 @@ def evaluate(
         check_folder(figures)
     machine = describe_machine()
     drawn: list[Path] = []
-    with ExitStack() as stack:
-        progress = stack.enter_context(open_progress_bar())
-        job_mapper = stack.enter_context(connect_cluster(scheduler)).map if scheduler else None
-        table = evaluate_tables(request, progress, job_mapper)
+    with open_progress_bar() as progress:
+        table = evaluate_tables(request, progress)
         if figures is not None:
             drawn = draw_paper_figures(request, figures, progress)
     _print_tables(table, is_recorded=recordings is not None)

@@ -10,7 +10,6 @@ from typing import Literal
 
 from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import split_list
-from pipeline.core.cluster import connect_cluster
 from pipeline.core.errors import FileProblem
 from pipeline.core.files import check_folder_for
 from pipeline.core.params import MeshUnit
@@ -33,7 +32,6 @@ def simulate(
     bubble_deeper_mm: float = 9.0,
     drag_mm: float = 0.0,
     jobs: int = 2,
-    scheduler: str = "",
     mesh_unit: MeshUnit = "auto",
     mesh_face: Literal["-x", "+x", "-y", "+y", "-z", "+z"] = "-z",
 ) -> int:
@@ -59,9 +57,6 @@ def simulate(
         drag_mm: Distance that each object has slid along the gels since contact, at a friction of
             0.8: it moves the markers.
         jobs: Number of processes.
-        scheduler: Address of a Dask scheduler whose workers simulate instead, such as
-            `tcp://host:8786`. It must be
-            trusted: what it sends is run on this machine.
         mesh_unit: Unit of a mesh file.
         mesh_face: Side of a mesh file that touches, such as `--mesh-face=-x`.
     """
@@ -93,10 +88,9 @@ def simulate(
     n_unsolved = 0
     with ExitStack() as stack:
         # Checks `jobs`; starts no process before there is work.
-        local_pool = stack.enter_context(recorder.make_worker_pool(jobs))
-        pool = stack.enter_context(connect_cluster(scheduler)).pool if scheduler else local_pool
+        pool = stack.enter_context(recorder.make_worker_pool(jobs))
         bar = stack.enter_context(open_progress_bar(total))
-        use_pool = scheduler or (jobs > 1 and total - n_finished >= recorder.MIN_MOMENTS_FOR_POOL)
+        use_pool = jobs > 1 and total - n_finished >= recorder.MIN_MOMENTS_FOR_POOL
         for k, (plan, path) in enumerate(zip(plans, files, strict=True)):
             part = SubProgress(bar, k / len(plans), 1.0 / len(plans))
             result = recorder.record_plan(

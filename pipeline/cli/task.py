@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +9,6 @@ from cyclopts import Parameter
 
 from pipeline.cli.terminal import open_progress_bar, print_line, print_table
 from pipeline.cli.translation_options import Flag, split_list
-from pipeline.core.cluster import connect_cluster
 from pipeline.core.files import check_folder, check_folder_for, write_json
 from pipeline.lab.tasks.rerun import copy_case
 from pipeline.lab.tasks.rollout_file import CASE_SUFFIX
@@ -34,7 +32,6 @@ def task(
     jobs: int = 2,
     json: Path | None = None,
     record: Path | None = None,
-    scheduler: str = "",
 ) -> int:
     """Run the trials and print successes with 95 % intervals; the same seed gives the same bytes.
 
@@ -51,9 +48,6 @@ def task(
         jobs: Number of processes.
         json: File for every trial with its decisions.
         record: Folder for one recording per rollout; the same command continues an interrupted run.
-        scheduler: Address of a Dask scheduler whose workers run the trials, such as
-            `tcp://host:8786`. It must be
-            trusted: what it sends is run on this machine.
     """
     planned = make_jobs(
         name,
@@ -73,10 +67,8 @@ def task(
         if name.endswith(CASE_SUFFIX):
             copy_case(Path(name), record)
     chosen = load_task(planned[0].plan.task)
-    with ExitStack() as stack:
-        progress = stack.enter_context(open_progress_bar())
-        cluster = stack.enter_context(connect_cluster(scheduler)) if scheduler else None
-        summaries = run_jobs(planned, jobs, cluster, progress)
+    with open_progress_bar() as progress:
+        summaries = run_jobs(planned, jobs, progress)
     _print_table(chosen, summaries)
     if json is not None:
         write_json(

@@ -5,7 +5,7 @@ import re
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import closing
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated
@@ -26,7 +26,6 @@ from pipeline.cli.translation_options import (
     TranslationOptions,
 )
 from pipeline.core import compiling, user_folders
-from pipeline.core.cluster import connect_cluster
 from pipeline.core.errors import NotConverged, SettingProblem, TouchError, escape_text
 from pipeline.core.files import check_folder
 from pipeline.core.params import check_range
@@ -87,7 +86,6 @@ def translate(
     sheets: bool = True,
     settings: StageSettings = (),
     jobs: int = 0,
-    scheduler: str = "",
     meshes: Path | None = None,
 ) -> int:
     """Translate and write the frames that no earlier run has finished with the same request,
@@ -107,15 +105,12 @@ def translate(
         sheets: Draw `sheet.png`, which takes as long as all stages of a frame and more.
         jobs: With --all, processes that translate frames at once, each with some 400 MB; 0 = one a
             core where there are frames enough to be worth their start.
-        scheduler: With --all, address of a Dask scheduler whose workers translate the frames, such
-            as `tcp://host:8786`. It must be trusted: what it sends is run on this machine.
         meshes: Folder of meshes; the likeliest one by the first translated frame is the object,
             with its margin noted.
     """
-    _check_options(options, meshes, frame, jobs, scheduler, all_frames=all_frames, follow=follow)
+    _check_options(options, meshes, frame, jobs, all_frames=all_frames, follow=follow)
     request = options.build_request(recording, target)
     console = Console(stderr=True)
-    request = _with_absolute_paths(request) if scheduler else request
     translation = open_translation(request, settings=settings, cache_bytes=CACHE_BYTES)
     translation.check_index(0)
     force = force or translation.force_scale is not None
@@ -148,7 +143,7 @@ def translate(
         with (
             open_progress_bar(len(indices), console) as bar,
             compiling.report_compiling(bar.show),
-            closing(_translate_runs(runs, translation, scheduler, n_workers, bar)) as finished,
+            closing(_translate_runs(runs, translation, n_workers, bar)) as finished,
         ):
             for is_resumed, one in finished:
                 reports.append(one.report)
@@ -199,24 +194,19 @@ def _check_options(
     meshes: Path | None,
     frame: int | None,
     jobs: int,
-    scheduler: str,
     *,
     all_frames: bool,
     follow: bool,
 ) -> None:
     """Raise SettingProblem for options that exclude each other."""
-    if meshes is not None and (options.mesh is not None or scheduler or jobs):
-        raise SettingProblem(
-            "--meshes chooses the mesh; give it without --mesh, --jobs and --scheduler"
-        )
+    if meshes is not None and (options.mesh is not None or jobs):
+        raise SettingProblem("--meshes chooses the mesh; give it without --mesh and --jobs")
     if frame is not None and all_frames:
         raise SettingProblem("give either --frame or --all, not both")
     if follow and not all_frames:
         raise SettingProblem("--follow uses the previous frame's pose; give it with --all")
-    if scheduler and not all_frames:
-        raise SettingProblem("--scheduler distributes frames; give it with --all")
-    if jobs and (scheduler or not all_frames):
-        raise SettingProblem("--jobs share frames; give it with --all, without --scheduler")
+    if jobs and not all_frames:
+        raise SettingProblem("--jobs share frames; give it with --all")
     check_range("--jobs", jobs, 0, _MAX_JOBS)
 
 
@@ -323,18 +313,13 @@ def _choose_workers(jobs: int, n_frames: int) -> int:
 def _translate_runs(
     runs: Sequence[_Run],
     translation: Translation,
-    scheduler: str,
     n_workers: int,
     progress: Progress,
 ) -> Generator[tuple[bool, FinishedFrame]]:
     """Yield (whether an earlier run had finished it, the frame) of all frames in order, translated
-    by the workers of a scheduler, by processes of this machine, or here.
+    by processes of this machine, or here.
     """
-    if scheduler:
-        with connect_cluster(scheduler) as workers:
-            for run in workers.map(_run_elsewhere, runs, progress):
-                yield from run
-    elif n_workers > 1:
+    if n_workers > 1:
         n_frames = sum(len(run.indices) for run in runs)
         n_done = 0
         with WorkerPool(n_workers) as pool:
@@ -387,17 +372,6 @@ def _translate_run(
             translation, index, run, last if run.follow else None, part
         )
         yield is_resumed, last
-
-
-def _with_absolute_paths(request: Request) -> Request:
-    """The same request for workers with another current folder."""
-    paths = {
-        f.name: value.resolve()
-        for f in fields(request)
-        if isinstance(value := getattr(request, f.name), Path)
-    }
-    weights = tuple((stage, file.resolve()) for stage, file in request.weights)
-    return replace(request, weights=weights, **paths)
 
 
 def _exit_code(failed: Sequence[FrameReport]) -> int:

@@ -1,9 +1,8 @@
 """The paper's tables: every direction and candidate on one split of held-out touches."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from pipeline.core.errors import SettingProblem
 from pipeline.core.params import list_settings
@@ -43,9 +42,6 @@ REAL_NOTE = (
     "indentation are estimated "
     "from its own frame; a Frechet distance uses our own encoder, trained on simulated touches"
 )
-JobMapper = Callable[
-    [Callable[..., Any], Sequence[ScoringJob], Progress], Sequence[list[ScoredTouch]]
-]
 MEAN_TOUCH_GRASPS = 3  # per training object, for the mean touch
 POSE_METHODS = tuple(
     m.name for m in BUILT_IN.stage("pose").methods if m.name in ("signed_distances", "network")
@@ -77,12 +73,8 @@ class EvaluationTable:
     notes: tuple[str, ...]
 
 
-def evaluate_tables(
-    request: EvaluationRequest, progress: Progress = SILENT, work: JobMapper | None = None
-) -> EvaluationTable:
+def evaluate_tables(request: EvaluationRequest, progress: Progress = SILENT) -> EvaluationTable:
     """Score all touches and build the rows.
-
-    `work` maps jobs to other processes or machines, None runs them here.
 
     Raises SettingProblem for an unknown direction, method or candidate, and the errors of methods.
     """
@@ -124,7 +116,7 @@ def evaluate_tables(
             )
             for one in held_out
         ]
-        scored = _run_jobs(jobs, part) if work is None else work(score_recording, jobs, part)
+        scored = _run_jobs(jobs, part)
         rows += build_rows(
             request.split,
             source,

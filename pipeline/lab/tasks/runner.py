@@ -1,4 +1,4 @@
-"""Run trials in worker processes or on a cluster; rollouts on disk are not run again."""
+"""Run trials in worker processes; rollouts on disk are not run again."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import __version__
-from pipeline.core.cluster import ClusterPool
 from pipeline.core.digests import compute_digest
 from pipeline.core.errors import SettingProblem
 from pipeline.core.params import check_range
@@ -119,15 +118,12 @@ def _read_finished(job: TrialJob, key: str) -> list[Summary] | None:
 def run_jobs(
     jobs: Sequence[TrialJob],
     n_processes: int,
-    cluster: ClusterPool | None = None,
     progress: Progress = SILENT,
 ) -> list[Summary]:
     """The summaries of all rollouts in the order of the jobs, however many processes run them.
 
     Whatever `progress` raises ends the run; rollouts on disk are complete and are not run again.
     """
-    if cluster is not None:
-        return [one for found in cluster.map(run_job, jobs, progress) for one in found]
     check_range("--jobs", n_processes, 1, 64)
     found: list[list[Summary]] = []
 

@@ -56,8 +56,7 @@ def test_few_frames_start_no_further_process(monkeypatch):
     assert [translate._choose_workers(3, n) for n in (1, 2, 1000)] == [1, 2, 3]
 
 
-@pytest.mark.parametrize("more", [[], ["--all", "--scheduler", "tcp://127.0.0.1:1"]])
-def test_jobs_go_with_all_frames_alone(more, capsys):
-    words = ["translate", str(UNTOUCHED), "--target", "digit", "--out", "x", "--jobs", "2", *more]
+def test_jobs_go_with_all_frames_alone(capsys):
+    words = ["translate", str(UNTOUCHED), "--target", "digit", "--out", "x", "--jobs", "2"]
     assert run_app(build_app(), words) == EXIT_USER_ERROR
     assert "--jobs share frames" in capsys.readouterr().err
