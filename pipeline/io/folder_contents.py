@@ -16,7 +16,6 @@ from pipeline.io.file_names import natural_sort_key, sort_series
 from pipeline.io.formats import (
     RecordingFiles,
     explain_not_read,
-    get_format,
     list_formats,
     list_suffixes,
 )
@@ -186,8 +185,6 @@ def _holds_recording(folder: Path) -> bool:
     level = [folder]
     suffixes = list_suffixes()
     for _ in range(_MAX_LEVELS):
-        if any(get_format("zarr").matches_folder(f) for f in level):
-            return True
         entries = [p for f in level for p in f.iterdir() if not p.name.startswith(".")]
         if any(p.suffix.lower() in suffixes or is_image_file(p) for p in entries):
             return True
@@ -243,11 +240,11 @@ def _make_problem(folder: Path) -> FileProblem:
         return FileProblem("the folder is empty", folder)
     if any(p.suffix.lower() in PICKLE_SUFFIXES for p in folder.rglob("*")):
         return FileProblem(f"the folder holds only pickles; {PICKLE_REFUSAL}", folder)
-    entries = _list_entries(folder)
-    not_read = next((p for p in entries if p.is_file() and explain_not_read(p.name, b"")), None)
+    files = sorted(p for p in folder.iterdir() if p.is_file())
+    not_read = next((p for p in files if explain_not_read(p.name, b"")), None)
     if not_read is not None:
         return FileProblem(explain_not_read(not_read.name, b""), not_read)
-    meshes = [p for p in entries if p.suffix.lower() in _MESH_SUFFIXES]
+    meshes = [p for p in _list_entries(folder) if p.suffix.lower() in _MESH_SUFFIXES]
     problem = FileProblem(
         f"the folder holds {len(meshes)} meshes and no recording; open one as the object of an "
         "open recording"

@@ -116,6 +116,12 @@ _NOT_READ = (  # (first bytes, suffixes) of kinds of recordings that are not rea
         (".zip", ".tar", ".gz", ".tgz", ".7z", ".rar"),
         "an archive is not read; unpack it and open the folder",
     ),
+    (
+        (),
+        (".zgroup", ".zarray", "zarr.json"),
+        "a Zarr store is not read; save its images in Python: numpy.save('frames.npy', "
+        "zarr.open(FOLDER)[NAME][:])",
+    ),
     ((), (".rrd",), "a Rerun file is not read; open the recording that it was exported from"),
 )
 FORMATS = (  # of formats that share a suffix the first that matches is used
@@ -128,14 +134,6 @@ FORMATS = (  # of formats that share a suffix the first that matches is used
         applies_options=True,
         reader=f"{_READERS}.robot_data:read_hdf5",
         matches=f"{_READERS}.robot_data:is_robot_file",
-    ),
-    RecordingFormat(
-        key="zarr",
-        title="Zarr replay buffer",
-        content="images of tactile cameras",
-        applies_options=True,
-        reader=f"{_READERS}.robot_data:read_zarr",
-        folder=f"{_READERS}.robot_data:is_zarr",
     ),
     RecordingFormat(
         key="hdf5",

@@ -1,15 +1,13 @@
-"""Cameras of robot-learning data sets: HDF5 of robomimic and ACT (ALOHA), and Zarr replay buffers
-of Diffusion Policy.
+"""Cameras of robot-learning data sets in HDF5, robomimic and ACT (ALOHA), and other HDF5 files of
+colour images.
 
-Known layouts are `data/demo_N/obs/<camera>` (robomimic), `observations/images/<camera>` (ACT, plain
-or encoded) and `data/<camera>` with `meta/episode_ends` (replay buffers). Arrays of colour images
-elsewhere in such a file are read as well. Episodes follow each other.
+Known layouts are `data/demo_N/obs/<camera>` (robomimic) and `observations/images/<camera>` (ACT,
+plain or encoded). Arrays of colour images elsewhere in such a file are read as well. Episodes
+follow each other.
 """
 
 import math
-import os
 import re
-import stat
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -20,8 +18,8 @@ from typing import Any, Never
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.core.errors import FileProblem, SettingProblem, TouchError, escape_text
-from pipeline.core.files import read_json, require_file
+from pipeline.core.errors import FileProblem, TouchError, escape_text
+from pipeline.core.files import require_file
 from pipeline.core.values.frames import Recording, Stream
 from pipeline.io import stored_arrays
 from pipeline.io.colour_arrays import make_array_source
@@ -37,22 +35,6 @@ _LEFT_OUT = re.compile(r"(^|/)next_obs/|depth|mask|segmentation", re.IGNORECASE)
 _ENCODED = (b"\xff\xd8\xff", b"\x89PNG")  # first bytes of an image
 _MAX_OBJECTS = 200_000  # groups and arrays of one file
 _MAX_BYTES = 1 << 29  # of one frame or chunk, as stated
-_CODECS = frozenset(
-    {
-        "blosc",
-        "zlib",
-        "gzip",
-        "zstd",
-        "lz4",
-        "bz2",
-        "lzma",
-        "bytes",
-        "transpose",
-        "crc32c",
-        "sharding_indexed",
-    }
-)
-_ARRAY_FILES = (".zarray", "zarr.json")  # describe an array of Zarr 2 and 3
 
 
 def is_robot_file(files: RecordingFiles) -> bool:
@@ -64,11 +46,6 @@ def is_robot_file(files: RecordingFiles) -> bool:
             return "format" not in file.attrs and "streams" not in file
     except (OSError, RuntimeError, LookupError):
         return False
-
-
-def is_zarr(folder: Path) -> bool:
-    """Whether a folder is a Zarr group."""
-    return any((folder / name).is_file() for name in (".zgroup", ".zmetadata", "zarr.json"))
 
 
 def read_hdf5(files: RecordingFiles, options: ReadOptions) -> Recording:
@@ -112,50 +89,8 @@ def read_hdf5(files: RecordingFiles, options: ReadOptions) -> Recording:
     )
 
 
-def read_zarr(files: RecordingFiles, options: ReadOptions) -> Recording:
-    """The tactile cameras of a Zarr replay buffer as streams.
-
-    Raises FileProblem, and SettingProblem without `zarr`.
-    """
-    path = files.path
-    try:
-        import zarr
-    except ImportError as error:
-        raise SettingProblem(
-            "Zarr replay buffers are read by zarr, which is not installed; pip install zarr"
-        ) from error
-    cameras = dict[str, list[ImageStack]]()
-    n_episodes = 1
-    for folder in _list_zarr_arrays(path):
-        place = folder.relative_to(path).as_posix()
-        if _LEFT_OUT.search(place):
-            continue
-        _check_zarr_array(folder)
-        try:
-            array: Any = zarr.open_array(str(folder), mode="r")
-        except Exception as error:
-            raise FileProblem(
-                f"the array {place} cannot be read ({error!r:.80})", path, field=place
-            ) from error
-        if folder.name == "episode_ends":
-            n_episodes = array.shape[0]
-        for stack in _make_stacks(array, place, path):
-            cameras["_".join(part for part in (folder.name, stack.name) if part)] = [stack]
-    if not cameras:
-        raise FileProblem(
-            "the Zarr group holds no colour images of shape (frames, rows, cols, 3)", path
-        )
-    streams, notes = _make_streams(cameras, path, options, n_episodes)
-    return Recording(
-        path=path, format="Zarr replay buffer", streams=streams, notes=(*files.notes, *notes)
-    )
-
-
 def _make_streams(
-    cameras: Mapping[str, Sequence[ImageStack]],
-    path: Path,
-    options: ReadOptions,
-    n_episodes: int = 1,
+    cameras: Mapping[str, Sequence[ImageStack]], path: Path, options: ReadOptions
 ) -> tuple[tuple[Stream, ...], tuple[str, ...]]:
     def open_camera(camera: str) -> ImageSource:
         return make_array_source(_join_episodes(camera, cameras[camera], path), camera, path)
@@ -163,7 +98,7 @@ def _make_streams(
     streams, notes = make_streams(
         {escape_text(camera): partial(open_camera, camera) for camera in cameras}, path, options
     )
-    n_episodes = max(n_episodes, *map(len, cameras.values()))
+    n_episodes = max(map(len, cameras.values()))
     if n_episodes > 1:
         notes += (f"{n_episodes} episodes follow each other; the reference is of the first",)
     return streams, notes
@@ -258,68 +193,3 @@ def _walk_datasets(file: Any, path: Path) -> Iterator[tuple[str, Any]]:
         place = str(part.name).lstrip("/")
         if not (part.is_virtual or part.external or _LEFT_OUT.search(place)):
             yield place, part
-
-
-def _list_zarr_arrays(root: Path) -> list[Path]:
-    """The folders of arrays in a Zarr group."""
-    found = list[Path]()
-    folders = [root]
-    n_objects = 0
-    while folders:
-        folder = folders.pop()
-        if any((folder / name).is_file() for name in _ARRAY_FILES[:1]) or _is_zarr_3_array(folder):
-            found.append(folder)
-            continue
-        for entry in folder.iterdir():
-            n_objects += 1
-            if n_objects > _MAX_OBJECTS:
-                raise FileProblem(f"the data set holds more than {_MAX_OBJECTS} parts", root)
-            if entry.is_dir() and not entry.is_symlink():
-                folders.append(entry)
-    return sorted(found, key=lambda folder: natural_sort_key(folder.as_posix()))
-
-
-def _is_zarr_3_array(folder: Path) -> bool:
-    described = folder / "zarr.json"
-    return described.is_file() and _read_description(described).get("node_type") == "array"
-
-
-def _read_description(file: Path) -> dict[str, Any]:
-    described = read_json(file, "the description of an array")
-    if not isinstance(described, dict):
-        raise FileProblem("the description of an array is damaged", file)
-    return described
-
-
-def _check_zarr_array(folder: Path) -> None:
-    """Refuse codecs that run code or are unknown, and entries that are no regular files (a pipe
-    blocks for ever).
-    """
-    file = next(folder / name for name in _ARRAY_FILES if (folder / name).is_file())
-    described = _read_description(file)
-    used = [
-        described.get("compressor"),
-        *(described.get("filters") or []),
-        *(described.get("codecs") or []),
-    ]
-    names = [
-        str(codec.get("id") or codec.get("name")) if isinstance(codec, dict) else "?"
-        for codec in used
-        if codec
-    ]
-    unknown = sorted(set(names) - _CODECS)
-    if unknown:
-        raise FileProblem(
-            f"the array is stored with the codec {', '.join(unknown)}, which is not read; save it "
-            "with blosc or zstd",
-            file,
-        )
-    if "O" in str(described.get("dtype", "")):
-        raise FileProblem(
-            "the array holds objects, which could run code; save images as uint8", file
-        )
-    with os.scandir(folder) as entries:
-        for entry in entries:
-            mode = entry.stat().st_mode
-            if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-                raise FileProblem("a part of the array is a pipe or a device", entry.path)
