@@ -21,6 +21,7 @@ from app.document.session_controller import SessionController  # noqa: E402 - th
 from app.main import show_window  # noqa: E402
 from app.session.state import Session  # noqa: E402
 from app.shell.tour import wait_until_shown  # noqa: E402
+from tests.app.shared_results import share_results  # noqa: E402
 from widgets.style.theme import use_palette  # noqa: E402
 
 N_FRAMES = 3
@@ -76,6 +77,14 @@ def ball_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     sides = [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in ball.regular_faces]
     path.write_text("\n".join([*corners, *sides, ""]))
     return path
+
+
+@pytest.fixture(scope="session", autouse=True)
+def shared_results() -> Iterator[None]:
+    """Frames that many windows show are computed once."""
+    with pytest.MonkeyPatch.context() as patch:
+        share_results(patch)
+        yield
 
 
 @pytest.fixture(autouse=True)
