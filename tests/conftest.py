@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,16 @@ def real_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real recordings at {folder.name!r} (set TACTILE_DATA)")
     return folder
+
+
+@pytest.fixture(scope="module")
+def shared_results() -> Iterator[None]:
+    """Frames that tests of several modules evaluate are computed once in this process."""
+    from tests.shared_results import share_results
+
+    with pytest.MonkeyPatch.context() as patch:
+        share_results(patch)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -18,13 +18,14 @@ from pipeline.sensors.spec import load_sensor
 prepare_environment()
 
 from app.document.session_controller import SessionController  # noqa: E402 - the environment comes first
+from app.frames import frame_ranking  # noqa: E402
 from app.main import show_window  # noqa: E402
 from app.session.state import Session  # noqa: E402
 from app.shell.tour import wait_until_shown  # noqa: E402
-from tests.app.shared_results import share_results  # noqa: E402
 from widgets.style.theme import use_palette  # noqa: E402
 
 N_FRAMES = 3
+RANKING_DELAY_MS = frame_ranking._DELAY_MS
 
 
 def bubble_frames() -> list[TactileFrame]:
@@ -79,12 +80,26 @@ def ball_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture(scope="session", autouse=True)
-def shared_results() -> Iterator[None]:
-    """Frames that many windows show are computed once."""
-    with pytest.MonkeyPatch.context() as patch:
-        share_results(patch)
+@pytest.fixture(scope="module", autouse=True)
+def frames_computed_once(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Frames that many windows show are computed once, and those that none shows not at all.
+
+    A module with `AS_USERS_HAVE_IT` has windows that do and hold everything.
+    """
+    if getattr(request.module, "AS_USERS_HAVE_IT", False):
         yield
+        return
+    request.getfixturevalue("shared_results")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(frame_ranking, "_DELAY_MS", 10**8)
+        yield
+
+
+@pytest.fixture(autouse=True)
+def ranking_where_asked(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Windows of tests marked `ranks_frames` compute all frames of a recording, as they do."""
+    if request.node.get_closest_marker("ranks_frames") is not None:
+        monkeypatch.setattr(frame_ranking, "_DELAY_MS", RANKING_DELAY_MS)
 
 
 @pytest.fixture(autouse=True)

@@ -19,6 +19,7 @@ from widgets.frames.frame_summary import FrameSummary
 from widgets.frames.frames_model import CAUSE, FRAME, METRIC, NOTE, WARNINGS
 from widgets.frames.frames_panel import FramesPanel
 
+pytestmark = pytest.mark.ranks_frames
 LIMIT_MS = 240_000
 _UP = Qt.SortOrder.AscendingOrder
 _DOWN = Qt.SortOrder.DescendingOrder

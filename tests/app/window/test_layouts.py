@@ -66,18 +66,18 @@ def _measure(window) -> tuple[float, float]:
     return max(wide for wide, _ in images), area / (window.width() * window.height())
 
 
-@pytest.mark.parametrize("size", ROOM)
-def test_most_of_the_window_shows_touches(window, qtbot, size):
-    least_px, least_share = ROOM[size]
+@pytest.mark.ranks_frames
+def test_most_of_the_window_shows_touches(window, qtbot):
     model = window.window.frames.model
     qtbot.waitUntil(lambda: len(model.thumbnails) > 8, timeout=240_000)
+    for size, (least_px, least_share) in ROOM.items():
 
-    def roomy() -> bool:
-        window.window.resize(*size)
-        largest_px, share = _measure(window.window)
-        return largest_px >= least_px and share >= least_share
+        def roomy(size=size, least_px=least_px, least_share=least_share) -> bool:
+            window.window.resize(*size)
+            largest_px, share = _measure(window.window)
+            return largest_px >= least_px and share >= least_share
 
-    qtbot.waitUntil(roomy, timeout=240_000)
+        qtbot.waitUntil(roomy, timeout=240_000)
 
 
 def test_the_inspector_folds_in_a_small_window_and_returns_in_a_large_one(bubble_window, qtbot):

@@ -16,6 +16,7 @@ from app.shell.tour import wait_until_shown
 from pipeline.cli.terminal import print_line
 from tests.app.window.monkey import Monkey
 
+AS_USERS_HAVE_IT = True
 LIMIT_S = 240
 _MINUTES_OF_LOADING = 5.0  # networks and libraries load meanwhile; memory is judged in longer runs
 

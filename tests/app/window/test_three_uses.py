@@ -13,6 +13,7 @@ from app.session.state import load_session
 from app.shell.tour import wait_until_shown
 from widgets.shell.welcome import WelcomePage
 
+AS_USERS_HAVE_IT = True
 LIMIT_S = 240
 LIMIT_MS = 240_000
 _LEFT = Qt.MouseButton.LeftButton

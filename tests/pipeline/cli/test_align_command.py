@@ -20,6 +20,7 @@ from pipeline.translation.translate import Request, open_translation
 from sample_data import make_alignments
 from sample_data.make_samples import RECORDINGS_FOLDER
 
+pytestmark = pytest.mark.usefixtures("shared_results")
 SAMPLE = RECORDINGS_FOLDER / "digit_gelslim.h5"
 EXACT = load_alignment(
     make_alignments.alignment_path("digit", "gelslim"), source="digit", target="gelslim"

@@ -14,6 +14,8 @@ from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
 from pipeline.io import open_recording
 from tests.pipeline.cli.test_cli import SAMPLE
 
+pytestmark = pytest.mark.usefixtures("shared_results")
+
 
 def run(*tokens):
     return run_app(build_app(), [str(token) for token in tokens])

@@ -24,6 +24,7 @@ from pipeline.sensors.descriptions import find_descriptions
 from pipeline.sensors.spec import load_sensor
 from tests.pipeline.cli.conftest import MINI, save
 
+pytestmark = pytest.mark.usefixtures("shared_results")
 SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
 
 

@@ -46,6 +46,8 @@ def test_frames_of_two_processes_are_those_of_one(follow, tmp_path, monkeypatch,
         assert all(one[key].tobytes() == two[key].tobytes() for key in one.files)
     one, two = (json.loads(Path(where, "report.json").read_text()) for where in ("one", "two"))
     assert [f["metrics"] for f in one["frames"]] == [f["metrics"] for f in two["frames"]]
+    if follow:
+        return
     assert run_app(build_app(), [*common, "--jobs", "2", "--out", "two"]) == 0
     assert f"{len(frames)} of them were finished by an earlier run" in capsys.readouterr().out
 

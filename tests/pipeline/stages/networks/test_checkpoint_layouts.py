@@ -73,16 +73,19 @@ LAYOUTS = {
         for n, t in state.items()
     },
 }
+LARGE = ("latent", "depth_anything")  # of these only layouts that differ in what is read
 
 
 @pytest.fixture(scope="module", params=KINDS)
 def kind(request, tmp_path_factory):
-    """(state, reader, what the reader makes of the bare state)."""
+    """(state, reader, what the reader makes of the bare state, which its network takes)."""
     make, read = KINDS[request.param]
     path = tmp_path_factory.mktemp("bare") / "weights.pth"
     state = make()
     torch.save(state, path)
-    return state, read, read(path)
+    bare = read(path)
+    load_network(bare)
+    return state, read, bare
 
 
 def check_equal(weights, bare, atol=0.0):
@@ -92,13 +95,23 @@ def check_equal(weights, bare, atol=0.0):
         np.testing.assert_allclose(tensor, bare.tensors[name], atol=atol, rtol=atol, err_msg=name)
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize(
+    ("kind", "layout"),
+    [
+        (kind, layout)
+        for kind in KINDS
+        for layout in LAYOUTS
+        if kind not in LARGE or layout in ("distributed checkpoint", "compiled", "bfloat16")
+    ],
+    indirect=["kind"],
+)
 def test_every_layout_gives_the_tensors_of_the_bare_state(kind, tmp_path, layout):
     state, read, bare = kind
     torch.save(LAYOUTS[layout](state), tmp_path / "weights.pth")
     weights = read(tmp_path / "weights.pth")
     check_equal(weights, bare, 0.01 if "float16" in layout else 0.0)
-    load_network(weights)
+    if "float16" in layout:  # others are equal to what a network takes
+        load_network(weights)
 
 
 def test_tensors_saved_on_a_gpu_are_read_without_one(kind, tmp_path, monkeypatch):

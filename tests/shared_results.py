@@ -1,8 +1,7 @@
-"""Stage results that all windows of this process share: what one test computed, the next one gets
-as if it was computed.
+"""Stage results that tests share: what one has computed, the next one gets as if it was computed.
 
 Methods are pure, so that tests see what they would see without it, only sooner. A method that a
-test brings itself has another function and is run.
+test brings itself has another function and is run; so is a key that another setting or input makes.
 """
 
 from __future__ import annotations
@@ -15,12 +14,11 @@ from pipeline.core import graph
 from pipeline.core.graph import Graph
 from pipeline.core.memo import CacheEntry, Memo
 
-_MAX_BYTES = 256 << 20
+SHARED: Memo[object, CacheEntry] = Memo(most_bytes=256 << 20, weigh=lambda entry: entry.n_bytes)
 
 
 def share_results(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let every graph of this process look up what another one has computed."""
-    shared: Memo[object, CacheEntry] = Memo(most_bytes=_MAX_BYTES, weigh=lambda one: one.n_bytes)
     evaluate = Graph._evaluate_method
     run = Graph._run_method
     asked = threading.local()
@@ -32,10 +30,10 @@ def share_results(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def run_method(self, *given):
         key = asked.key
-        entry = shared.get(key)
+        entry = SHARED.get(key)
         if entry is None:
             entry = run(self, *given)
-            shared.put(key, entry)
+            SHARED.put(key, entry)
         return entry
 
     monkeypatch.setattr(Graph, "_evaluate_method", evaluate_method)
