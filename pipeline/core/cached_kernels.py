@@ -16,7 +16,8 @@ from numba.core.runtime.nrt import rtsys
 
 from pipeline.core import compiling
 
-config.CACHE_DIR = os.fspath(compiling.kernel_folder())  # pyright: ignore[reportAttributeAccessIssue]
+_config: Any = config
+_config.CACHE_DIR = os.fspath(compiling.kernel_folder())
 
 FAST = {"contract", "arcp", "nsz", "reassoc"}  # not nnan: a NaN has to stay a NaN
 
@@ -77,7 +78,8 @@ def kernel(**options: Any) -> Any:
     """Decorate a function that Python calls: compiled once and cached; `options` are numba's."""
     # Kernels are never called from C: without the entry point for C, compiling takes a seventh less
     # time.
-    compiled: Any = njit(cache=True, no_cfunc_wrapper=True, error_model="numpy", **options)  # type: ignore[reportCallIssue]
+    make: Any = njit
+    compiled = make(cache=True, no_cfunc_wrapper=True, error_model="numpy", **options)
 
     def declare_kernel(function: Any) -> Any:
         dispatcher = compiled(function)

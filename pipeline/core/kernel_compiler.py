@@ -48,11 +48,13 @@ def serve() -> None:
     with contextlib.suppress(EOFError, OSError):
         while True:
             with _end_when_idle():
-                module, name, signature = pickle.load(sys.stdin.buffer)  # noqa: S301 - from the process that started this
+                # from the process that started this one
+                module, name, signature = pickle.load(sys.stdin.buffer)  # noqa: S301
             try:
                 getattr(importlib.import_module(module), name).compile(signature)
                 reply = ""
-            except Exception as error:  # noqa: BLE001 - whoever asks compiles it then, and reports the same
+            # whoever asks compiles it then, and reports the same
+            except Exception as error:  # noqa: BLE001
                 reply = f"{type(error).__name__}: {error}"
             pickle.dump(reply, replies)
             replies.flush()
@@ -107,7 +109,8 @@ class _CompilerProcess:
                 asked.flush()
                 if not _wait_for_answer(process):
                     break
-                return pickle.load(replies) == ""  # noqa: S301 - from the process that this one started
+                # from the process that this one started
+                return pickle.load(replies) == ""  # noqa: S301
             self.stop()
         self.stop()
         return False
@@ -128,7 +131,8 @@ class _CompilerProcess:
                 **os.environ,
                 "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
             }
-            self._process = subprocess.Popen(  # noqa: S603 - this very interpreter; -P: nothing from the folder it runs in
+            # this very interpreter; -P: nothing from the folder that it runs in
+            self._process = subprocess.Popen(  # noqa: S603
                 [sys.executable, "-P", "-c", _SERVE],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,

@@ -33,7 +33,8 @@ _SENSOR_WORDS = (  # words of one line tell the sensors of one hand or rig apart
     ("gelslim", "gelsight", "digit", "mini", "bubble", "duragel", "tac3d"),
 )
 _NUMBERED = re.compile(
-    r"(?<![a-z])(?:cam|camera|finger|sensor|gripper|digit|gelsight|gelslim|mini|tactile)[\W_]?(\d+)(?!\d)",
+    r"(?<![a-z])(?:cam|camera|finger|sensor|gripper|digit|gelsight|gelslim|mini|tactile)"
+    r"[\W_]?(\d+)(?!\d)",
     re.IGNORECASE,
 )
 _MAX_SENSORS = 8

@@ -212,7 +212,8 @@ def _apply_split_file(grasps: list[GraspFiles], root: Path) -> tuple[list[GraspF
         key = g.grasp.tool, g.grasp.number
         if key in split_of and (one_folder or is_training_split(g.grasp.split)):
             used.add(key)
-            g = replace(g, grasp=replace(g.grasp, split=split_of[key]))  # noqa: PLW2901 - the same grasp
+            grasp = replace(g.grasp, split=split_of[key])
+            g = replace(g, grasp=grasp)  # noqa: PLW2901 - the same grasp
         out.append(g)
     missing = [f"{tool} {number}" for tool, number in split_of if (tool, number) not in used]
     return out, [

@@ -133,7 +133,8 @@ def make_decoders() -> Decoders:
     Raises SettingProblem without the package `mcap`.
     """
     try:
-        import mcap.reader as _  # noqa: F401 # the packages below need it, and it brings what unfolds chunks
+        # the packages below need it, and it brings what unfolds chunks
+        import mcap.reader as _  # noqa: F401
     except ImportError as error:
         raise SettingProblem(
             "messages are read by mcap, which is not installed; pip install mcap-protobuf-support"

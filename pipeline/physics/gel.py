@@ -96,7 +96,8 @@ def find_fast_length(n: int) -> int:
     """The next length with a fast Fourier transform."""
     from scipy import fft
 
-    return int(fft.next_fast_len(n, real=True))  # pyright: ignore[reportArgumentType] (dispatch hides the type)
+    # dispatch hides the type
+    return int(fft.next_fast_len(n, real=True))  # pyright: ignore[reportArgumentType]
 
 
 def _compute_reach_px(gel: Gel, pixel_mm: float) -> int:

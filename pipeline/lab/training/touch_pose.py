@@ -77,8 +77,8 @@ class TouchPoseTask(AugmentedPresses):
             example["object_one_hot"] = np.zeros_like(example["object_one_hot"])
         return example
 
-    def make_validation_example(self, split: Split, index: int) -> Example:  # noqa: ARG002 - all objects are trained on
-        """A touch in a new pose; every other one is partial."""
+    def make_validation_example(self, split: Split, index: int) -> Example:  # noqa: ARG002
+        """A touch in a new pose; every other one is partial. All objects are trained on."""
         return self._make_example(
             index // 2, VALIDATION_SEED, float(index % 2 == 0), np.random.default_rng([5, index])
         )

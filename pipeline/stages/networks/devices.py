@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import fields, is_dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from pipeline.core.errors import SettingProblem
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from torch import nn
 
@@ -120,7 +120,7 @@ def _map_tensors(value: Any, change: Callable[[Any], Any]) -> Any:
     if isinstance(value, torch.Tensor):
         return change(value)
     if isinstance(value, tuple | list):
-        parts = [_map_tensors(part, change) for part in value]  # type: ignore[reportUnknownVariableType]
+        parts = [_map_tensors(part, change) for part in cast("Iterable[Any]", value)]
         return type(value)(*parts) if hasattr(value, "_fields") else type(value)(parts)
     if is_dataclass(value) and not isinstance(value, type):
         named = {f.name: _map_tensors(getattr(value, f.name), change) for f in fields(value)}

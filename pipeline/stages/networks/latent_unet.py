@@ -126,7 +126,9 @@ class _LayerFactory:
 class _Steps(nn.Sequential):
     """A sequence of layers; blocks also receive the time embedding."""
 
-    def forward(self, field: Tensor, embedding: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def forward(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self, field: Tensor, embedding: Tensor
+    ) -> Tensor:
         for part in self:
             field = part(field, embedding) if isinstance(part, _Block) else part(field)
         return field

@@ -281,7 +281,8 @@ def _read_entries(path: Path) -> tuple[dict[str, str], dict[str, Mapping[str, An
     try:
         with safe_open(path, framework="numpy") as file:
             metadata = file.metadata() or {}
-            sizes = [math.prod(file.get_slice(name).get_shape()) for name in file.keys()]  # noqa: SIM118
+            names = file.keys()
+            sizes = [math.prod(file.get_slice(name).get_shape()) for name in names]
         require_budget(4 * sum(sizes), _WHAT, path, most=MOST_NETWORK_BYTES)
         entries = dict(deserialize(path.read_bytes()))
     except (SafetensorError, ValueError, RecursionError, OSError) as error:
