@@ -19,6 +19,7 @@ from pipeline.views.preview import Preview, Tile, make_recorded_preview
 
 SOURCE = "source"
 IN_PROGRESS = "working…"
+_DIFFERENCE = "A minus B"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -214,24 +215,20 @@ def _share_scales(one: VariantView, other: VariantView) -> tuple[VariantView, Va
 
 
 def _build_difference_tile(one: VariantView, other: VariantView, stage: str) -> Tile:
-    """A less B; wipe and blink alternate between the two."""
+    """A minus B; wipe and blink alternate between the two."""
     a, b = (view.stages[stage].preview if stage in view.stages else None for view in (one, other))
     values = one.stage_metrics(stage)
     reference = other.stage_metrics(stage)
     metrics = {name: values[name] - reference[name] for name in values if name in reference}
     subtitle = " · ".join(f"{name} {value:+.3g}" for name, value in metrics.items())
-    difference = (
-        None
-        if a is None or b is None
-        else compute_difference(a, b, label="A less B", fit_scale=True)
-    )
+    difference = None if a is None or b is None else compute_difference(a, b, label=_DIFFERENCE)
     if difference is None:
         problem = (
             "" if b is None else "no difference: the two have other pixels, or no common scale"
         )
-        return Tile(title="A less B", subtitle=subtitle, metrics=metrics, problem=problem)
+        return Tile(title=_DIFFERENCE, subtitle=subtitle, metrics=metrics, problem=problem)
     return Tile(
-        title="A less B",
+        title=_DIFFERENCE,
         subtitle=subtitle,
         metrics=metrics,
         preview=a,
