@@ -167,7 +167,7 @@ def describe_cause(attribution: ErrorAttribution | None, results: Mapping[str, S
         elif is_unseen:
             parts.append(f"{share / attribution.total:.0%} of it: {next(iter(reasons), cause)}.")
         else:
-            why = "; ".join((cause, *reasons[:1]))
+            why = "; ".join((cause, *(reason.partition(";")[0] for reason in reasons[:1])))
             parts.append(f"{share / attribution.total:.0%} of it: {why}.")
     return " ".join(parts)
 

@@ -14,6 +14,7 @@ from app.document.autosave import AutosaveController
 from app.document.reference_choice import ReferenceController
 from app.document.session_controller import SessionController
 from app.export.export import ExportController
+from app.folder.folder import FolderController
 from app.frames.error_attribution import ErrorAttributionController
 from app.frames.frame_ranking import FrameRankingController
 from app.frames.verdict import VerdictController
@@ -99,6 +100,7 @@ def connect(controller: SessionController, theme: Theme = "dark") -> AutosaveCon
     RolloutAttributionController(controller, rollouts)
     RolloutExportController(controller, rollouts, export, autosave)
     LiveController(controller, autosave)
+    FolderController(controller)
     track = TrackController(controller, export, autosave)
     mending = MendingController(controller, BallCalibrationController(controller, export, autosave))
     reference = ReferenceController(controller)

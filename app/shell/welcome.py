@@ -42,8 +42,12 @@ class WelcomeController(Feature):
 
     def show_session(self, session: Session) -> None:
         """Show the page if nothing is open."""
-        # whose page may read a folder
-        is_empty = session.recording is None and session.layout.name != "track"
+        # whose pages may read a folder
+        is_empty = session.recording is None and session.layout.name not in (
+            "track",
+            "task",
+            "folder",
+        )
         if is_empty and self.page.isHidden():
             self.page.show_recent(self._autosave.preferences.recent_files)
             self.page.raise_()

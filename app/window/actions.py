@@ -29,7 +29,11 @@ FILE_COMMANDS = (
     Command("open_sample", "Open sample", "Open the sample recording", icon="sample"),
     Command("open_recording", "Open recording…", "Open a recording", icon="open", key="Ctrl+O"),
     Command(
-        "open_folder", "Open folder…", "Open a folder of images", icon="folder", key="Ctrl+Shift+O"
+        "open_folder",
+        "Open folder…",
+        "Open a folder: the images of one recording, or several recordings as a table",
+        icon="folder",
+        key="Ctrl+Shift+O",
     ),
     Command(
         "open_mesh",
@@ -349,6 +353,13 @@ LAYOUT_COMMANDS = (
         "Task",
         "Show the rollouts of a task: why a trial fails",
         key="Ctrl+5",
+        checkable=True,
+    ),
+    Command(
+        "layout_folder",
+        "Folder",
+        "Show the recordings of a folder as one table",
+        key="Ctrl+6",
         checkable=True,
     ),
 )
