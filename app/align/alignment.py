@@ -239,7 +239,7 @@ class AlignmentController(Feature):
         if opened is not None:
             target = opened.target
             self._panel.show_ready(
-                target.name, _DEPTH_GAUGE_MM[target.sensor_kind.display_group], target.pixel_mm
+                target.title, _DEPTH_GAUGE_MM[target.sensor_kind.display_group], target.pixel_mm
             )
         self._panel.show_score(assessment.score, assessment.no_score_reason)
         self._score = assessment.score

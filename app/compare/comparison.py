@@ -10,6 +10,7 @@ from typing import cast
 from app.compare.variant_jobs import (
     describe_differences,
     format_compare_command,
+    label_axes,
     list_axes,
     open_variant,
 )
@@ -113,7 +114,7 @@ class ComparisonController(BackgroundController):
         now = self._controller.session
         if now.recording is not None:
             self._controller.change(
-                "set B",
+                "keep as B",
                 variant=replace(session, variant=None),
                 comparison=replace(now.comparison, tab="two"),
                 layout=replace(now.layout, name="compare"),
@@ -229,7 +230,8 @@ class ComparisonController(BackgroundController):
         known = dict.fromkeys((DEFAULT_METRIC, *controller.window.frames.model.metrics))
         metrics = {name: describe_metric(name) for name in known if is_stage_error(name)}
         metric = tab.metric_box.choice if tab.metric_box.count() else DEFAULT_METRIC
-        tab.offer_axes(axes, {**metrics, "": "time only"}, metric)
+        labels = label_axes(axes, controller.methods, controller.catalogue)
+        tab.offer_axes(axes, {**metrics, "": "time only"}, metric, labels)
         if self._grid is not None and _get_subject(self._grid[0]) != _get_subject(session):
             self.abandon()
             self._grid = None

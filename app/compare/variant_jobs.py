@@ -4,7 +4,7 @@ same comparisons.
 
 import os
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -81,6 +81,23 @@ def list_axes(
         if method.weights is not None:
             axes[f"{method.stage}.{WEIGHTS}"] = str(session.weights.get(method.stage, ""))
     return axes
+
+
+def label_axes(
+    axes: Iterable[str], methods: Sequence[Method], catalogue: Catalogue
+) -> dict[str, str]:
+    """Return axis -> what people read: stage and parameter."""
+    settings = {
+        f"{method.stage}.{name}": setting
+        for method in methods
+        for name, (_, setting) in list_settings(method.params()).items()
+    }
+    words: dict[str, str] = {}
+    for axis in axes:
+        stage, _, name = axis.partition(".")
+        what = settings[axis].label.lower() if axis in settings else name
+        words[axis] = f"{catalogue.stage(stage).title}: {what}"
+    return words
 
 
 def suggest_values(value: Value, setting: Setting) -> tuple[Value, ...]:

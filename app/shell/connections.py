@@ -159,9 +159,8 @@ def _connect_columns(controller: SessionController) -> None:
 
 def _fill_choices(window: MainWindow, catalogue: Catalogue) -> None:
     sensors = list_sensor_titles()
-    names = {name: name for name in sensors}
-    window.source.offer({"": "as recorded", **sensors}, tips=names)
-    window.target.offer(sensors, tips=names)
+    window.source.offer({"": "as recorded", **sensors})
+    window.target.offer(sensors)
     titles = {route.name: route.title for route in catalogue.routes}
     window.route.offer({route.name: route.label for route in catalogue.routes}, tips=titles)
     window.route.setEnabled(len(catalogue.routes) > 1)

@@ -46,7 +46,7 @@ FILE_COMMANDS = (
     Command(
         "open_calibration",
         "Open calibration…",
-        "Open a calibration table written by `tactoscope calibrate balls`",
+        "Open a calibration table of the source sensor",
     ),
     Command(
         "open_weights", "Open weights…", "Open network weights for a method that reads weights"
@@ -303,7 +303,7 @@ REGISTRATION_COMMANDS = (
     Command(
         "open_alignment",
         "Open alignment…",
-        "Open the alignment of the two sensors, a .toml as `tactoscope align refine` writes it",
+        "Open the alignment of the two sensors, a .toml",
     ),
     Command("save_alignment", "Save alignment as…", "Save the alignment with its offsets as .toml"),
     Command(
@@ -314,7 +314,7 @@ REGISTRATION_COMMANDS = (
         key="A",
     ),
     Command("step_through", "Step through", "Keep the iterations of the pose and show them"),
-    Command("open_track", "Open track…", "Open a folder that `tactoscope track` wrote"),
+    Command("open_track", "Open track…", "Open a folder with a track"),
     Command(
         "export_track", "Export track…", "Write table, summary and surface of the track to a folder"
     ),
@@ -364,9 +364,7 @@ LAYOUT_COMMANDS = (
     ),
 )
 TASK_COMMANDS = (
-    Command(
-        "open_rollouts", "Open rollouts…", "Open a folder that `tactoscope task --record` wrote"
-    ),
+    Command("open_rollouts", "Open rollouts…", "Open a folder of recorded trials"),
     Command("previous_trial", "Previous trial", "Open the trial above in the table", key="Ctrl+Up"),
     Command("next_trial", "Next trial", "Open the trial below in the table", key="Ctrl+Down"),
     Command("next_decision", "Next decision", "Go to the tick of the next decision", key="N"),

@@ -4,6 +4,7 @@ grid.
 
 from collections.abc import Mapping, Sequence
 from functools import partial
+from types import MappingProxyType
 
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import (
@@ -103,9 +104,14 @@ class GridTab(ComparisonTab):
         line.setText(self._offers.get(title, ""))
 
     def offer_axes(
-        self, offers: Mapping[str, str], metrics: Mapping[str, str], metric: str
+        self,
+        offers: Mapping[str, str],
+        metrics: Mapping[str, str],
+        metric: str,
+        labels: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
-        """Offer axes (title -> suggested values) and metrics (name -> title); emits no signal.
+        """Offer axes (name -> suggested values) with their `labels`, and metrics (name -> title);
+        emits no signal.
 
         The chosen axes and their values stay while they are offered, else the first ones are
         chosen.
@@ -115,7 +121,7 @@ class GridTab(ComparisonTab):
         for box, line, default, none in zip(
             self.axes, self.values, first, ({}, {"": "one row"}), strict=True
         ):
-            titles = {**none, **{title: title for title in offers}}
+            titles = {**none, **{name: labels.get(name, name) for name in offers}}
             keeps = box.count() > 0 and box.choice in titles
             box.offer(titles, box.choice if keeps else default)
             if not keeps:

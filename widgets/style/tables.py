@@ -26,34 +26,6 @@ SORT_ROLE = Qt.ItemDataRole.UserRole  # a number, so that 10 comes after 9; unkn
 _LIMIT = re.compile(r"([<>])=?(-?\d+(?:\.\d*)?|-?\.\d+)$")
 
 
-def get_limits(words: str) -> tuple[float, float]:
-    """Return the range that the limits among the terms of a filter leave, infinite where there
-    is none.
-    """
-    limits = [match for match in map(_LIMIT.match, words.split()) if match is not None]
-    return (
-        max((float(m.group(2)) for m in limits if m.group(1) == ">"), default=-math.inf),
-        min((float(m.group(2)) for m in limits if m.group(1) == "<"), default=math.inf),
-    )
-
-
-def replace_limits(words: str, low: float, high: float) -> str:
-    """Return the filter with these limits in place of its own, none where they are infinite."""
-    others = [word for word in words.split() if _LIMIT.match(word) is None]
-    limits = [
-        f"{sign}{_format_limit(value)}"
-        for sign, value in ((">", low), ("<", high))
-        if math.isfinite(value)
-    ]
-    return " ".join((*others, *limits))
-
-
-def _format_limit(value: float) -> str:
-    """Return a number to three significant digits, without an exponent."""
-    digits = 2 - math.floor(math.log10(abs(value))) if value else 0
-    return f"{value:.{min(max(digits, 0), 9)}f}"
-
-
 class RowsModel(QAbstractTableModel):
     """One row per thing under titled columns; subclasses set `n_rows` and the cells' `data`."""
 

@@ -20,7 +20,7 @@ from widgets.style.tables import (
     prepare_table,
 )
 
-_HINT = "filter: fails, t2t, hex_key, >0.5, a word"
+_HINT = "filter: fails, t2t, >0.5, a word"
 _FILTER_TIP = "Trials that match all terms: a limit of the error in mm, or a word of any column"
 _CAUSE_PX = 320
 TRIAL, CASE, TOUCH, TOLERANCE, OUTCOME, ERROR_MM, ERROR_DEG, CAUSE, TASK = range(9)

@@ -220,6 +220,9 @@ def test_every_folder_of_real_data_opens_by_two_clicks(
     """After the file dialog: a button, and an entry of its menu or another dialog."""
     controller = bubble_window
     controller.open_path(real_data / folder)
+    table = controller.window.folder
+    if table.model.paths:  # it holds several, and Enter opens one
+        table.recording_chosen.emit(table.model.paths[0])
     wait_until_shown(controller, LIMIT_S)
     if mend is not None:
         mend(controller, real_data)
@@ -246,6 +249,9 @@ def test_a_folder_of_meshes_opens_the_object_of_the_recording_before(
 
 @pytest.mark.real_data
 def test_a_folder_of_tables_says_what_it_is(bubble_window, real_data):
+    model = bubble_window.window.folder.model
     bubble_window.open_path(real_data / "taxim_calibration")
+    assert len(model.paths) > 1
+    bubble_window.open_path(model.paths[0])
     assert not wait_until_shown(bubble_window, LIMIT_S)
     assert find(bubble_window.window.banner.buttons, "Return to")
