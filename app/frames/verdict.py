@@ -9,7 +9,7 @@ from app.document.evaluator import EvaluatedFrame
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
 from app.frames.error_attribution import ErrorAttributionController
-from pipeline.core.errors import find_uncertain_contact
+from pipeline.core.errors import find_uncertain_contact, name_options
 from pipeline.core.graph import StageResult
 from pipeline.core.values.results import DepthMap
 from pipeline.stages.metrics.stage_metrics import METRICS
@@ -81,7 +81,7 @@ class VerdictController(Feature):
         ]
         found.sort(key=lambda one: one[0])
         return [
-            Finding(sentence=f"{stage(name).title}: {warning}", stage=name)
+            Finding(sentence=name_options(f"{stage(name).title}: {warning}"), stage=name)
             for _, name, warning in found
         ]
 
@@ -169,7 +169,7 @@ def describe_cause(attribution: ErrorAttribution | None, results: Mapping[str, S
         else:
             why = "; ".join((cause, *(reason.partition(";")[0] for reason in reasons[:1])))
             parts.append(f"{share / attribution.total:.0%} of it: {why}.")
-    return " ".join(parts)
+    return name_options(" ".join(parts))
 
 
 def collect_shares(attribution: ErrorAttribution | None) -> dict[str, tuple[float, str]]:

@@ -44,7 +44,7 @@ from pipeline.sensors.spec import list_sensor_titles
 from pipeline.translation.catalogue import Catalogue
 from pipeline.translation.truth_view import ComparisonMode
 from pipeline.views.display_params import DisplayParams
-from widgets.shell.command_palette import CommandPalette, ShortcutsPage
+from widgets.shell.command_palette import CommandPalette
 from widgets.style.icons import make_command_icon
 from widgets.style.tables import TableCopier
 from widgets.timeline.timeline import Timeline
@@ -267,12 +267,10 @@ def _toggle_comparison_mode(controller: SessionController, mode: ComparisonMode)
 
 
 def _connect_palette(window: MainWindow) -> None:
-    """Connect the command palette, the shortcuts page, the keyboard focus filter and the copy of
-    tables.
-    """
+    """Connect the command palette, the keyboard focus filter and the copy of tables."""
     palette = CommandPalette(window)
     command = window.actions_by_name["palette"]
-    command.setShortcuts([command.shortcut(), QKeySequence("Ctrl+Shift+P")])
+    command.setShortcuts([command.shortcut(), QKeySequence("Ctrl+Shift+P"), QKeySequence("F1")])
 
     def list_commands() -> list[QAction]:
         commands = [
@@ -283,13 +281,6 @@ def _connect_palette(window: MainWindow) -> None:
     window.connect_command("palette", lambda: palette.show_commands(list_commands()))
     KeyboardFocusFilter(window)
     TableCopier(window)
-    shortcuts = ShortcutsPage(window)
-    window.connect_command(
-        "keys",
-        lambda: shortcuts.show_commands(
-            {title: menu.actions() for title, menu in window.menus.items()}
-        ),
-    )
 
 
 def _connect_undo(controller: SessionController) -> None:

@@ -42,7 +42,7 @@ class MendingController(Feature):
         super().__init__(controller)
         self._calibration = calibration
         self.notification = NotificationBar("mending_notification")
-        self._window.strips.addWidget(self.notification)
+        self._window.add_notification(self.notification)
         self._offered: Translation | None = None  # whose offers were made
         self._shown: set[Path | None] = set()  # recordings of which a frame was on screen
         controller.find_remedies = self.find_remedies

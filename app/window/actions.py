@@ -404,8 +404,7 @@ THEME_COMMANDS = (
     Command("theme_system", "System theme", "Follow the desktop's theme", checkable=True),
 )
 HELP_COMMANDS = (
-    Command("palette", "Commands…", "Search all commands", key="Ctrl+K"),
-    Command("keys", "Shortcuts", "Search all commands and their shortcuts", icon="help", key="F1"),
+    Command("palette", "Commands…", "Search all commands and their shortcuts", key="Ctrl+K"),
 )
 MENUS: Mapping[str, tuple[Command, ...]] = {  # title -> commands; every command is in one menu
     "&File": FILE_COMMANDS,

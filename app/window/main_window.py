@@ -36,6 +36,7 @@ from widgets.shell.banner import Banner
 from widgets.shell.command_bar import ActionTabs
 from widgets.shell.inspector import Inspector
 from widgets.shell.log_panel import LogPanel
+from widgets.shell.message_bell import MessageBell
 from widgets.shell.panes import LookPage
 from widgets.stages.parameters_panel import ParametersPanel
 from widgets.stages.probes_panel import ProbesPanel, TracePanel
@@ -44,6 +45,7 @@ from widgets.stages.stage_column import StageColumn
 from widgets.stages.steps_panel import StepsPanel
 from widgets.stages.verdict_line import VerdictLine
 from widgets.style.base import ChoiceBox, EventListener
+from widgets.style.notification_bar import NotificationBar
 from widgets.style.run_bar import RunBar
 from widgets.style.styling import fill, set_spacing
 from widgets.task.task_page import TaskPage
@@ -203,7 +205,8 @@ class MainWindow(QMainWindow):
         centre = QWidget()
         layout = set_spacing(QVBoxLayout(centre), 4, (4, 4, 4, 0))
         self.strips = set_spacing(QVBoxLayout(), 4)  # what is to be acted on, over no view
-        self.strips.addWidget(self.banner)
+        self.bell = MessageBell()
+        self.add_notification(self.banner)
         fill(layout, self.strips, self.verdict, (self.pages, 1), self.timeline)
         self.setCentralWidget(centre)
 
@@ -254,7 +257,7 @@ class MainWindow(QMainWindow):
         status.setFixedHeight(self.run_bar.cancel_button.sizeHint().height() + _STATUS_PX)
         self.setStatusBar(status)
         status.addWidget(self.trace, 1)
-        for widget in (self.readout, self.activity_label, self.run_bar):
+        for widget in (self.readout, self.activity_label, self.run_bar, self.bell):
             status.addPermanentWidget(widget)
         self.show_progress(None)
         self.show_pixel("")
@@ -267,6 +270,7 @@ class MainWindow(QMainWindow):
     def say(self, sentence: str) -> None:
         """Show a sentence in place of the trace for a few seconds."""
         self._status.showMessage(sentence, _SAY_MS)
+        self.bell.add_message(sentence)
 
     @property
     def said(self) -> str:
@@ -311,6 +315,11 @@ class MainWindow(QMainWindow):
             self.task.scene.view,
             self.scene_panel.view,
         )
+
+    def add_notification(self, bar: NotificationBar) -> None:
+        """Add a bar over the pages; what it says stays in the bell."""
+        self.strips.addWidget(bar)
+        bar.message_shown.connect(self.bell.add_message)
 
     def offer_layout(self, name: str, *, offered: bool) -> None:
         """Show the tab of a layout, or hide it where there is nothing for it; its command stays."""

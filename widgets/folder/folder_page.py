@@ -8,7 +8,7 @@ from PyQt6.QtCore import QModelIndex, QObject, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QIcon, QImage, QPixmap
 from PyQt6.QtWidgets import QHBoxLayout, QHeaderView, QLabel, QTableView, QVBoxLayout, QWidget
 
-from pipeline.core.errors import escape_text
+from pipeline.core.errors import escape_text, name_options
 from pipeline.translation.reports.folder_overview import THUMBNAIL_PX, RecordingRow, WorstFrame
 from widgets.style.icons import make_state_icon
 from widgets.style.run_bar import StartBar
@@ -109,7 +109,9 @@ class RecordingsModel(RowsModel):
                 if column == TOUCH
                 else None
             ),
-            _Role.ToolTipRole: lambda: escape_text(row.problem or row.warnings or str(path)),
+            _Role.ToolTipRole: lambda: name_options(
+                escape_text(row.problem or row.warnings or str(path))
+            ),
             _Role.TextAlignmentRole: lambda: int(side | Qt.AlignmentFlag.AlignVCenter),
         }
         value = values.get(_Role(role))
@@ -125,7 +127,11 @@ class RecordingsModel(RowsModel):
             return format(number, digits) if is_known else ""
         first = (row.problem or row.warnings).partition("\n")[0]
         more = f" (and {row.n_warnings - 1} more)" if row.n_warnings > 1 else ""
-        texts = {NAME: escape_text(path.name), SENSORS: row.sensors, WARNINGS: first + more}
+        texts = {
+            NAME: escape_text(path.name),
+            SENSORS: row.sensors,
+            WARNINGS: name_options(first) + more,
+        }
         return texts[column]
 
     def _get_number(self, path: Path, column: int) -> float | None:

@@ -6,11 +6,13 @@ from __future__ import annotations
 
 import re
 
+import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QComboBox, QPlainTextEdit, QTabBar, QTableView, QWidget
 
 from app.session.sample import SAMPLE_RECORDING
 from app.shell.tour import wait_until_shown
+from pipeline.core.errors import name_options
 from pipeline.sensors.spec import list_sensor_names
 from pipeline.translation.catalogue import BUILT_IN
 
@@ -18,7 +20,9 @@ from pipeline.translation.catalogue import BUILT_IN
 _STAGES = "|".join(stage.name for stage in BUILT_IN.stages)
 INTERNAL = re.compile(rf"[a-z]\w*_[a-z]\w*|\b({_STAGES}|display)\.[a-z]|(?<![\w-])--[a-z]")
 # as the plain names of files, commands and people read them
-ALLOWED = re.compile(rf"{re.escape(SAMPLE_RECORDING.name)}|gelslim_depth")
+ALLOWED = re.compile(
+    rf"{re.escape(str(SAMPLE_RECORDING))}|{re.escape(SAMPLE_RECORDING.name)}|gelslim_depth"
+)
 
 
 def list_texts(window: QWidget) -> set[str]:
@@ -66,6 +70,22 @@ def test_no_text_of_the_window_shows_an_internal_name(open_window):
         texts |= list_texts(controller.window)
     assert len(texts) > 500
     assert find_internal(texts) == []
+
+
+@pytest.mark.parametrize(
+    ("sentence", "said"),
+    [
+        ("choose one (--sensor): 'a.h5'", "choose one: 'a.h5'"),
+        (
+            "name one with --reference, or give --depth-unit mm",
+            "name one with the reference, or give the depth unit mm",
+        ),
+        ("a -- b, -5 mm, co--op", "a -- b, -5 mm, co--op"),
+    ],
+)
+def test_options_of_the_command_line_are_said_in_words(sentence, said):
+    assert name_options(sentence) == said
+    assert find_internal({name_options(sentence)}) == []
 
 
 def test_internal_names_are_found():
