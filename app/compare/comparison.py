@@ -73,8 +73,7 @@ class ComparisonController(BackgroundController):
         window = controller.window
         page.choice_changed.connect(self._choose)
         page.grid.start_button.clicked.connect(self._start_grid)
-        for view in (page.grid.grid, page.grid.plot):
-            view.cell_chosen.connect(self._use_cell)
+        page.grid.grid.cell_chosen.connect(self._use_cell)
         for tab in page.tile_tabs:
             tab.grid.readout_changed.connect(window.show_pixel)
         controller.frame_shown.connect(self._update)
@@ -161,10 +160,12 @@ class ComparisonController(BackgroundController):
             params={**session.variant.params, "display": session.display},
         )
         stage = self._page.stage_box.choice
-        differs = (
-            "; ".join(describe_differences(session, other, self._controller.catalogue))
-            or _NO_DIFFERENCE
+        opened = self._controller.views.translation
+        has_mesh = opened is not None and opened.mesh is not None
+        differences = describe_differences(
+            session, other, self._controller.catalogue, has_mesh=has_mesh
         )
+        differs = "; ".join(differences) or _NO_DIFFERENCE
 
         def run(report: JobReporter) -> Iterator[Comparison]:
             first, frame = open_variant("A", self._evaluators[0], session, report)

@@ -404,7 +404,13 @@ THEME_COMMANDS = (
     Command("theme_system", "System theme", "Follow the desktop's theme", checkable=True),
 )
 HELP_COMMANDS = (
-    Command("palette", "Commands…", "Search all commands and their shortcuts", key="Ctrl+K"),
+    Command(
+        "palette",
+        "Commands…",
+        "Search all commands and their shortcuts",
+        icon="help",
+        key="Ctrl+K",
+    ),
 )
 MENUS: Mapping[str, tuple[Command, ...]] = {  # title -> commands; every command is in one menu
     "&File": FILE_COMMANDS,

@@ -57,7 +57,7 @@ from widgets.views.view_3d_panel import FittingLabel, StepsSlider, View3DPanel
 DEFAULT_SIZE = QSize(1600, 950)
 _FRAME = QSize(2, 40)  # that a desktop draws around a window: borders and title bar
 # width of a sensor chooser; of its list, which cuts no name off
-_CHOOSER_LETTERS = 11
+_CHOOSER_LETTERS = 9
 _SENSOR_LIST_PX = 240
 _INSPECTOR_FROM_PX = 1400  # a narrower page folds the inspector
 _STATUS_PX = 4  # of the status bar around its highest part: it never moves the panes

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 
-from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import (
     QGridLayout,
     QHBoxLayout,
@@ -21,11 +20,11 @@ from PyQt6.QtWidgets import (
 
 from pipeline.lab.evaluation.comparison_tiles import Comparison
 from pipeline.lab.evaluation.grid_comparison import GridComparison, GridPlan, format_value
-from widgets.compare.comparison_grid import CellGrid, CellPlot
+from widgets.compare.comparison_grid import CellGrid
 from widgets.compare.tile_grid import TileGrid
 from widgets.style.base import ChoiceBox
 from widgets.style.run_bar import RunBar
-from widgets.style.styling import fill, make_splitter, set_spacing
+from widgets.style.styling import fill, set_spacing
 
 
 class ComparisonTab(QWidget):
@@ -65,7 +64,6 @@ class TileTab(ComparisonTab):
 
 
 _AXES = "columns", "rows"
-_GRID_SIZE = 720  # of 1000: the grid next to the plot
 GRID_HINT = "choose what columns and rows try, then press Start; a click on a cell uses its values"
 
 
@@ -79,12 +77,9 @@ class GridTab(ComparisonTab):
         self.metric_box = ChoiceBox("grid_metric", "metric")
         self.start_button = QPushButton("Start")
         self.grid = CellGrid()
-        self.plot = CellPlot()
         self._offers: Mapping[str, str] = {}
         controls = set_spacing(QGridLayout(), 6)
-        results = make_splitter(Qt.Orientation.Horizontal, (self.grid, 3), (self.plot, 2))
-        results.setSizes([_GRID_SIZE, 1000 - _GRID_SIZE])
-        super().__init__(controls, results)
+        super().__init__(controls, self.grid)
         for which, (word, box, line) in enumerate(zip(_AXES, self.axes, self.values, strict=True)):
             line.setObjectName(f"grid_{word}_values")
             line.setAccessibleName(f"values of the {word}")
@@ -145,11 +140,9 @@ class GridTab(ComparisonTab):
         )
         across, down = (*values, [""] if values else [], list[str]())[:2]
         self.grid.show_axes(across, down, unit)
-        self.plot.show_cells({}, unit)
 
     def show_comparison(self, comparison: Comparison) -> None:
         """Show the newest cell."""
         super().show_comparison(comparison)
         if isinstance(comparison, GridComparison) and comparison.cells:
             self.grid.show_cell(comparison.cells[-1])
-            self.plot.show_cells(self.grid.cells, self.grid.unit)

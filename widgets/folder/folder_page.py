@@ -19,7 +19,7 @@ from widgets.style.styling import (
     make_search_line,
     set_spacing,
 )
-from widgets.style.tables import SORT_ROLE, RowFilter, RowsModel, matches_limit, prepare_table
+from widgets.style.tables import RowFilter, RowsModel, matches_limit, prepare_table
 
 _HINT = "filter: touched, warned, unreadable, gelslim, >0.3, a word"
 _FILTER_TIP = (
@@ -84,68 +84,48 @@ class RecordingsModel(RowsModel):
         row = self.paths.index(path)
         self.dataChanged.emit(self.index(row, 0), self.index(row, WARNINGS))
 
-    def data(self, index: QModelIndex, role: int = _Role.DisplayRole) -> object:
-        """Return the text of a cell, its sort value, its picture or its tooltip."""
-        if not index.isValid():
-            return None
-        path, column = self.paths[index.row()], index.column()
-        row = self.rows.get(path, RecordingRow())
-        number = self._get_number(path, column)
-        is_wrong = column == WARNINGS and bool(row.warnings or row.problem)
-        side = Qt.AlignmentFlag.AlignLeft if number is None else Qt.AlignmentFlag.AlignRight
-        values = {
-            _Role.DisplayRole: lambda: self.format_cell(path, column),
-            SORT_ROLE: lambda: (
-                self.format_cell(path, column).lower()
-                if number is None
-                else number
-                if math.isfinite(number)
-                else -math.inf
-            ),
-            _Role.DecorationRole: lambda: (
-                make_state_icon("failed" if row.problem else "warning")
-                if is_wrong
-                else self._icons.get(path)
-                if column == TOUCH
-                else None
-            ),
-            _Role.ToolTipRole: lambda: name_options(
-                escape_text(row.problem or row.warnings or str(path))
-            ),
-            _Role.TextAlignmentRole: lambda: int(side | Qt.AlignmentFlag.AlignVCenter),
-        }
-        value = values.get(_Role(role))
-        return None if value is None else value()
-
-    def format_cell(self, path: Path, column: int) -> str:
+    def format_cell(self, row: int, column: int) -> str:
         """Return the text of a cell."""
-        row = self.rows.get(path, RecordingRow())
-        number = self._get_number(path, column)
+        path = self.paths[row]
+        known = self.rows.get(path, RecordingRow())
+        number = self.get_number(row, column)
         if number is not None:
             digits = {CONTACT: ".0%", ERROR: ".3f"}.get(column, ".0f")
-            is_known = path in self.rows and not row.problem and math.isfinite(number)
+            is_known = path in self.rows and not known.problem and math.isfinite(number)
             return format(number, digits) if is_known else ""
-        first = (row.problem or row.warnings).partition("\n")[0]
-        more = f" (and {row.n_warnings - 1} more)" if row.n_warnings > 1 else ""
-        texts = {
+        first = (known.problem or known.warnings).partition("\n")[0]
+        more = f" (and {known.n_warnings - 1} more)" if known.n_warnings > 1 else ""
+        return {
             NAME: escape_text(path.name),
-            SENSORS: row.sensors,
+            SENSORS: known.sensors,
             WARNINGS: name_options(first) + more,
-        }
-        return texts[column]
+        }[column]
 
-    def _get_number(self, path: Path, column: int) -> float | None:
+    def get_number(self, row: int, column: int) -> float | None:
         """Return the number of a cell, NaN if unknown; None for a column of texts."""
-        row = self.rows.get(path, RecordingRow())
+        path = self.paths[row]
+        known = self.rows.get(path, RecordingRow())
         worst = self.worst.get(path, WorstFrame())
         numbers = {
-            TOUCH: row.first_touch if row.first_touch >= 0 else math.nan,
-            FRAMES: row.n_frames,
-            CONTACT: row.contact_share,
+            TOUCH: known.first_touch if known.first_touch >= 0 else math.nan,
+            FRAMES: known.n_frames,
+            CONTACT: known.contact_share,
             WORST: worst.frame if worst.frame >= 0 else math.nan,
             ERROR: worst.error_mm,
         }
         return numbers.get(column)
+
+    def get_picture(self, row: int, column: int) -> object:
+        """Return the first touch, or the sign of a warning."""
+        known = self.rows.get(self.paths[row], RecordingRow())
+        if column == WARNINGS and (known.warnings or known.problem):
+            return make_state_icon("failed" if known.problem else "warning")
+        return self._icons.get(self.paths[row]) if column == TOUCH else None
+
+    def get_tip(self, row: int, column: int) -> str:  # noqa: ARG002 - of the row
+        """Return everything that is wrong with a recording, else its path."""
+        known = self.rows.get(self.paths[row], RecordingRow())
+        return name_options(escape_text(known.problem or known.warnings or str(self.paths[row])))
 
     def matches_term(self, at: int, word: str) -> bool:
         """Return whether a filter term holds for a recording."""

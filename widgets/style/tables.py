@@ -23,11 +23,15 @@ from widgets.style.styling import copy_text
 
 _Role = Qt.ItemDataRole
 SORT_ROLE = Qt.ItemDataRole.UserRole  # a number, so that 10 comes after 9; unknown values come last
+_RIGHT = int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
 _LIMIT = re.compile(r"([<>])=?(-?\d+(?:\.\d*)?|-?\.\d+)$")
 
 
 class RowsModel(QAbstractTableModel):
-    """One row per thing under titled columns; subclasses set `n_rows` and the cells' `data`."""
+    """One row per thing under titled columns.
+
+    Subclasses set `n_rows` and say of a cell its text, its number, its picture and its tooltip.
+    """
 
     def __init__(self, titles: Sequence[str], tips: Sequence[str], parent: QObject) -> None:
         super().__init__(parent)
@@ -44,6 +48,40 @@ class RowsModel(QAbstractTableModel):
     def columnCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
         """Return the number of columns."""
         return 0 if parent.isValid() else len(self._headings[_Role.DisplayRole])
+
+    def format_cell(self, row: int, column: int) -> str:
+        """Return the text of a cell."""
+        raise NotImplementedError
+
+    def get_number(self, row: int, column: int) -> float | None:  # noqa: ARG002
+        """Return the number of a cell, NaN if unknown; None for a column of texts."""
+        return None
+
+    def get_picture(self, row: int, column: int) -> object:  # noqa: ARG002
+        """Return the icon of a cell; None without one."""
+        return None
+
+    def get_tip(self, row: int, column: int) -> str:
+        """Return the tooltip of a cell."""
+        return self.format_cell(row, column)
+
+    def data(self, index: QModelIndex, role: int = _Role.DisplayRole) -> object:
+        """Return what Qt asks of a cell; numbers are sorted as such and stand at the right."""
+        if not index.isValid():
+            return None
+        cell = index.row(), index.column()
+        number = self.get_number(*cell)
+        if role == SORT_ROLE and number is not None:
+            return number if math.isfinite(number) else -math.inf
+        if role == _Role.TextAlignmentRole:
+            return None if number is None else _RIGHT
+        reads = {
+            _Role.DisplayRole: self.format_cell,
+            SORT_ROLE: self.format_cell,
+            _Role.DecorationRole: self.get_picture,
+            _Role.ToolTipRole: self.get_tip,
+        }
+        return reads[_Role(role)](*cell) if role in reads else None
 
     def headerData(  # noqa: N802 - Qt's name
         self, section: int, orientation: Qt.Orientation, role: int = _Role.DisplayRole

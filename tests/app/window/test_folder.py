@@ -43,8 +43,8 @@ def test_every_recording_is_a_row_and_enter_opens_it(open_window, folder, qtbot)
     assert window.pages.currentWidget() is page
     model = page.model
     cells = {
-        path.stem: [model.format_cell(path, column) for column in range(model.columnCount())]
-        for path in model.paths
+        path.stem: [model.format_cell(row, column) for column in range(model.columnCount())]
+        for row, path in enumerate(model.paths)
     }
     assert set(cells) == {*NAMES, "damaged"}
     for name in NAMES:

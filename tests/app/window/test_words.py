@@ -60,13 +60,18 @@ def find_internal(texts: set[str]) -> list[str]:
     return sorted(text for text in texts if INTERNAL.search(ALLOWED.sub("", text)))
 
 
-def test_no_text_of_the_window_shows_an_internal_name(open_window):
+def test_no_text_of_the_window_shows_an_internal_name(open_window, qtbot):
     controller = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
     assert wait_until_shown(controller, 240), controller.window.banner.text
     texts = list_texts(controller.window)
-    for layout in ("align", "compare", "task", "folder"):
-        controller.window.actions_by_name[f"layout_{layout}"].trigger()
+    page = controller.window.comparison
+    for command in ("layout_align", "set_variant_settings", "layout_task", "layout_folder"):
+        controller.window.actions_by_name[command].trigger()
         assert wait_until_shown(controller, 240)
+        if command == "layout_align":
+            qtbot.waitUntil(controller.window.alignment.gauges["iou"].isVisible, timeout=240_000)
+        if command == "set_variant_settings":
+            qtbot.waitUntil(lambda: len(page.variants.grid.tiles) == 3, timeout=240_000)
         texts |= list_texts(controller.window)
     assert len(texts) > 500
     assert find_internal(texts) == []
