@@ -134,6 +134,7 @@ def show_window(
     from pipeline.lab.tasks.trial_rows import is_rollout_folder
     from pipeline.lab.tracking.track_record import is_track_folder
     from pipeline.translation.catalogue import BUILT_IN
+    from pipeline.translation.reports.folder_overview import list_recordings
     from widgets.style.base import set_text_size
     from widgets.style.plain_text_style import PlainTextStyle
 
@@ -158,7 +159,9 @@ def show_window(
     if with_scene:
         QTimer.singleShot(0, controller.views.scene.open)
     if session.recording is not None and (
-        is_rollout_folder(session.recording) or is_track_folder(session.recording)
+        is_rollout_folder(session.recording)
+        or is_track_folder(session.recording)
+        or list_recordings(session.recording)
     ):
         controller.open_path(session.recording)
     elif session.recording is not None:

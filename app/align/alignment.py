@@ -239,7 +239,7 @@ class AlignmentController(Feature):
         if opened is not None:
             target = opened.target
             self._panel.show_ready(
-                target.name, _DEPTH_GAUGE_MM[target.sensor_kind.display_group], target.pixel_mm
+                target.title, _DEPTH_GAUGE_MM[target.sensor_kind.display_group], target.pixel_mm
             )
         self._panel.show_score(assessment.score, assessment.no_score_reason)
         self._score = assessment.score
@@ -262,7 +262,7 @@ class AlignmentController(Feature):
         contact = tuple(float(v) for v in assessment.pivot_mm)
         pivot = offsets.pivot_mm if any(offsets.rotation_deg) else contact
         elsewhere = max(abs(a - b) for a, b in zip(pivot, contact, strict=True)) > _SAME_PIVOT_MM
-        self._panel.show_pivot(pivot, opened.target.name, elsewhere=elsewhere)
+        self._panel.show_pivot(pivot, opened.target.title, elsewhere=elsewhere)
         file = self._controller.session.alignment
         self._panel.show_origin(
             assessment.origin, edited=not offsets.is_zero, from_file=file is not None

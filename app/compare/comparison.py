@@ -10,6 +10,7 @@ from typing import cast
 from app.compare.variant_jobs import (
     describe_differences,
     format_compare_command,
+    label_axes,
     list_axes,
     open_variant,
 )
@@ -72,8 +73,7 @@ class ComparisonController(BackgroundController):
         window = controller.window
         page.choice_changed.connect(self._choose)
         page.grid.start_button.clicked.connect(self._start_grid)
-        for view in (page.grid.grid, page.grid.plot):
-            view.cell_chosen.connect(self._use_cell)
+        page.grid.grid.cell_chosen.connect(self._use_cell)
         for tab in page.tile_tabs:
             tab.grid.readout_changed.connect(window.show_pixel)
         controller.frame_shown.connect(self._update)
@@ -113,7 +113,7 @@ class ComparisonController(BackgroundController):
         now = self._controller.session
         if now.recording is not None:
             self._controller.change(
-                "set B",
+                "keep as B",
                 variant=replace(session, variant=None),
                 comparison=replace(now.comparison, tab="two"),
                 layout=replace(now.layout, name="compare"),
@@ -160,10 +160,12 @@ class ComparisonController(BackgroundController):
             params={**session.variant.params, "display": session.display},
         )
         stage = self._page.stage_box.choice
-        differs = (
-            "; ".join(describe_differences(session, other, self._controller.catalogue))
-            or _NO_DIFFERENCE
+        opened = self._controller.views.translation
+        has_mesh = opened is not None and opened.mesh is not None
+        differences = describe_differences(
+            session, other, self._controller.catalogue, has_mesh=has_mesh
         )
+        differs = "; ".join(differences) or _NO_DIFFERENCE
 
         def run(report: JobReporter) -> Iterator[Comparison]:
             first, frame = open_variant("A", self._evaluators[0], session, report)
@@ -229,7 +231,8 @@ class ComparisonController(BackgroundController):
         known = dict.fromkeys((DEFAULT_METRIC, *controller.window.frames.model.metrics))
         metrics = {name: describe_metric(name) for name in known if is_stage_error(name)}
         metric = tab.metric_box.choice if tab.metric_box.count() else DEFAULT_METRIC
-        tab.offer_axes(axes, {**metrics, "": "time only"}, metric)
+        labels = label_axes(axes, controller.methods, controller.catalogue)
+        tab.offer_axes(axes, {**metrics, "": "time only"}, metric, labels)
         if self._grid is not None and _get_subject(self._grid[0]) != _get_subject(session):
             self.abandon()
             self._grid = None

@@ -4,7 +4,7 @@ same comparisons.
 
 import os
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -83,6 +83,23 @@ def list_axes(
     return axes
 
 
+def label_axes(
+    axes: Iterable[str], methods: Sequence[Method], catalogue: Catalogue
+) -> dict[str, str]:
+    """Return axis -> what people read: stage and parameter."""
+    settings = {
+        f"{method.stage}.{name}": setting
+        for method in methods
+        for name, (_, setting) in list_settings(method.params()).items()
+    }
+    words: dict[str, str] = {}
+    for axis in axes:
+        stage, _, name = axis.partition(".")
+        what = settings[axis].label.lower() if axis in settings else name
+        words[axis] = f"{catalogue.stage(stage).title}: {what}"
+    return words
+
+
 def suggest_values(value: Value, setting: Setting) -> tuple[Value, ...]:
     """Values to try: all of a few choices, those of the setting, or multiples of the current
     value in its limits.
@@ -157,9 +174,11 @@ def _list_options(session: Session, target: str) -> list[str]:
     ]
 
 
-def describe_differences(one: Session, other: Session, catalogue: Catalogue) -> tuple[str, ...]:
+def describe_differences(
+    one: Session, other: Session, catalogue: Catalogue, *, has_mesh: bool = False
+) -> tuple[str, ...]:
     """List as `name: one | other` everything that the results of a frame depend on and that
-    differs.
+    differs; `has_mesh` decides the route of a session that names none.
     """
     texts = [
         _format_pair(name.replace("_", " "), getattr(one, name), getattr(other, name))
@@ -169,28 +188,32 @@ def describe_differences(one: Session, other: Session, catalogue: Catalogue) -> 
     if one.offsets != other.offsets:
         texts.append("alignment offsets differ")
     methods = tuple(
-        {m.stage: m for m in catalogue.methods(session.route, session.methods)}
+        {m.stage: m for m in catalogue.methods(route.name, session.methods)}
         for session in (one, other)
+        for route in (catalogue.route(session.route, has_mesh=has_mesh),)
     )
     for stage in dict.fromkeys((*methods[0], *methods[1])):
         a, b = (by_stage.get(stage) for by_stage in methods)
         if a is None or b is None or a.key != b.key:
             texts.append(
                 _format_pair(
-                    stage, "nothing" if a is None else a.title, "nothing" if b is None else b.title
+                    catalogue.stage(stage).title,
+                    "nothing" if a is None else a.title,
+                    "nothing" if b is None else b.title,
                 )
             )
         else:
-            texts += _compare_params(a, one, other)
+            title = catalogue.stage(stage).title
+            texts += _compare_params(a, title, one, other)
     if one.weights != other.weights:
         texts.append("weights differ")
     return tuple(texts)
 
 
-def _compare_params(method: Method, one: Session, other: Session) -> list[str]:
+def _compare_params(method: Method, title: str, one: Session, other: Session) -> list[str]:
     a, b = (list_settings(session.get_params(method)) for session in (one, other))
     return [
-        _format_pair(f"{method.stage}.{name}", a[name][0], b[name][0])
+        _format_pair(f"{title}, {a[name][1].label.lower()}", a[name][0], b[name][0])
         for name in a
         if a[name][0] != b[name][0]
     ]

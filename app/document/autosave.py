@@ -43,7 +43,7 @@ class AutosaveController(Feature):
         self._timer = make_single_shot_timer(self, AUTOSAVE_DELAY_MS, self.autosave_now)
         self._to_recover: Session | None = None  # that the next window offers
         self.notification = NotificationBar("recovery_notification")
-        self._window.strips.addWidget(self.notification)
+        self._window.add_notification(self.notification)
         self.recent_menu = QMenu("Open recent", self._window)
         self.recent_menu.aboutToShow.connect(self._fill_recent_menu)
         self._window.menus["File"].insertMenu(

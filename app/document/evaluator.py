@@ -30,12 +30,14 @@ from pipeline.core.values.results import DepthMap
 from pipeline.stages.depth.photometric import DepthParams
 from pipeline.stages.networks.weights import Weights
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
+from pipeline.translation.colour_limits import fit_display
 from pipeline.translation.error_attribution import DEFAULT_METRIC, ErrorAttribution, attribute_error
 from pipeline.translation.force import measure_force
 from pipeline.translation.frame_selection import find_contact_frame
 from pipeline.translation.round_trip import measure_round_trip
 from pipeline.translation.translate import Request, Translation
 from pipeline.translation.truth_view import add_truth_warnings
+from pipeline.views.display_params import DisplayParams
 from pipeline.views.preview import make_recorded_preview
 from widgets.frames.frame_summary import FrameSummary
 
@@ -48,10 +50,11 @@ _OUTLINED = "target_depth"  # stage whose preview gets the outline of the target
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class InitialFrame:
-    """The frame chosen for a session with AUTO_FRAME; delivered first."""
+class InitialView:
+    """The frame chosen for a session with AUTO_FRAME, and colour limits for one that sets none."""
 
     index: int
+    display: DisplayParams
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,6 +103,7 @@ class Evaluator:
         self._preview_bytes = () if like is None else (_BACKGROUND_BYTES,)
         self._previews = PreviewCache(*self._preview_bytes)
         self._first_frame = 0  # frame to show for AUTO_FRAME
+        self._contact_frame: int | None = None  # None = not searched for
         # method key -> parameter -> why it cannot act
         self.unavailable: Mapping[str, Mapping[str, str]] = {}
         self._must_release = False  # whether a recording was opened since memory was last released
@@ -135,8 +139,10 @@ class Evaluator:
         translation, index = self.open_frame(session, report)
         if get_current is not None and delivered is self._delivered is not get_current():
             report.deliver(self._delivered)
-        if session.frame < 0:
-            report.deliver(InitialFrame(index=index))
+        display = fit_display(translation, session.display, report, self._contact_frame)
+        if session.frame < 0 or display != session.display:
+            session = session.with_display(display)
+            report.deliver(InitialView(index=index, display=display))
         started_s = time.perf_counter()
         loaded = self._previews.load_frame(translation, index, session.display)
         truth = loaded.ground_truth
@@ -374,11 +380,10 @@ class Evaluator:
         # after the first frame, when the window has dropped the old recording
         self._must_release = True
         self._request = make_request(replace(session, target=translation.target.name))
-        self._first_frame = (
-            find_contact_frame(translation.stream) if session.frame < 0 else session.frame
-        )
+        self._contact_frame = find_contact_frame(translation.stream) if session.frame < 0 else None
+        self._first_frame = session.frame if self._contact_frame is None else self._contact_frame
         if session.frame < 0:
-            report.deliver(InitialFrame(index=self._first_frame))
+            report.deliver(InitialView(index=self._first_frame, display=session.display))
         for note in translation.notes:
             log.info("%s", note)
         self.unavailable = explain_unavailable(translation, report)

@@ -9,7 +9,7 @@ from typing import Literal, get_args
 
 from PyQt6.QtCore import QTimer, pyqtSignal
 
-from app.document.evaluator import EvaluatedFrame, Evaluator, InitialFrame
+from app.document.evaluator import EvaluatedFrame, Evaluator, InitialView
 from app.document.requests import Requests, find_undo_target, make_request, make_request_if_open
 from app.document.session_document import SessionDocument
 from app.document.stage_views import StageViews
@@ -229,8 +229,10 @@ class SessionController(SessionDocument):
             return
         before = self.requests
         self.requests = before.show_part(part.result.name if isinstance(part, StagePreview) else "")
-        if isinstance(part, InitialFrame):
-            self.session = replace(self.session, frame=part.index)
+        if isinstance(part, InitialView):
+            session = self.session.with_display(part.display)
+            frame = part.index if session.frame < 0 else session.frame
+            self.session = replace(session, frame=frame)
             self._show_controls()
         elif isinstance(part, Translation) and part is not self.views.translation:
             resolved = replace(

@@ -4,6 +4,7 @@ import os
 from abc import abstractmethod
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from pipeline.lab.tracking.track_record import is_track_folder
 from pipeline.sensors.alignment import read_alignment
 from pipeline.sensors.descriptions import is_description
 from pipeline.translation.cross_section import SectionLine
+from pipeline.translation.reports.folder_overview import list_recordings
 from widgets.style.notification_bar import Choice
 
 _AS_RECORDED: Mapping[str, Any] = {
@@ -48,6 +50,7 @@ class SessionDocument(QObject):
     tick_changed = pyqtSignal(int)  # of the rollout in the Task layout
     recording_opened = pyqtSignal(Path)  # by the user
     rollouts_requested = pyqtSignal(Path)  # a folder that may hold rollouts
+    folder_requested = pyqtSignal(Path, tuple)  # a folder, and the recordings in it
     tracks_requested = pyqtSignal(Path)  # a folder that holds a track
 
     def __init__(self, window: MainWindow, session: Session) -> None:
@@ -139,14 +142,23 @@ class SessionDocument(QObject):
         elif is_rollout_folder(path):
             self.rollouts_requested.emit(path)
         else:
+            self.open_data(path)
+
+    def open_data(self, path: Path) -> None:
+        """Open a recording, or the table of a folder that holds several."""
+        if recordings := list_recordings(path):
+            self.folder_requested.emit(path, recordings)
+        else:
             self.open_recording(path, keeps_choices=self.session.recording is None)
 
     def open_recording(self, path: Path, *, keeps_choices: bool = False) -> None:
         """Open a recording; with `keeps_choices` its sensor and the files that go with it are
         those chosen before.
         """
-        own = {} if keeps_choices else _AS_RECORDED
+        own: Mapping[str, Any] = {} if keeps_choices else _AS_RECORDED
         self.previous_target = self.session.target
+        if self.session.layout.name == "folder":
+            own = {**own, "layout": replace(self.session.layout, name="look")}
         self.change("open recording", key=f"open {path}", recording=path, frame=AUTO_FRAME, **own)
         self.recording_opened.emit(path)
 

@@ -18,7 +18,6 @@ from pipeline.translation.translate import Request, Translation
 from pipeline.translation.truth_view import ComparisonMode, TruthView
 from pipeline.views.layers import Layer, ViewBounds
 from pipeline.views.preview import Preview
-from widgets.stages.timings_panel import TimingRow
 from widgets.views.scene_renderer import SceneRenderer
 from widgets.views.view_3d_panel import AnyStep
 
@@ -90,7 +89,6 @@ class StageViews:
         window.error_attribution.show_empty("")
         window.frames.model.reset_frames(0)
         window.timeline.show_frames(0)
-        window.timings.show_rows(())
         window.source.setItemText(0, "as recorded")
         for column in window.columns.values():
             column.view.show_preview(None)
@@ -219,21 +217,10 @@ class StageViews:
         self.scene.show_layers(self._order.index(_PREVIEWED), layers)
 
     def show_frame_summary(self, shown: EvaluatedFrame, *, is_comparable: bool) -> None:
-        """Show the times of a finished frame.
-
-        Its summary only if `is_comparable` with the other frames.
-        """
+        """Show the summary of a finished frame, if it `is_comparable` with the other frames."""
         if is_comparable and shown.summary is not None:
             self._window.frames.model.show_summary(shown.index, shown.summary)
             self._window.frames.show_frame(shown.index)
-        if self.translation is not None:
-            stage = self.translation.catalogue.stage
-            self._window.timings.show_rows(
-                tuple(
-                    TimingRow(title=stage(key).title, state=r.state, time_ms=r.ms, notes=r.notes)
-                    for key, r in shown.results.items()
-                )
-            )
 
     def mark_pending(self, changed: Set[str] | None = None) -> None:
         """Mark the stages that depend on changed ones as pending, and these; None for all."""

@@ -51,7 +51,7 @@ class ExportController(BackgroundController):
         self._autosave = autosave
         self._comparison = comparison
         self.dialog = ExportDialog(self._window)
-        self._window.strips.addWidget(self.notification)
+        self._window.add_notification(self.notification)
         # see `start_writing`
         self._written: tuple[Path, str, Callable[[object], str] | None] = Path(), "", None
         self._window.connect_command("export", self.show_export_dialog)

@@ -9,7 +9,7 @@ from app.document.evaluator import EvaluatedFrame
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
 from app.frames.error_attribution import ErrorAttributionController
-from pipeline.core.errors import find_uncertain_contact
+from pipeline.core.errors import find_uncertain_contact, name_options
 from pipeline.core.graph import StageResult
 from pipeline.core.values.results import DepthMap
 from pipeline.stages.metrics.stage_metrics import METRICS
@@ -25,13 +25,15 @@ from widgets.style.notification_bar import Choice
 _NO_TRUTH = "The recording has no touch of the target to compare with."
 _LEAST_SHARE = 0.02  # of the error: a smaller share has no bar on its card
 _UNSEEN = "the source saw only a part of the object"
-_STAGE_CAUSES = {
-    "depth": "the measured depth of the source",
-    "cloud": "the alignment of the two sensors",
-    "target_depth": "the reprojection into the target",
-    "touch": "the generated touch itself",
-    "touch_depth": "the generated touch itself",
-    "pose": "the estimated pose itself",
+# share -> its cause, and what would be without it
+_CAUSES = {
+    "depth": ("the measured depth of the source", "With the true depth of the source"),
+    "cloud": ("the alignment of the two sensors", "With the true alignment"),
+    "target_depth": ("the reprojection into the target", "With the true target depth"),
+    OUTSIDE_VIEW: (_UNSEEN, "Had the source seen the whole object"),
+    "touch": ("the generated touch itself", "With the true touch"),
+    "touch_depth": ("the generated touch itself", "With the true touch"),
+    "pose": ("the estimated pose itself", "With the true pose"),
 }
 
 
@@ -79,7 +81,7 @@ class VerdictController(Feature):
         ]
         found.sort(key=lambda one: one[0])
         return [
-            Finding(sentence=f"{stage(name).title}: {warning}", stage=name)
+            Finding(sentence=name_options(f"{stage(name).title}: {warning}"), stage=name)
             for _, name, warning in found
         ]
 
@@ -147,19 +149,27 @@ def find_largest_share(attribution: ErrorAttribution) -> ErrorShare | None:
 
 
 def describe_cause(attribution: ErrorAttribution | None, results: Mapping[str, StageResult]) -> str:
-    """Return the largest cause of an error in words, with what the truth there would save."""
-    if attribution is None:
-        return ""
-    worst = find_largest_share(attribution)
-    share = attribution.remainder if worst is None else worst.share
-    stage = attribution.metric.partition(".")[0] if worst is None else worst.stage
-    cause = _STAGE_CAUSES.get(stage, stage)
-    if worst is not None and worst.title == OUTSIDE_VIEW:
-        seen = (w for name, r in results.items() if name == stage for w in r.warnings)
-        cause = next((warning for warning in seen if "saw" in warning), _UNSEEN)
-    if share > attribution.total:  # shares cancel
-        return f"Without this it would be {share:.2f} mm less, but others cancel: {cause}."
-    return f"{share / attribution.total:.0%} of it: {cause}." if attribution.total > 0 else ""
+    """Return the cause of an error in words: why another method had to answer for the touch, else
+    the largest share, with why where the stage says so.
+    """
+    refused = next((r.fallback for r in results.values() if r.fallback and r.name == "touch"), "")
+    parts = [f"{refused}."] if refused else []
+    if attribution is not None and attribution.total > 0:
+        worst = find_largest_share(attribution)
+        stage = attribution.metric.partition(".")[0] if worst is None else worst.stage
+        is_unseen = worst is not None and worst.title == OUTSIDE_VIEW
+        cause, without = _CAUSES.get(OUTSIDE_VIEW if is_unseen else stage, (stage, ""))
+        warnings = results[stage].warnings if stage in results else ()
+        reasons = [warning for warning in warnings if ("saw" in warning) == is_unseen]
+        share = attribution.remainder if worst is None else worst.share
+        if share > attribution.total:
+            parts.append(f"{without}: {share:.2f} {attribution.unit} less; other errors cancel it.")
+        elif is_unseen:
+            parts.append(f"{share / attribution.total:.0%} of it: {next(iter(reasons), cause)}.")
+        else:
+            why = "; ".join((cause, *(reason.partition(";")[0] for reason in reasons[:1])))
+            parts.append(f"{share / attribution.total:.0%} of it: {why}.")
+    return name_options(" ".join(parts))
 
 
 def collect_shares(attribution: ErrorAttribution | None) -> dict[str, tuple[float, str]]:

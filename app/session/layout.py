@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from pipeline.core.typed_data import Name
 
-LayoutName = Literal["look", "compare", "align", "track", "task"]
+LayoutName = Literal["look", "compare", "align", "track", "task", "folder"]
 Dims = Literal["2D", "3D", "both", "scene"]  # scene: both sensors, in one pane at most
 DIMS: tuple[Dims, ...] = get_args(Dims)
 LAYOUT_NAMES: tuple[LayoutName, ...] = get_args(LayoutName)
@@ -20,6 +20,7 @@ _STAGES: Mapping[str, tuple[str, ...]] = {
     "compare": (),
     "track": (),
     "task": ("source", "touch"),
+    "folder": (),
 }
 MAX_PANES = 3
 # stage and views of each

@@ -103,7 +103,7 @@ class Session:
     def with_updates(self, **updates: Any) -> Session:
         """Copy with other values; offsets are reset where the alignment they were made for changes.
 
-        Notes and pinned truths end with their recording.
+        Notes, pinned truths and colour limits end with their recording.
 
         A new recording keeps offsets only with an alignment file, which holds for any recording of
         the two sensors.
@@ -116,6 +116,12 @@ class Session:
             new = replace(
                 new, methods={stage: name for stage, name in new.methods.items() if name != TRUTH}
             )
+        if (
+            new.recording != self.recording
+            and DISPLAY_KEY in new.params
+            and "params" not in updates
+        ):
+            new = new.with_display(new.display.without_limits())
         if "offsets" in updates:
             return new
         is_other_alignment = any(
@@ -154,6 +160,10 @@ class Session:
     def display(self) -> DisplayParams:
         """Display parameters."""
         return cast("DisplayParams", self.params.get(DISPLAY_KEY, DisplayParams()))
+
+    def with_display(self, display: DisplayParams) -> Session:
+        """Copy with other display parameters."""
+        return replace(self, params={**self.params, DISPLAY_KEY: display})
 
 
 def save_session(session: Session, path: Path, contents: Mapping[str, str] | None = None) -> None:

@@ -14,6 +14,7 @@ from app.document.autosave import AutosaveController
 from app.document.reference_choice import ReferenceController
 from app.document.session_controller import SessionController
 from app.export.export import ExportController
+from app.folder.folder import FolderController
 from app.frames.error_attribution import ErrorAttributionController
 from app.frames.frame_ranking import FrameRankingController
 from app.frames.verdict import VerdictController
@@ -43,7 +44,7 @@ from pipeline.sensors.spec import list_sensor_titles
 from pipeline.translation.catalogue import Catalogue
 from pipeline.translation.truth_view import ComparisonMode
 from pipeline.views.display_params import DisplayParams
-from widgets.shell.command_palette import CommandPalette, ShortcutsPage
+from widgets.shell.command_palette import CommandPalette
 from widgets.style.icons import make_command_icon
 from widgets.style.tables import TableCopier
 from widgets.timeline.timeline import Timeline
@@ -99,6 +100,7 @@ def connect(controller: SessionController, theme: Theme = "dark") -> AutosaveCon
     RolloutAttributionController(controller, rollouts)
     RolloutExportController(controller, rollouts, export, autosave)
     LiveController(controller, autosave)
+    FolderController(controller)
     track = TrackController(controller, export, autosave)
     mending = MendingController(controller, BallCalibrationController(controller, export, autosave))
     reference = ReferenceController(controller)
@@ -157,9 +159,8 @@ def _connect_columns(controller: SessionController) -> None:
 
 def _fill_choices(window: MainWindow, catalogue: Catalogue) -> None:
     sensors = list_sensor_titles()
-    names = {name: name for name in sensors}
-    window.source.offer({"": "as recorded", **sensors}, tips=names)
-    window.target.offer(sensors, tips=names)
+    window.source.offer({"": "as recorded", **sensors})
+    window.target.offer(sensors)
     titles = {route.name: route.title for route in catalogue.routes}
     window.route.offer({route.name: route.label for route in catalogue.routes}, tips=titles)
     window.route.setEnabled(len(catalogue.routes) > 1)
@@ -266,12 +267,10 @@ def _toggle_comparison_mode(controller: SessionController, mode: ComparisonMode)
 
 
 def _connect_palette(window: MainWindow) -> None:
-    """Connect the command palette, the shortcuts page, the keyboard focus filter and the copy of
-    tables.
-    """
+    """Connect the command palette, the keyboard focus filter and the copy of tables."""
     palette = CommandPalette(window)
     command = window.actions_by_name["palette"]
-    command.setShortcuts([command.shortcut(), QKeySequence("Ctrl+Shift+P")])
+    command.setShortcuts([command.shortcut(), QKeySequence("Ctrl+Shift+P"), QKeySequence("F1")])
 
     def list_commands() -> list[QAction]:
         commands = [
@@ -282,13 +281,6 @@ def _connect_palette(window: MainWindow) -> None:
     window.connect_command("palette", lambda: palette.show_commands(list_commands()))
     KeyboardFocusFilter(window)
     TableCopier(window)
-    shortcuts = ShortcutsPage(window)
-    window.connect_command(
-        "keys",
-        lambda: shortcuts.show_commands(
-            {title: menu.actions() for title, menu in window.menus.items()}
-        ),
-    )
 
 
 def _connect_undo(controller: SessionController) -> None:

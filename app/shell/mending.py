@@ -42,9 +42,8 @@ class MendingController(Feature):
         super().__init__(controller)
         self._calibration = calibration
         self.notification = NotificationBar("mending_notification")
-        self._window.strips.addWidget(self.notification)
+        self._window.add_notification(self.notification)
         self._offered: Translation | None = None  # whose offers were made
-        self._alternatives: tuple[Path, ...] = ()  # recordings of the folder that was opened last
         self._shown: set[Path | None] = set()  # recordings of which a frame was on screen
         controller.find_remedies = self.find_remedies
         # alignment of other sensors that is not used any more
@@ -91,8 +90,8 @@ class MendingController(Feature):
         ):
             without = failed.with_updates(alignment=None)
             remedies.append(("Without this alignment", self._restore("use no alignment", without)))
-        if isinstance(error, TouchError) and error.alternatives:
-            remedies.append(self._offer_alternatives(error.alternatives))
+        if isinstance(error, TouchError) and _are_meshes(error.alternatives):
+            remedies.append(self._offer_meshes(error.alternatives))
         if isinstance(error, TouchError) and self._controller.views.translation is None:
             remedies += self._offer_return()
         return tuple(remedies)
@@ -132,15 +131,9 @@ class MendingController(Feature):
             for name, title in list_sensor_titles().items()
         )
 
-    def _offer_alternatives(self, paths: tuple[Path, ...]) -> Choice:
-        if all(path.suffix.lower() in dialogs.MESH_SUFFIXES for path in paths):
-            return f"Which of {len(paths)} meshes", tuple(
-                (p.name, partial(self._open_mesh, p)) for p in paths
-            )
-        self._alternatives = paths
-        open_path = partial(self._controller.open_recording, keeps_choices=True)
-        return f"Which of {len(paths)} recordings", tuple(
-            (p.name, partial(open_path, p)) for p in paths
+    def _offer_meshes(self, paths: tuple[Path, ...]) -> Choice:
+        return f"Which of {len(paths)} meshes", tuple(
+            (p.name, partial(self._open_mesh, p)) for p in paths
         )
 
     def _open_mesh(self, path: Path) -> None:
@@ -197,18 +190,10 @@ class MendingController(Feature):
             self._offer_contents(opened)
 
     def _offer_contents(self, opened: Translation) -> None:
-        """Offer the other recordings of the folder, and targets that the recording holds."""
+        """Offer the targets that the recording holds, and the one before."""
         choices: list[Choice] = []
         sentences: list[str] = []
-        recording = opened.request.recording
         name = opened.target.name
-        alternatives = opened.recording.alternatives or (
-            self._alternatives if recording in self._alternatives else ()
-        )
-        if alternatives:
-            which = recording.name if recording in alternatives else alternatives[0].name
-            sentences.append(f"the folder holds {len(alternatives)} recordings, {which} is open")
-            choices.append(self._offer_alternatives(alternatives))
         own = [
             s.sensor for s in opened.recording.streams if s.sensor not in ("", opened.source.name)
         ]
@@ -269,6 +254,10 @@ class MendingController(Feature):
         )
         x, y, z = (float(value) for value in moved)
         self._controller.change("centre touch", offsets=replace(offsets, translation_mm=(x, y, z)))
+
+
+def _are_meshes(paths: tuple[Path, ...]) -> bool:
+    return bool(paths) and all(path.suffix.lower() in dialogs.MESH_SUFFIXES for path in paths)
 
 
 def _get_touch(latest: EvaluatedFrame | None) -> tuple[Cloud | None, float]:

@@ -6,7 +6,6 @@ from app.document.session_controller import SessionController
 from app.session.sample import SAMPLE_RECORDING
 from app.session.state import Session
 from pipeline.io.formats import list_formats
-from pipeline.sensors.spec import list_sensor_titles
 from widgets.shell.welcome import WelcomePage
 
 _MAX_SUFFIXES = 3  # of a format; the file dialog has all
@@ -22,13 +21,12 @@ class WelcomeController(Feature):
         centre = window.centralWidget()
         assert centre is not None
         actions = window.actions_by_name
-        formats = "; ".join(
+        formats = "\n".join(
             f"{f.title} ({' '.join(f.suffixes[:_MAX_SUFFIXES]) or 'folder'})"
             for f in list_formats()
         )
-        sensors = ", ".join(list_sensor_titles().values())
         self.page = WelcomePage(
-            centre, window.pages, [actions[name] for name in _COMMANDS], formats, sensors
+            centre, window.pages, [actions[name] for name in _COMMANDS], formats
         )
         self.page.recent_chosen.connect(controller.open_path)
         self.page.hide()
@@ -42,8 +40,12 @@ class WelcomeController(Feature):
 
     def show_session(self, session: Session) -> None:
         """Show the page if nothing is open."""
-        # whose page may read a folder
-        is_empty = session.recording is None and session.layout.name != "track"
+        # whose pages may read a folder
+        is_empty = session.recording is None and session.layout.name not in (
+            "track",
+            "task",
+            "folder",
+        )
         if is_empty and self.page.isHidden():
             self.page.show_recent(self._autosave.preferences.recent_files)
             self.page.raise_()

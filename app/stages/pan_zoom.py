@@ -148,11 +148,12 @@ class ColourLimitController(Feature):
         display = self._controller.session.display
         for name, value in limits.items():
             display = _replace_limit(display, name, value)
-        self._controller.change(
-            "fit colour limits", params={**self._controller.session.params, DISPLAY_KEY: display}
-        )
+        params = self._controller.session.with_display(display).params
+        self._controller.change("fit colour limits", params=params)
 
 
 def _replace_limit(display: DisplayParams, name: str, value: float) -> DisplayParams:
     _, setting = list_settings(display)[name]
-    return replace_value(display, name, min(max(round(value, _DIGITS), setting.low), setting.high))
+    # a fitted limit is 0, which a bar cannot end at
+    low = setting.low or (setting.step if name.endswith("_limit_mm") else 0.0)
+    return replace_value(display, name, min(max(round(value, _DIGITS), low), setting.high))

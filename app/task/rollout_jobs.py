@@ -49,8 +49,7 @@ def list_trial_folder(path: Path, report: JobReporter) -> TrialFolder:
 
     if path.is_file() and not may_be_rollout(path):
         raise FileProblem(
-            "this recording is no rollout of a task; open one that `tactoscope task --record` "
-            "wrote",
+            "this recording is no rollout of a task; open a folder of recorded trials",
             path,
         )
     trials = list_trials(path, report)

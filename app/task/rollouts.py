@@ -25,7 +25,10 @@ from pipeline.lab.tasks.scene_view import (
 )
 from pipeline.lab.tasks.trial_rows import SUFFIXES, TrialRow
 
-_NOTHING = "Open a folder that `tactoscope task NAME --record FOLDER` wrote, or drop it here."
+_NOTHING = (
+    "Open the rollouts of a task to see which trials fail, and which error of the touch makes them "
+    "fail."
+)
 _NOT_READ = {
     "true": "not read: the controller has the true touch",
     "none": "not read: the controller acts as planned",
@@ -63,6 +66,7 @@ class RolloutController(BackgroundController):
         window.connect_command("copy_trials", page.trials.copy_rows)
         window.connect_command("next_decision", self._go_to_next_decision)
         page.show_message(_NOTHING)
+        page.split.hide()
 
     def open_rollouts(self, path: Path) -> None:
         """Open a folder of rollouts, or one of them; a folder without any opens as a recording."""
@@ -134,6 +138,8 @@ class RolloutController(BackgroundController):
         """Show the rows of a folder."""
         if isinstance(part, TrialFolder):
             self.folder = part
+            self._page.split.show()
+            self._window.offer_layout("task", offered=True)
             self._page.trials.show_trials(part.trials)
 
     def show_result(self, result: object) -> None:
@@ -154,7 +160,7 @@ class RolloutController(BackgroundController):
         self._opening = None
         is_expected = opening is not None and isinstance(error, TouchError)
         if opening is not None and is_expected and opening.is_dir():
-            self._controller.open_recording(opening)
+            self._controller.open_data(opening)
             return
         if is_expected and self._controller.session.layout.name != "task":
             return

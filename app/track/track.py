@@ -25,7 +25,7 @@ from pipeline.translation.reports.export_request import format_options, format_s
 if TYPE_CHECKING:
     from app.track.track_jobs import TrackView
 
-_NO_RECORDING = "Open a recording, or the folder that `tactoscope track` wrote."
+_NO_RECORDING = "Open a recording to follow the touched object through it, or open a track."
 _READY = (
     "Track follows the touched object from frame to frame, without its mesh, and fuses what "
     "was touched."
@@ -154,9 +154,13 @@ class TrackController(BackgroundController):
     def _offer_stages(self, session: Session) -> None:
         opened = self._controller.views.translation
         stages = () if opened is None or session.recording is None else opened.stages
-        self._page.offer_stages(
-            {name: title for name, title in TRACKED_STAGES.items() if name in stages}
-        )
+        offered = {name: title for name, title in TRACKED_STAGES.items() if name in stages}
+        self._page.offer_stages(offered)
+        can_track = bool(offered) and opened is not None and opened.n_frames > 1
+        self._window.offer_layout("track", offered=can_track or self.view is not None)
+        is_shown = session.layout.name == "track" and self._of is None
+        if can_track and is_shown and opened is not None and opened.recording.refresh is None:
+            self.start_track(self._page.stage_box.choice)
 
     def _show_none(self, text: str) -> None:
         self.view = None

@@ -128,7 +128,7 @@ def build_target_comparison(
     try:
         touch, reason = _pair_touches(translation, index, source, shift_mm, params)
     except TouchError as error:
-        reason = f"the recorded {translation.target.name} touch cannot be used: {error}"
+        reason = f"the recorded {translation.target.title} touch cannot be used: {error}"
     return TargetComparison(
         index=index,
         target=translation.target,
@@ -145,7 +145,7 @@ def _pair_touches(
     spec = translation.target
     other = translation.read_target_observation(index)
     if other is None:
-        return None, f"the recording has no {spec.name} touch to compare with"
+        return None, f"the recording has no {spec.title} touch to compare with"
     frame = other[0]
     depth = estimate_depth(frame, spec, None, params)
     touch = AlignmentTouch(

@@ -29,7 +29,11 @@ FILE_COMMANDS = (
     Command("open_sample", "Open sample", "Open the sample recording", icon="sample"),
     Command("open_recording", "Open recording…", "Open a recording", icon="open", key="Ctrl+O"),
     Command(
-        "open_folder", "Open folder…", "Open a folder of images", icon="folder", key="Ctrl+Shift+O"
+        "open_folder",
+        "Open folder…",
+        "Open a folder: the images of one recording, or several recordings as a table",
+        icon="folder",
+        key="Ctrl+Shift+O",
     ),
     Command(
         "open_mesh",
@@ -42,7 +46,7 @@ FILE_COMMANDS = (
     Command(
         "open_calibration",
         "Open calibration…",
-        "Open a calibration table written by `tactoscope calibrate balls`",
+        "Open a calibration table of the source sensor",
     ),
     Command(
         "open_weights", "Open weights…", "Open network weights for a method that reads weights"
@@ -299,7 +303,7 @@ REGISTRATION_COMMANDS = (
     Command(
         "open_alignment",
         "Open alignment…",
-        "Open the alignment of the two sensors, a .toml as `tactoscope align refine` writes it",
+        "Open the alignment of the two sensors, a .toml",
     ),
     Command("save_alignment", "Save alignment as…", "Save the alignment with its offsets as .toml"),
     Command(
@@ -310,7 +314,7 @@ REGISTRATION_COMMANDS = (
         key="A",
     ),
     Command("step_through", "Step through", "Keep the iterations of the pose and show them"),
-    Command("open_track", "Open track…", "Open a folder that `tactoscope track` wrote"),
+    Command("open_track", "Open track…", "Open a folder with a track"),
     Command(
         "export_track", "Export track…", "Write table, summary and surface of the track to a folder"
     ),
@@ -351,11 +355,16 @@ LAYOUT_COMMANDS = (
         key="Ctrl+5",
         checkable=True,
     ),
+    Command(
+        "layout_folder",
+        "Folder",
+        "Show the recordings of a folder as one table",
+        key="Ctrl+6",
+        checkable=True,
+    ),
 )
 TASK_COMMANDS = (
-    Command(
-        "open_rollouts", "Open rollouts…", "Open a folder that `tactoscope task --record` wrote"
-    ),
+    Command("open_rollouts", "Open rollouts…", "Open a folder of recorded trials"),
     Command("previous_trial", "Previous trial", "Open the trial above in the table", key="Ctrl+Up"),
     Command("next_trial", "Next trial", "Open the trial below in the table", key="Ctrl+Down"),
     Command("next_decision", "Next decision", "Go to the tick of the next decision", key="N"),
@@ -395,8 +404,13 @@ THEME_COMMANDS = (
     Command("theme_system", "System theme", "Follow the desktop's theme", checkable=True),
 )
 HELP_COMMANDS = (
-    Command("palette", "Commands…", "Search all commands", key="Ctrl+K"),
-    Command("keys", "Shortcuts", "Search all commands and their shortcuts", icon="help", key="F1"),
+    Command(
+        "palette",
+        "Commands…",
+        "Search all commands and their shortcuts",
+        icon="help",
+        key="Ctrl+K",
+    ),
 )
 MENUS: Mapping[str, tuple[Command, ...]] = {  # title -> commands; every command is in one menu
     "&File": FILE_COMMANDS,

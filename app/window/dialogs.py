@@ -23,7 +23,7 @@ _RECORDINGS = "recordings"  # stands for the file kinds of all formats
 OPEN_DIALOGS: Mapping[str, tuple[str, str]] = {
     "open_recording": ("Open recording", _RECORDINGS),
     "set_variant_recording": ("Compare with recording", _RECORDINGS),
-    "open_folder": ("Open folder of images", ""),
+    "open_folder": ("Open folder", ""),
     "open_rollouts": ("Open rollouts", ""),
     "open_track": ("Open track", ""),
     "open_calibration": ("Open calibration", "Calibrations (*.npz);;All files (*)"),

@@ -9,7 +9,7 @@ from PyQt6.QtCore import QObject, pyqtSignal
 
 from app.window.dialogs import format_unit_problem
 from pipeline.core import user_folders
-from pipeline.core.errors import TouchError
+from pipeline.core.errors import TouchError, name_options
 from pipeline.core.geometry.meshes import UnitProblem
 
 log = logging.getLogger("tactoscope")
@@ -73,5 +73,6 @@ def describe_error(error: BaseException) -> tuple[str, str]:
     Details hold the traceback of unexpected errors.
     """
     if isinstance(error, TouchError):
-        return format_unit_problem(error) if isinstance(error, UnitProblem) else str(error), ""
+        text = format_unit_problem(error) if isinstance(error, UnitProblem) else str(error)
+        return name_options(text), ""
     return user_folders.format_sentence(error), user_folders.format_details(error)

@@ -29,21 +29,23 @@ from app.window.actions import (
 from app.window.menus import Drawers, build_menus, build_tool_bar
 from widgets.align.alignment_panel import AlignmentPanel
 from widgets.compare.comparison_page import ComparisonPage
+from widgets.folder.folder_page import FolderPage
 from widgets.frames.error_attribution_panel import ErrorAttributionPanel
 from widgets.frames.frames_panel import FramesPanel
 from widgets.shell.banner import Banner
 from widgets.shell.command_bar import ActionTabs
 from widgets.shell.inspector import Inspector
 from widgets.shell.log_panel import LogPanel
+from widgets.shell.message_bell import MessageBell
 from widgets.shell.panes import LookPage
 from widgets.stages.parameters_panel import ParametersPanel
 from widgets.stages.probes_panel import ProbesPanel, TracePanel
 from widgets.stages.section_panel import SectionPanel
 from widgets.stages.stage_column import StageColumn
 from widgets.stages.steps_panel import StepsPanel
-from widgets.stages.timings_panel import TimingsPanel
 from widgets.stages.verdict_line import VerdictLine
 from widgets.style.base import ChoiceBox, EventListener
+from widgets.style.notification_bar import NotificationBar
 from widgets.style.run_bar import RunBar
 from widgets.style.styling import fill, set_spacing
 from widgets.task.task_page import TaskPage
@@ -55,7 +57,7 @@ from widgets.views.view_3d_panel import FittingLabel, StepsSlider, View3DPanel
 DEFAULT_SIZE = QSize(1600, 950)
 _FRAME = QSize(2, 40)  # that a desktop draws around a window: borders and title bar
 # width of a sensor chooser; of its list, which cuts no name off
-_CHOOSER_LETTERS = 11
+_CHOOSER_LETTERS = 9
 _SENSOR_LIST_PX = 240
 _INSPECTOR_FROM_PX = 1400  # a narrower page folds the inspector
 _STATUS_PX = 4  # of the status bar around its highest part: it never moves the panes
@@ -100,7 +102,6 @@ class MainWindow(QMainWindow):
         self.alignment = AlignmentPanel()
         self.trace = TracePanel()
         self.log = LogPanel()
-        self.timings = TimingsPanel()
         self.probes = ProbesPanel()
         self.error_attribution = ErrorAttributionPanel()
         self.steps_panel = StepsPanel()
@@ -135,12 +136,14 @@ class MainWindow(QMainWindow):
         )
         layouts = [self.actions_by_name[f"layout_{name}"] for name in LAYOUT_NAMES]
         self.layout_tabs = ActionTabs(layouts, "layout")
+        for name in ("track", "task", "folder"):
+            self.offer_layout(name, offered=False)
         self._menu_button = build_tool_bar(
             self,
             self.actions_by_name,
             self.menus,
             (self.source, self.target, self.route, self.layout_tabs),
-            self.drawers.all_drawers,
+            (self.drawers.frames, self.drawers.diagnostics),  # *Align* opens the other
         )
         for name in ("first", "previous", "play", "next", "last", "loop"):
             self.timeline.add_command(self.actions_by_name[name])
@@ -193,7 +196,8 @@ class MainWindow(QMainWindow):
         self.tabs.setCurrentWidget(tab)
 
     def _build_centre(self) -> None:
-        for page in (self.look, self.comparison, self.track, self.task):
+        self.folder = FolderPage(self.actions_by_name["open_folder"])
+        for page in (self.look, self.comparison, self.track, self.task, self.folder):
             self.pages.addWidget(page)
         self.look.active_changed.connect(self.inspector.show_stage)
         self._is_wide = False
@@ -201,7 +205,8 @@ class MainWindow(QMainWindow):
         centre = QWidget()
         layout = set_spacing(QVBoxLayout(centre), 4, (4, 4, 4, 0))
         self.strips = set_spacing(QVBoxLayout(), 4)  # what is to be acted on, over no view
-        self.strips.addWidget(self.banner)
+        self.bell = MessageBell()
+        self.add_notification(self.banner)
         fill(layout, self.strips, self.verdict, (self.pages, 1), self.timeline)
         self.setCentralWidget(centre)
 
@@ -217,12 +222,12 @@ class MainWindow(QMainWindow):
             (self.section_panel, "Section"),
             (self.steps_panel, "Steps"),
             (self.log, "Log"),
-            (self.timings, "Timings"),
         )
         for widget, title in tabs:
             self.tabs.addTab(widget, title)
         for name in ("set_variant_settings", "set_variant_recording", "clear_variant"):
             self.comparison.add_command(self.actions_by_name[name])
+        self.task.add_command(self.actions_by_name["open_rollouts"])
         for name in ("open_track", "export_track"):
             self.track.add_command(self.actions_by_name[name])
         self.drawers = Drawers(
@@ -252,7 +257,7 @@ class MainWindow(QMainWindow):
         status.setFixedHeight(self.run_bar.cancel_button.sizeHint().height() + _STATUS_PX)
         self.setStatusBar(status)
         status.addWidget(self.trace, 1)
-        for widget in (self.readout, self.activity_label, self.run_bar):
+        for widget in (self.readout, self.activity_label, self.run_bar, self.bell):
             status.addPermanentWidget(widget)
         self.show_progress(None)
         self.show_pixel("")
@@ -265,6 +270,7 @@ class MainWindow(QMainWindow):
     def say(self, sentence: str) -> None:
         """Show a sentence in place of the trace for a few seconds."""
         self._status.showMessage(sentence, _SAY_MS)
+        self.bell.add_message(sentence)
 
     @property
     def said(self) -> str:
@@ -310,6 +316,15 @@ class MainWindow(QMainWindow):
             self.scene_panel.view,
         )
 
+    def add_notification(self, bar: NotificationBar) -> None:
+        """Add a bar over the pages; what it says stays in the bell."""
+        self.strips.addWidget(bar)
+        bar.message_shown.connect(self.bell.add_message)
+
+    def offer_layout(self, name: str, *, offered: bool) -> None:
+        """Show the tab of a layout, or hide it where there is nothing for it; its command stays."""
+        self.layout_tabs.offer(self.actions_by_name[f"layout_{name}"], offered=offered)
+
     def hide_stages(self, names: frozenset[str]) -> None:
         """Hide the columns that the route does not compute."""
         self._hidden_stages = names
@@ -318,7 +333,12 @@ class MainWindow(QMainWindow):
     def show_layout(self, layout: Layout) -> None:
         """Show the page of a layout, and stages in its panes."""
         self.current_layout = layout
-        pages = {"compare": self.comparison, "track": self.track, "task": self.task}
+        pages = {
+            "compare": self.comparison,
+            "track": self.track,
+            "task": self.task,
+            "folder": self.folder,
+        }
         page = pages.get(layout.name, self.look)
         self.look.filmstrip.hide_stages(self._hidden_stages)
         self.look.filmstrip.setVisible(layout.name == "look")
@@ -336,7 +356,8 @@ class MainWindow(QMainWindow):
         )
         self.show_inspector_if_checked()
         self.pages.setCurrentWidget(page)
-        self.timeline.setVisible(layout.name != "task")  # which steps through ticks
+        # a task steps through ticks, a folder through recordings
+        self.timeline.setVisible(layout.name not in ("task", "folder"))
         for i, key in enumerate(self.columns):
             self.actions_by_name[f"stage_{i + 1}"].setEnabled(key in self.route_columns)
         for name in LAYOUT_NAMES:

@@ -21,7 +21,6 @@ from widgets.style.icons import make_command_icon
 _TOOLS = (
     "",
     "reset_view",
-    "pin_probe",
     "section_line",
     "",
     "show_truth",
@@ -49,7 +48,7 @@ _AFTER_SEPARATOR = frozenset(
     )
 )
 # Buttons that get their text next to the icon while there is room, the first ones first.
-_TEXT_ORDER = ("full_screen", "export", "live", "show_wipe", "show_difference", "pin_probe")
+_TEXT_ORDER = ("palette", "full_screen", "export", "live", "show_wipe", "show_difference")
 _AREA = Qt.DockWidgetArea
 _SIDE_PX = {_AREA.LeftDockWidgetArea: 360, _AREA.RightDockWidgetArea: 290}
 _MAX_SIDE_SHARE = 0.2  # of the window's width, for the frames table

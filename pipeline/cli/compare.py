@@ -21,6 +21,7 @@ from pipeline.lab.evaluation.variant_comparison import compare_pair
 from pipeline.lab.evaluation.variants import Variant, VariantRunner
 from pipeline.stages.metrics.stage_metrics import METRICS
 from pipeline.translation.catalogue import BUILT_IN
+from pipeline.translation.colour_limits import fit_display
 from pipeline.translation.error_attribution import DEFAULT_METRIC
 from pipeline.translation.translate import Translation, open_translation
 from pipeline.views.display_params import DisplayParams
@@ -85,6 +86,7 @@ def compare(
         # a damaged one leaves nothing to compare
         translation.stream.frame(translation.check_index(frame))
         params, display = _parse_settings(translation, settings)
+        display = fit_display(translation, display, progress)
         check_tiles_folder(out)
         steps: Iterator[Comparison]
         if across or down:

@@ -20,27 +20,44 @@ from pipeline.core.errors import FileProblem
 from pipeline.core.files import open_atomic, read_cached_arrays
 from pipeline.core.user_folders import find_user_folder
 
-_MAX_FILES = 40  # per folder; a distance grid takes 16 MB
+_MAX_FILES = 40  # per folder, unless asked; a distance grid takes 16 MB
 
 T = TypeVar("T")
 
 
 def load_or_make(
-    kind: type[T], made_of: object, code: tuple[str, ...], make: Callable[[], T], folder: Path | str
+    kind: type[T],
+    made_of: object,
+    code: tuple[str, ...],
+    make: Callable[[], T],
+    folder: Path | str,
+    most_files: int = _MAX_FILES,
 ) -> T:
     """Read the value that `make` makes of `made_of` from disk, or make and write it.
 
     `code` names the modules that it depends on; a package stands for its own modules. `kind` is a
     flat dataclass of arrays, numbers and tuples of words; a relative `folder` is within the user's
-    cache.
+    cache, and keeps the newest `most_files`.
     """
-    key = compute_digest((_digest_source(code), made_of))
-    path = cache_folder() / folder / f"{key}.npz"
+    key, path = _find_file(made_of, code, folder)
     value = _read(kind, path, key)
     if value is None:
         value = make()
-        _write(value, path, key)
+        _write(value, path, key, most_files)
     return value
+
+
+def load_stored(
+    kind: type[T], made_of: object, code: tuple[str, ...], folder: Path | str
+) -> T | None:
+    """Read what `load_or_make` has written; None where it is not there."""
+    key, path = _find_file(made_of, code, folder)
+    return _read(kind, path, key)
+
+
+def _find_file(made_of: object, code: tuple[str, ...], folder: Path | str) -> tuple[str, Path]:
+    key = compute_digest((_digest_source(code), made_of))
+    return key, cache_folder() / folder / f"{key}.npz"
 
 
 def cache_folder() -> Path:
@@ -79,7 +96,7 @@ def _to_field_value(array: NDArray[Any]) -> object:
     return tuple(str(word) for word in array) if array.dtype.kind == "U" else freeze(array)
 
 
-def _write(value: object, path: Path, key: str) -> None:
+def _write(value: object, path: Path, key: str, most_files: int) -> None:
     arrays: dict[str, Any] = {
         f.name: np.asarray(getattr(value, f.name)) for f in fields(cast("Any", value))
     }
@@ -87,5 +104,5 @@ def _write(value: object, path: Path, key: str) -> None:
         with open_atomic(path, "a file of the cache", None) as file:
             np.savez(file, key=np.array(key), **arrays)
         newest_last = sorted(path.parent.glob("*.npz"), key=lambda file: file.stat().st_mtime)
-        for old in newest_last[:-_MAX_FILES]:
+        for old in newest_last[:-most_files]:
             old.unlink(missing_ok=True)

@@ -42,6 +42,19 @@ def hint_decimal_comma(text: str) -> str:
     return f"; use a decimal point: {found[0].replace(',', '.')}" if found else ""
 
 
+_OPTION = re.compile(r" \(--[a-z-]+\)|(?<![\w-])--([a-z][a-z-]*)")
+
+
+def name_options(sentence: str) -> str:
+    """Return a sentence that names options of the command line in words, for the window."""
+
+    def say(option: re.Match[str]) -> str:
+        name = option[1]
+        return f"the {name.replace('-', ' ')}" if name else ""
+
+    return _OPTION.sub(say, sentence)
+
+
 def is_utf8_encodable(name: str) -> bool:
     """Return whether a file name is valid UTF-8, as some libraries require."""
     return not any("\ud800" <= c <= "\udfff" for c in name)

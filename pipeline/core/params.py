@@ -35,6 +35,7 @@ class Setting:
     high: float = math.inf
     step: float = 0.0  # of a spin box; 0 = a tenth of the range
     choices: tuple[str, ...] = ()
+    choice_titles: tuple[str, ...] = ()  # of these, as people read them
     help: str = ""
     source: str = ""  # of the equation that uses it
     sensor_kind: str = ""  # that the parameter applies to, "" = any
@@ -74,7 +75,7 @@ def setting(
 ) -> Any:
     """Return a dataclass field with a default and its `Setting`.
 
-    `choices` is the field's `Literal` type.
+    `choices` is the field's `Literal` type, or choice -> title.
     """
     words = get_args(choices) or tuple(choices)
     rule = Setting(
@@ -84,6 +85,7 @@ def setting(
         high=high,
         step=step,
         choices=words,
+        choice_titles=tuple(choices.values()) if isinstance(choices, Mapping) else words,
         help=help,
         source=source,
         sensor_kind=only,

@@ -21,7 +21,7 @@ from pipeline.translation.translate import Translation
 
 DEFAULT_METRIC = "touch_depth.contact_mae_mm"  # error of the target's membrane in contact
 OUTSIDE_VIEW = "outside the source's view"
-_VISIBLE_TITLE = "reprojected"
+_VISIBLE_TITLE = "reprojection"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +53,13 @@ class ErrorAttribution:
         """The error and its largest share."""
         text = f"{self.total:.2f} {self.unit}"
         worst = self._largest_share
-        return text if worst is None else f"{text}, of it {worst.share:.2f}: {worst.title}"
+        if worst is None:
+            return text
+        if worst.share > self.total:
+            return (
+                f"{text}; without {worst.title} {worst.share:.2f} less, which other errors cancel"
+            )
+        return f"{text}, of it {worst.share:.2f}: {worst.title}"
 
     @property
     def main_cause(self) -> str:

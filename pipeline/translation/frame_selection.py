@@ -26,7 +26,7 @@ def find_contact_frame(stream: Stream) -> int:
     """
     best = 0
     most = 0.0
-    for frame, change_of in _compare_with_reference(stream):
+    for frame, change_of in compare_with_reference(stream):
         change = float(change_of.max())
         if change > most:
             best = frame.index
@@ -43,7 +43,7 @@ def select_context_frames(stream: Stream) -> tuple[TactileFrame, ...]:
     one sensor instance and session.
     """
     found: list[tuple[TactileFrame, Floats]] = []
-    for frame, change in _compare_with_reference(stream):
+    for frame, change in compare_with_reference(stream):
         if frame.is_depth or frame.image.dtype != np.uint8:
             return ()
         if not found or compute_cached_digest(frame.reference) == compute_cached_digest(
@@ -62,7 +62,7 @@ def select_context_frames(stream: Stream) -> tuple[TactileFrame, ...]:
     return tuple(chosen)
 
 
-def _compare_with_reference(stream: Stream) -> Iterator[tuple[TactileFrame, Floats]]:
+def compare_with_reference(stream: Stream) -> Iterator[tuple[TactileFrame, Floats]]:
     """Yield frames spread over the recording that have a reference of their shape, and how much
     they differ from it.
 

@@ -41,9 +41,9 @@ def build_observation_view(
         target,
         display,
     )
-    difference = compute_difference(preview, recorded, label="reprojected less recorded")
+    difference = compute_difference(preview, recorded, label="reprojected minus recorded")
     return TruthView(
-        truth=replace(recorded, caption=f"recorded by {target.name}"),
+        truth=replace(recorded, caption=f"recorded by {target.title}"),
         difference_to_truth=difference,
     )
 

@@ -9,23 +9,17 @@ from pipeline.views.colours import ColourScale, apply_colour_map
 from pipeline.views.preview import Preview
 
 _SHARE = 0.2  # of the quantity's own scale: errors are smaller than the quantity
-_LEAST_SHARE = 0.05  # minimum of a fitted scale, so that noise is not shown as an error
 _GREY = 50.0  # grey levels of a colour image, either way
 
 
 def compute_difference(
-    computed: Preview,
-    truth: Preview,
-    label: str = "computed minus truth",
-    *,
-    fit_scale: bool = False,
+    computed: Preview, truth: Preview, label: str = "computed minus truth"
 ) -> Preview | None:
     """Return `computed` minus `truth` pixel by pixel; None where they cannot be subtracted.
 
     Heights, deviations and distances in mm; of colours the mean of the three in grey levels.
-    Distances to an object have no meaningful difference. `label` says which is which. With
-    `fit_scale` the limit is the first round number that covers all but one per cent of the
-    differences, and the preview says so; otherwise differences of all frames share one scale.
+    Distances to an object have no meaningful difference. `label` says which is which. Differences
+    of all frames share one scale.
     """
     if computed.pixels.shape != truth.pixels.shape:
         return None
@@ -49,39 +43,13 @@ def compute_difference(
         return None
     limit = _SHARE * (ours.high if ours.colour_map == "diverging" else ours.high - ours.low)
     gap = (computed.values - truth.values).astype(np.float32)
-    small = _round_limit(gap, limit) if fit_scale else limit
-    preview = _make_preview(computed, truth, gap, small, ours.unit, label, fitted=small < limit)
-    caption = f"{preview.caption}; scale fitted, {small:g} of {limit:g} {ours.unit}"
-    return replace(preview, caption=caption) if small < limit else preview
-
-
-def _round_limit(gap: Floats, most: float) -> float:
-    """Return the smallest of 1, 2 and 5 times a power of ten that covers all but one per cent of
-    the differences.
-    """
-    known = np.abs(gap[np.isfinite(gap)])
-    needed = max(float(np.percentile(known, 99.0)) if known.size else most, _LEAST_SHARE * most)
-    power = 10.0 ** np.floor(np.log10(needed))
-    return float(
-        min(
-            most, next(k * power for k in (1.0, 2.0, 5.0, 10.0) if k * power >= needed * (1 - 1e-9))
-        )
-    )
+    return _make_preview(computed, truth, gap, limit, ours.unit, label)
 
 
 def _make_preview(
-    made: Preview,
-    true: Preview,
-    gap: Floats,
-    limit: float,
-    unit: str,
-    words: str,
-    *,
-    fitted: bool = False,
+    made: Preview, true: Preview, gap: Floats, limit: float, unit: str, words: str
 ) -> Preview:
-    scale = ColourScale(
-        colour_map="diverging", low=-limit, high=limit, unit=unit, quantity=words, is_fitted=fitted
-    )
+    scale = ColourScale(colour_map="diverging", low=-limit, high=limit, unit=unit, quantity=words)
     known = gap[np.isfinite(gap)]
     mean = float(np.abs(known).mean()) if known.size else 0.0
     caption = (

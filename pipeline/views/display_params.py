@@ -1,6 +1,6 @@
 """Display parameters; no method reads them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from pipeline.core.params import setting
@@ -8,6 +8,8 @@ from pipeline.sensors.spec import SensorSpec
 
 _MOST_FLOOR = 0.95  # of the upper limit
 _LEAST_RANGE_MM = 1.0  # of distances
+# where no recording says how far its touches go
+_USUAL_LIMITS_MM = {"gel": 1.5, "bubble": 10.0}
 
 BubbleQuantity = Literal["deviation", "distance"]
 
@@ -17,22 +19,22 @@ class DisplayParams:
     """Colour limits and depth stretch, in the units of the quantity."""
 
     gel_limit_mm: float = setting(
-        1.5,
+        0.0,
         "Gel indentation up to",
         unit="mm",
-        low=0.1,
+        low=0.0,
         high=3.0,
         step=0.1,
-        help="upper colour limit for gels",
+        help="upper colour limit for gels; 0 = fitted to the recording",
     )
     bubble_limit_mm: float = setting(
-        10.0,
+        0.0,
         "Bubble indentation up to",
         unit="mm",
-        low=1.0,
+        low=0.0,
         high=25.0,
         step=1.0,
-        help="upper colour limit for bubbles",
+        help="upper colour limit for bubbles; 0 = fitted to the recording",
     )
     gel_floor_mm: float = setting(
         0.0,
@@ -103,7 +105,12 @@ class DisplayParams:
 
     def get_limit_mm(self, sensor: SensorSpec) -> float:
         """Return the upper colour limit of indentations of this kind of sensor."""
-        return getattr(self, f"{sensor.sensor_kind.display_group}_limit_mm")
+        group = sensor.sensor_kind.display_group
+        return getattr(self, f"{group}_limit_mm") or _USUAL_LIMITS_MM[group]
+
+    def without_limits(self) -> "DisplayParams":
+        """Copy with limits that are fitted to the next recording."""
+        return replace(self, gel_limit_mm=0.0, bubble_limit_mm=0.0)
 
     def get_floor_mm(self, sensor: SensorSpec) -> float:
         """Return the lower colour limit of indentations, always below the upper one."""

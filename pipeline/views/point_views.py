@@ -48,7 +48,7 @@ from pipeline.views.view import (
     to_xyz,
 )
 
-_REACH_LABEL = "past rest surface, + toward camera"
+_REACH_LABEL = "beyond the resting membrane, + toward camera"
 _PREVIEW_SCALE = 0.5  # of the target's resolution, so that neighbouring points leave no holes
 _MAX_LINES = 400  # lines from registered points to the object; more would hide it
 
@@ -67,7 +67,7 @@ def _draw_cloud(cloud: Cloud, context: PreviewContext) -> Preview:
         pixels=apply_colour_map(reach, scale),
         values=freeze(reach),
         scale=scale,
-        frame_name=f"{target.name} frame",
+        frame_name=f"{target.title} frame",
         positions_mm=PointPositions(cloud.points_mm, index),
         element_index=index,
         camera=camera,
@@ -224,7 +224,7 @@ def _draw_pose(pose: ObjectPose, context: PreviewContext) -> Preview:
         pixels=freeze(np.ascontiguousarray(pixels, dtype=np.uint8)),
         values=freeze(values),
         scale=scale,
-        frame_name=f"{context.target.name} frame",
+        frame_name=f"{context.target.title} frame",
         positions_mm=PixelPositions(depth.camera, depth.depth_mm),
         outline_px=trace_outline(depth.contact),
         pixel_mm=compute_pixel_mm(depth.camera, context.target),

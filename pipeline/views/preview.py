@@ -163,7 +163,7 @@ def make_indentation_preview(
         pixels=apply_colour_map(heights_mm, scale),
         values=heights_mm,
         scale=scale,
-        frame_name=f"{sensor.name} frame",
+        frame_name=f"{sensor.title} frame",
         positions_mm=PixelPositions(camera, depth_mm),
         outline_px=trace_outline(contact),
         pixel_mm=compute_pixel_mm(camera, sensor),
@@ -189,7 +189,7 @@ def make_frame_preview(
     is the untouched `reference` of the very unit, where there is one, else the described shape,
     which a reading that was `recorded` need not have had.
     """
-    place = f"{sensor.name} frame"
+    place = f"{sensor.title} frame"
     border = None if contact is None else trace_outline(contact)
     if image.ndim == 2:
         depth = np.asarray(image, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Frames, timings, trace, log, steps and the banner."""
+"""Frames, trace, log, steps and the banner."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from widgets.frames.frames_panel import FramesPanel
 from widgets.shell.banner import Banner
 from widgets.shell.log_panel import LogPanel
 from widgets.stages.probes_panel import TracePanel
-from widgets.stages.timings_panel import TimingRow, TimingsPanel
 from widgets.style.plots import Strip, StripPlot
 from widgets.style.theme import get_theme_colours, to_hex
 from widgets.views.view_3d_panel import StepsSlider
@@ -61,21 +60,6 @@ def test_the_list_of_frames_is_a_sound_model_and_fills_lazily(qtbot, qtmodeltest
     cells = [panel.model.data(panel.model.index(2, c)) for c in (FRAME, DEPTH, CONTACT, METRIC)]
     assert cells == ["2", "0.50", "12.3", "-"]
     assert panel.model.data(panel.model.index(3, 1)) == ""
-
-
-def test_timings_show_every_stage_and_their_sum(qtbot):
-    panel = TimingsPanel()
-    qtbot.addWidget(panel)
-    panel.show_rows(
-        (
-            TimingRow(title="Depth", state="computed", time_ms=9.5, notes=("a", "b")),
-            TimingRow(title="Pose", state="skipped", time_ms=0.5, notes=("no mesh",)),
-        )
-    )
-    rows = [[panel.table.item(r, c).text() for c in range(5)] for r in range(3)]
-    assert rows[0] == ["Depth", "computed", "9.50", "95 %", "a · b"]
-    assert rows[1] == ["Pose", "skipped", "0.50", "5 %", "no mesh"]
-    assert rows[2] == ["all stages", "", "10.00", "100 %", ""]
 
 
 def test_the_trace_reads_like_a_sentence(qtbot):

@@ -51,3 +51,10 @@ def test_buttons_act_and_a_sentence_is_no_markup(line, qtbot):
     qtbot.mouseClick(line.buttons[0], Qt.MouseButton.LeftButton)
     assert done == [1]
     assert "a &lt; b &amp; c" in line.findChild(QLabel).text()
+
+
+def test_an_empty_verdict_takes_no_room(line):
+    line.show_verdict("", "Frame 0 has no contact.")
+    assert line.isVisible()
+    line.show_verdict("", "")
+    assert not line.isVisible()

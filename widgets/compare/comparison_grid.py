@@ -1,11 +1,10 @@
-"""Cells of a grid of variants, and their error against time.
+"""Cells of a grid of variants, with error and time; those that no other beats in both are bold.
 
-A click on a cell, here or there, chooses it.
+A click on a cell chooses it.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
 
 from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QIcon, QPixmap
@@ -19,8 +18,6 @@ from PyQt6.QtWidgets import (
 
 from pipeline.lab.evaluation.grid_comparison import GridCell
 from widgets.style.base import EventListener
-from widgets.style.plots import Plot
-from widgets.style.theme import ThemeColours, to_qcolor
 from widgets.views.preview_renderer import make_themed_qimage
 
 CellIndex = tuple[int, int]  # row, col
@@ -44,14 +41,11 @@ def _format_time(ms: float) -> str:
 def find_pareto_front(cells: Iterable[GridCell]) -> list[GridCell]:
     """Cells that no other beats in both time and error, by time."""
     front: list[GridCell] = []
-    for cell in sorted(_list_measured(cells), key=lambda cell: (cell.ms, cell.error)):
+    measured = [cell for cell in cells if math.isfinite(cell.error) and math.isfinite(cell.ms)]
+    for cell in sorted(measured, key=lambda cell: (cell.ms, cell.error)):
         if not front or cell.error < front[-1].error:
             front.append(cell)
     return front
-
-
-def _list_measured(cells: Iterable[GridCell]) -> list[GridCell]:
-    return [cell for cell in cells if math.isfinite(cell.error) and math.isfinite(cell.ms)]
 
 
 class CellGrid(QTableWidget):
@@ -111,6 +105,12 @@ class CellGrid(QTableWidget):
             smooth = Qt.TransformationMode.SmoothTransformation
             item.setIcon(QIcon(QPixmap.fromImage(image.scaled(self.iconSize(), fit, smooth))))
         self.setItem(cell.row, cell.col, item)
+        front = find_pareto_front(self.cells.values())
+        for (row, col), known in self.cells.items():
+            if (shown := self.item(row, col)) is not None:
+                font = self.font()
+                font.setBold(known in front)
+                shown.setFont(font)
 
     def _draw_cells(self) -> None:
         for cell in self.cells.values():
@@ -130,55 +130,3 @@ class CellGrid(QTableWidget):
         cell = self.cells.get((row, col))
         if cell is not None and not cell.problem:
             self.cell_chosen.emit(row, col)
-
-
-class CellPlot(Plot):
-    """Error against time of the cells; the Pareto front is joined by a line."""
-
-    cell_chosen = pyqtSignal(int, int)
-
-    def __init__(self) -> None:
-        super().__init__("comparison_plot", "error against time")
-        self.cells: Mapping[CellIndex, GridCell] = {}
-        self._unit = ""
-
-    def show_cells(self, cells: Mapping[CellIndex, GridCell], unit: str) -> None:
-        """Show these cells, with errors in `unit`."""
-        self.cells = cells
-        self._unit = unit
-        self.redraw()
-
-    def draw(self, pyqtgraph: Any, ink: ThemeColours) -> None:
-        """Draw the points and the Pareto front."""
-        error = f"error, {self._unit}" if self._unit else "error"
-        axes = self.prepare_axes(pyqtgraph, 0, "time of the frame without cache, ms", error)
-        front = find_pareto_front(self.cells.values())
-        measured = _list_measured(self.cells.values())
-        axes.plot(
-            [c.ms for c in front],
-            [c.error for c in front],
-            pen=pyqtgraph.mkPen(to_qcolor(ink.accent), width=1.5),
-        )
-        points = pyqtgraph.ScatterPlotItem(
-            [c.ms for c in measured],
-            [c.error for c in measured],
-            data=[(c.row, c.col) for c in measured],
-            size=10,
-            brush=[to_qcolor(ink.accent if c in front else ink.worse) for c in measured],
-            hoverable=True,
-            hoverSize=15,
-            tip=self._describe_point,
-        )
-        points.sigClicked.connect(self._choose)
-        axes.view.addItem(points)
-        axes.view.setLimits(xMin=0.0, yMin=0.0)
-
-    def _describe_point(self, x: float, y: float, data: CellIndex) -> str:
-        del x, y
-        return (
-            f"row {data[0] + 1}, column {data[1] + 1}: "
-            f"{describe_cell(self.cells[data], self._unit)}"
-        )
-
-    def _choose(self, _: object, points: Sequence[Any], *__: object) -> None:
-        self.cell_chosen.emit(*points[0].data())

@@ -4,8 +4,8 @@ grid.
 
 from collections.abc import Mapping, Sequence
 from functools import partial
+from types import MappingProxyType
 
-from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import (
     QGridLayout,
     QHBoxLayout,
@@ -20,11 +20,11 @@ from PyQt6.QtWidgets import (
 
 from pipeline.lab.evaluation.comparison_tiles import Comparison
 from pipeline.lab.evaluation.grid_comparison import GridComparison, GridPlan, format_value
-from widgets.compare.comparison_grid import CellGrid, CellPlot
+from widgets.compare.comparison_grid import CellGrid
 from widgets.compare.tile_grid import TileGrid
 from widgets.style.base import ChoiceBox
 from widgets.style.run_bar import RunBar
-from widgets.style.styling import fill, make_splitter, set_spacing
+from widgets.style.styling import fill, set_spacing
 
 
 class ComparisonTab(QWidget):
@@ -64,7 +64,6 @@ class TileTab(ComparisonTab):
 
 
 _AXES = "columns", "rows"
-_GRID_SIZE = 720  # of 1000: the grid next to the plot
 GRID_HINT = "choose what columns and rows try, then press Start; a click on a cell uses its values"
 
 
@@ -78,12 +77,9 @@ class GridTab(ComparisonTab):
         self.metric_box = ChoiceBox("grid_metric", "metric")
         self.start_button = QPushButton("Start")
         self.grid = CellGrid()
-        self.plot = CellPlot()
         self._offers: Mapping[str, str] = {}
         controls = set_spacing(QGridLayout(), 6)
-        results = make_splitter(Qt.Orientation.Horizontal, (self.grid, 3), (self.plot, 2))
-        results.setSizes([_GRID_SIZE, 1000 - _GRID_SIZE])
-        super().__init__(controls, results)
+        super().__init__(controls, self.grid)
         for which, (word, box, line) in enumerate(zip(_AXES, self.axes, self.values, strict=True)):
             line.setObjectName(f"grid_{word}_values")
             line.setAccessibleName(f"values of the {word}")
@@ -103,9 +99,14 @@ class GridTab(ComparisonTab):
         line.setText(self._offers.get(title, ""))
 
     def offer_axes(
-        self, offers: Mapping[str, str], metrics: Mapping[str, str], metric: str
+        self,
+        offers: Mapping[str, str],
+        metrics: Mapping[str, str],
+        metric: str,
+        labels: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
-        """Offer axes (title -> suggested values) and metrics (name -> title); emits no signal.
+        """Offer axes (name -> suggested values) with their `labels`, and metrics (name -> title);
+        emits no signal.
 
         The chosen axes and their values stay while they are offered, else the first ones are
         chosen.
@@ -115,7 +116,7 @@ class GridTab(ComparisonTab):
         for box, line, default, none in zip(
             self.axes, self.values, first, ({}, {"": "one row"}), strict=True
         ):
-            titles = {**none, **{title: title for title in offers}}
+            titles = {**none, **{name: labels.get(name, name) for name in offers}}
             keeps = box.count() > 0 and box.choice in titles
             box.offer(titles, box.choice if keeps else default)
             if not keeps:
@@ -139,11 +140,9 @@ class GridTab(ComparisonTab):
         )
         across, down = (*values, [""] if values else [], list[str]())[:2]
         self.grid.show_axes(across, down, unit)
-        self.plot.show_cells({}, unit)
 
     def show_comparison(self, comparison: Comparison) -> None:
         """Show the newest cell."""
         super().show_comparison(comparison)
         if isinstance(comparison, GridComparison) and comparison.cells:
             self.grid.show_cell(comparison.cells[-1])
-            self.plot.show_cells(self.grid.cells, self.grid.unit)

@@ -44,7 +44,9 @@ def make_bars(
         rows.append(WaterfallBar(title=name, begin=left, end=left - share))
         left -= share
     if rest is not None:
-        rows.append(WaterfallBar(title="the rest", begin=0.0, end=rest, is_total=True))
+        rows.append(
+            WaterfallBar(title="what remains with all truth", begin=0.0, end=rest, is_total=True)
+        )
     return tuple(rows)
 
 
@@ -91,7 +93,9 @@ class Waterfall(PaintedWidget):
             painter.setPen(self.palette().color(QPalette.ColorRole.WindowText))
             line = QRectF(4, top, self.width() - 8, line_px)
             painter.drawText(line, Qt.AlignmentFlag.AlignLeft, bar.title)
-            value = f"{bar.end:.3f} {self._unit}" if bar.is_total else f"{bar.change:+.3f}"
+            way = "less" if bar.change <= 0 else "more"
+            value = f"{bar.end:.3f} {self._unit}"
+            value = value if bar.is_total else f"{abs(bar.change):.3f} {way}"
             painter.drawText(line, Qt.AlignmentFlag.AlignRight, value)
             ends = sorted((bar.begin, bar.end))
             colour = ink.neutral if bar.is_total else ink.accent if bar.change <= 0 else ink.worse
@@ -129,7 +133,8 @@ class ErrorAttributionPanel(WaterfallPanel):
         )
         super().__init__(self.metric_box)
         self.waterfall.setToolTip(
-            "A click on a share pins the truth of its stage in the column's head, or releases it"
+            "How much less or more the error is with the truth in one stage after the other; a "
+            "click computes the frame with the truth of that stage, or without it again"
         )
         self.waterfall.row_clicked.connect(self._click_row)
         self.show_empty("")

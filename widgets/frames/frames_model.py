@@ -9,7 +9,7 @@ from PyQt6.QtGui import QGuiApplication, QIcon, QImage, QPixmap
 from pipeline.core.arrays import Image
 from widgets.frames.frame_summary import FrameSummary
 from widgets.style.icons import make_state_icon
-from widgets.style.tables import SORT_ROLE, RowsModel
+from widgets.style.tables import RowsModel
 from widgets.style.theme import is_dark
 
 FRAME, METRIC, CAUSE, DEPTH, CONTACT, WARNINGS, NOTE = range(7)
@@ -200,86 +200,56 @@ class FramesModel(RowsModel):
         return True
 
     def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
-        """Return the text of a cell, or its sort value."""
-        if not index.isValid():
+        """Return what Qt asks of a cell; a note can be edited."""
+        is_note = index.isValid() and index.column() == NOTE
+        if is_note and role == Qt.ItemDataRole.EditRole:
+            return self.get_note(index.row())
+        return super().data(index, role)
+
+    def get_picture(self, row: int, column: int) -> object:
+        """Return the image of a frame, or the sign next to its number of warnings."""
+        both = self._thumbnails.get(row) if column == FRAME else None
+        if both is not None:
+            return QIcon(both[is_dark(QGuiApplication.palette())])
+        warns = column == WARNINGS and bool(self.get_specific_warnings(row))
+        return make_state_icon("warning") if warns else None
+
+    def get_tip(self, row: int, column: int) -> str:
+        """Return why a frame failed, or its warnings; of a note, itself."""
+        summary = self._known.get(row)
+        if column == NOTE or summary is None:
+            return self.get_note(row) if column == NOTE else ""
+        return summary.problem or "\n".join(summary.warnings)
+
+    def get_number(self, row: int, column: int) -> float | None:
+        """Return the number of a cell, NaN if unknown; None for a column of texts."""
+        summary = self._known.get(row)
+        if column in (CAUSE, NOTE):
             return None
-        if index.column() == NOTE and role != SORT_ROLE:
-            kept = self.get_note(index.row())
-            shown = (
-                Qt.ItemDataRole.DisplayRole,
-                Qt.ItemDataRole.EditRole,
-                Qt.ItemDataRole.ToolTipRole,
-            )
-            return kept if role in shown else None
-        if role in (Qt.ItemDataRole.ToolTipRole, Qt.ItemDataRole.DecorationRole):
-            return self._remark(index.row(), index.column(), Qt.ItemDataRole(role))
-        if role == Qt.ItemDataRole.TextAlignmentRole:
-            side = (
-                Qt.AlignmentFlag.AlignLeft
-                if index.column() == CAUSE
-                else Qt.AlignmentFlag.AlignRight
-            )
-            return int(side | Qt.AlignmentFlag.AlignVCenter)
-        if role == SORT_ROLE:
-            return self._sort_value(index.row(), index.column())
-        return (
-            self._text(index.row(), index.column()) if role == Qt.ItemDataRole.DisplayRole else None
-        )
-
-    def _remark(self, frame: int, column: int, role: Qt.ItemDataRole) -> object:
-        """Return why a frame failed or has warnings, its image, or the sign next to its number
-        of warnings.
-        """
-        summary = self._known.get(frame)
-        if role == Qt.ItemDataRole.DecorationRole and column == FRAME:
-            both = self._thumbnails.get(frame)
-            return None if both is None else QIcon(both[is_dark(QGuiApplication.palette())])
-        if summary is None:
-            return None
-        if role == Qt.ItemDataRole.ToolTipRole:
-            return summary.problem or "\n".join(summary.warnings) or None
-        return (
-            make_state_icon("warning")
-            if column == WARNINGS and self.get_specific_warnings(frame)
-            else None
-        )
-
-    def _sort_value(self, frame: int, column: int) -> float | str:
-        if column == CAUSE:
-            known = self._known.get(frame)
-            return "" if known is None else known.cause
-        if column == NOTE:
-            return 1.0 if self.get_note(frame) else 0.0
-        value = self._number(frame, column)
-        return value if math.isfinite(value) else -math.inf
-
-    def _number(self, frame: int, column: int) -> float:
-        """Return the number of a cell; NaN if unknown."""
-        summary = self._known.get(frame)
         if column == FRAME:
-            return float(frame)
+            return float(row)
         if column == METRIC:
-            return self._get_metric(frame, self._figure)
+            return self._get_metric(row, self._figure)
         if summary is None or summary.problem:
             return math.nan
         if column == CONTACT:
             return summary.contact_area_mm2
         figures = {WARNINGS: _N_WARNINGS, DEPTH: "frame.max_indentation_mm"}
-        return self._get_metric(frame, figures[column])
+        return self._get_metric(row, figures[column])
 
-    def _text(self, frame: int, column: int) -> str:
-        summary = self._known.get(frame)
+    def format_cell(self, row: int, column: int) -> str:
+        """Return the text of a cell."""
+        summary = self._known.get(row)
+        number = self.get_number(row, column)
+        if number is None:
+            known = "" if summary is None or summary.problem else summary.cause
+            return self.get_note(row) if column == NOTE else known
         if column == FRAME:
-            return str(frame)
-        if summary is None:
-            value = self._number(frame, column)
-            return f"{value:.{_DECIMALS[column]}f}" if math.isfinite(value) else ""
-        if summary.problem:
+            return str(row)
+        if summary is not None and summary.problem:
             return "failed" if column == METRIC else ""
-        if column == CAUSE:
-            return summary.cause
-        value = self._number(frame, column)
-        return f"{value:.{_DECIMALS[column]}f}" if math.isfinite(value) else "-"
+        unknown = "" if summary is None else "-"
+        return f"{number:.{_DECIMALS[column]}f}" if math.isfinite(number) else unknown
 
     def _emit_changed(self, first: int, last: int) -> None:
         if last >= first:

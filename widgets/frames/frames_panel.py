@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from functools import partial
 
-from PyQt6.QtCore import QEvent, QModelIndex, QSize, QSortFilterProxyModel, Qt, pyqtSignal
+from PyQt6.QtCore import QModelIndex, QSize, QSortFilterProxyModel, Qt, pyqtSignal
 from PyQt6.QtWidgets import (
     QAbstractItemView,
     QComboBox,
@@ -25,16 +25,13 @@ from widgets.frames.frames_model import (
     WARNINGS,
     FramesModel,
 )
-from widgets.frames.metric_histogram import MetricHistogram
-from widgets.style.base import ChoiceBox, EventListener
-from widgets.style.styling import fill, make_search_line, make_single_shot_timer, set_spacing
+from widgets.style.base import ChoiceBox
+from widgets.style.styling import fill, make_search_line, set_spacing
 from widgets.style.tables import (
     SORT_ROLE,
     RowFilter,
-    get_limits,
     matches_limit,
     prepare_table,
-    replace_limits,
 )
 
 _HINT = "filter: >0.3, <2, contact, warned, noted, a word"
@@ -43,7 +40,6 @@ _FILTER_TIP = (
     "word of a note or a warning"
 )
 _ICON_PX = 40, 30
-_HISTOGRAM_DELAY_MS = 60  # values that arrive within it are drawn together
 
 
 class FramesPanel(QWidget):
@@ -65,20 +61,13 @@ class FramesPanel(QWidget):
         self.metric_box.setSizeAdjustPolicy(
             QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
         )
-        self.histogram = MetricHistogram()
-        self.histogram.range_chosen.connect(self._choose_range)
         self.table = _table(self._sorted)
         layout = set_spacing(QVBoxLayout(self), 3, (2, 2, 2, 2))
-        fill(layout, self.metric_box, self.histogram, self.filter_line, self.table, self._told)
+        fill(layout, self.metric_box, self.filter_line, self.table, self._told)
         self.table.clicked.connect(self._choose_picked)  # a double click edits the note
         self.table.activated.connect(self._choose_picked)
-        self._histogram_timer = make_single_shot_timer(
-            self, _HISTOGRAM_DELAY_MS, self._show_histogram
-        )
         for signal in (self.model.dataChanged, self.model.modelReset):
             signal.connect(self._tell)
-        # which is not drawn while the panel is hidden
-        EventListener(self, self._show_histogram, QEvent.Type.Show)
         self._tell()
 
     def show_frame(self, frame: int) -> None:
@@ -99,7 +88,6 @@ class FramesPanel(QWidget):
         self.metric_box.offer(names, chosen)
         self.metric_box.setEnabled(bool(names))
         self.model.show_metric(chosen, title, names.get(chosen, chosen))
-        self._histogram_timer.start()
 
     def step_by_metric(self, by: int, *, sort_order: Qt.SortOrder) -> None:
         """Move by `by` frames in the order of the metric, without frames that lack it.
@@ -130,15 +118,6 @@ class FramesPanel(QWidget):
         listed = self._sorted.rowCount()
         some = f", {listed} listed" if listed != frames else ""
         self._told.setText(f"{done} of {frames} frames known{some}" if frames else "")
-        self._histogram_timer.start()
-
-    def _show_histogram(self) -> None:
-        if self.isVisible():
-            values = self.model.get_values(self.metric_box.choice)
-            self.histogram.show_values(values, get_limits(self.filter_line.text()))
-
-    def _choose_range(self, low: float, high: float) -> None:
-        self.filter_line.setText(replace_limits(self.filter_line.text(), low, high))
 
     def _filter(self, words: str) -> None:
         self._sorted.set_filter(words)

@@ -74,7 +74,7 @@ class LiveDialog(QDialog):
     def show_choices(self, sensors: Mapping[str, str], tools: Sequence[str]) -> None:
         """Offer these sensors (name -> title) and objects."""
         self.sensor.offer({"": "detect from name or images", **sensors})
-        self.object_box.offer({name: name for name in tools}, "sphere")
+        self.object_box.offer({name: name.replace("_", " ") for name in tools}, "sphere")
 
     def show_cameras(self, cameras: Sequence[tuple[str, str]]) -> None:
         """Offer the connected cameras as (name, source)."""

@@ -98,6 +98,7 @@ class ActionTabs(QTabBar):
     def __init__(self, actions: Sequence[QAction], name: str) -> None:
         super().__init__()
         self._actions = tuple(actions)
+        self._hidden = set[QAction]()  # unless they are checked
         self.setObjectName(f"{name}_tabs")
         self.setAccessibleName(name)
         self.setDrawBase(False)
@@ -111,8 +112,17 @@ class ActionTabs(QTabBar):
         self.currentChanged.connect(self._run)
         self._select_checked()
 
+    def offer(self, action: QAction, *, offered: bool) -> None:
+        """Show the tab of a command, or hide it while it is not checked."""
+        self._hidden = self._hidden - {action} if offered else self._hidden | {action}
+        self._select_checked()
+
     def _select_checked(self, _: bool = False) -> None:
         for i, action in enumerate(self._actions):
+            is_offered = action.isChecked() or action not in self._hidden
+            if self.isTabVisible(i) != is_offered:
+                self.setTabVisible(i, is_offered)
+                self.updateGeometry()
             if action.isChecked() and i != self.currentIndex():
                 with QSignalBlocker(self):
                     self.setCurrentIndex(i)

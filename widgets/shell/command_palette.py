@@ -1,33 +1,25 @@
-"""Every command of the window: a palette that finds them by a few letters, and the page of their
-shortcuts.
-"""
+"""Every command of the window, with its shortcut, found by a few letters or words."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from PyQt6.QtCore import QEvent, QObject, Qt
-from PyQt6.QtGui import QAction, QKeyEvent, QKeySequence
+from PyQt6.QtGui import QAction, QKeyEvent
 from PyQt6.QtWidgets import (
     QDialog,
-    QHeaderView,
     QLabel,
     QLineEdit,
     QListWidget,
     QListWidgetItem,
-    QTableWidget,
-    QTableWidgetItem,
     QVBoxLayout,
     QWidget,
 )
 
-from widgets.style.styling import fill, make_search_line, set_spacing
-from widgets.style.tables import TableCopier, prepare_table
+from widgets.style.styling import set_spacing
 
 _WIDTH_PX = 560
 _MOST_SHOWN = 200
 _KEYS = (Qt.Key.Key_Up, Qt.Key.Key_Down, Qt.Key.Key_PageUp, Qt.Key.Key_PageDown)
-_SIZE_PX = 760, 560
-_TITLES = ("menu", "command", "shortcut", "what it does")
-_FORMAT = QKeySequence.SequenceFormat.NativeText
+_FAR = 10_000  # rank of a command that is found by its description, after those by name
 
 
 class CommandPalette(QDialog):
@@ -41,7 +33,9 @@ class CommandPalette(QDialog):
         self.line = QLineEdit()
         self.results = QListWidget()
         self._tip = QLabel()
-        self.line.setPlaceholderText("type a few letters of a command")
+        self.line.setPlaceholderText(
+            "a few letters of a command, its key, or a word of what it does"
+        )
         self.line.setAccessibleName("command")
         self.results.setObjectName("palette_found")
         self.results.setAccessibleName("commands that match")
@@ -86,7 +80,7 @@ class CommandPalette(QDialog):
             (
                 (score, i)
                 for i, action in enumerate(self._actions)
-                if (score := _score(text, get_command_name(action))) >= 0
+                if (score := _rank(text, action)) >= 0
             ),
         )
         self.results.clear()
@@ -113,6 +107,15 @@ def get_command_name(action: QAction) -> str:
     return action.text().replace("&", "")
 
 
+def _rank(text: str, action: QAction) -> int:
+    """Return the place of a command among those that match: by name, else by the words of its
+    tooltip, which ends in its key; -1 if it does not.
+    """
+    score = _score(text, get_command_name(action))
+    tip = action.toolTip().lower()
+    return _FAR if score < 0 and all(word in tip for word in text.lower().split()) else score
+
+
 def _score(text: str, name: str) -> int:
     """Return how far apart the letters of `text` lie in `name`, in order; -1 if one is missing."""
     at = -1
@@ -127,54 +130,3 @@ def _score(text: str, name: str) -> int:
         score += found - at
         at = found
     return score + len(name)
-
-
-class ShortcutsPage(QDialog):
-    """One row per command; the search line keeps the rows that hold all its words."""
-
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self.setWindowTitle("Commands and shortcuts")
-        self.setObjectName("shortcuts")
-        hint = "search: a command, a key, a word"
-        self.line = make_search_line("shortcuts_search", "search of the commands", hint)
-        self.table = QTableWidget(0, len(_TITLES))
-        self.line.textChanged.connect(self._filter)
-        columns = prepare_table(self.table, "shortcuts_table", "commands and shortcuts")
-        self.table.setHorizontalHeaderLabels(_TITLES)
-        self.table.setAlternatingRowColors(True)
-        columns.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-        columns.setStretchLastSection(True)
-        fill(set_spacing(QVBoxLayout(self), 6, (8, 8, 8, 8)), self.line, self.table)
-        TableCopier(self)
-
-    def show_commands(self, menus: Mapping[str, Sequence[QAction]]) -> None:
-        """Show the commands of each menu, on the screen whatever its size."""
-        rows = [
-            (menu, action) for menu, actions in menus.items() for action in actions if action.text()
-        ]
-        self.table.setRowCount(len(rows))
-        for at, (menu, action) in enumerate(rows):
-            keys = ", ".join(key.toString(_FORMAT) for key in action.shortcuts())
-            name = action.text().replace("&", "")
-            tip = action.toolTip().removesuffix(f" ({action.shortcut().toString()})")
-            for column, text in enumerate((menu, name, keys, tip)):
-                self.table.setItem(at, column, QTableWidgetItem(text))
-        self.line.clear()
-        screen = self.screen()
-        width_px, height_px = _SIZE_PX
-        if screen is not None:
-            room = screen.availableSize()
-            width_px = min(width_px, room.width() - 40)
-            height_px = min(height_px, room.height() - 80)
-        self.resize(width_px, height_px)
-        self.show()
-        self.raise_()
-        self.line.setFocus()
-
-    def _filter(self, text: str) -> None:
-        words = text.lower().split()
-        for row in range(self.table.rowCount()):
-            cells = [self.table.item(row, column) for column in range(len(_TITLES))]
-            said = " ".join(cell.text() for cell in cells if cell is not None).lower()
-            self.table.setRowHidden(row, not all(word in said for word in words))

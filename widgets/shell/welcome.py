@@ -17,7 +17,7 @@ from PyQt6.QtWidgets import (
 
 from pipeline.core.errors import escape_text
 from widgets.style.base import EventListener, enlarge_font
-from widgets.style.styling import ThemedLabel, fill, make_bold, set_spacing
+from widgets.style.styling import fill, make_bold, set_spacing
 from widgets.style.theme import get_theme_colours, to_qcolor
 
 _WIDTH_PX = 620
@@ -56,21 +56,20 @@ class WelcomePage(QWidget):
     recent_chosen = pyqtSignal(object)  # Path
 
     def __init__(
-        self, over: QWidget, first: QWidget, commands: Sequence[QAction], formats: str, sensors: str
+        self, over: QWidget, first: QWidget, commands: Sequence[QAction], formats: str
     ) -> None:
-        """`formats` and `sensors` are the names of what can be opened."""
+        """`formats` are the names of what can be opened."""
         super().__init__(over)
         self._first = first
         self.setObjectName("welcome")
         self.setAutoFillBackground(True)
         title = QLabel("Tactoscope")
         purpose = QLabel(_PURPOSE)
-        drop = DropArea(f"Drop a recording here: {formats}")
-        known = ThemedLabel(lambda colours: colours.secondary_text, f"Sensors: {sensors}")
+        drop = DropArea("Drop a recording here, or a folder of recordings")
+        drop.setToolTip(formats)
         make_bold(title)
         enlarge_font(title, 9.0)
-        for label in (purpose, drop, known):
-            label.setWordWrap(True)
+        purpose.setWordWrap(True)
         drop.setAlignment(Qt.AlignmentFlag.AlignCenter)
         drop.setMinimumHeight(72)
         drop.setMargin(10)
@@ -86,7 +85,7 @@ class WelcomePage(QWidget):
         self._sheet.setMaximumWidth(_WIDTH_PX)
         row = fill(set_spacing(QHBoxLayout(), 8), *self.buttons, 1)
         column = set_spacing(QVBoxLayout(self._sheet), 12)
-        fill(column, title, purpose, row, drop, known, self._told, self.recent)
+        fill(column, title, purpose, row, drop, self._told, self.recent)
         fill(QHBoxLayout(self), 1, (fill(QVBoxLayout(), 1, self._sheet, 2), 10), 1)
         for widget in (over, first):
             EventListener(widget, self._cover, QEvent.Type.Resize, QEvent.Type.Move)

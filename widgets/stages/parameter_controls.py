@@ -105,9 +105,10 @@ def make_control(
     return _text(value, edited)
 
 
-def describe_setting(setting: Setting, qualified_name: str) -> str:
-    """Return the tooltip: help, name on the command line, range and source."""
-    tip = f"{setting.help or setting.label} ({qualified_name}{_range(setting)})"
+def describe_setting(setting: Setting) -> str:
+    """Return the tooltip: help, range and source."""
+    words = _range(setting)
+    tip = (setting.help or setting.label) + (f" ({words})" if words else "")
     return f"{tip}\nsource: {setting.source}" if setting.source else tip
 
 
@@ -124,10 +125,10 @@ def _range(setting: Setting) -> str:
     """Return the allowed range with its unit."""
     unit = f" {setting.unit}" if setting.unit else ""
     if setting.choices:
-        return f", {', '.join(setting.choices)}"
+        return ""  # which the list shows
     if math.isfinite(setting.low) and math.isfinite(setting.high):
-        return f", {setting.low:g} to {setting.high:g}{unit}"
-    return f", in{unit}" if unit else ""
+        return f"{setting.low:g} to {setting.high:g}{unit}"
+    return f"in{unit}" if unit else ""
 
 
 def _quiet(box: QWidget, put: Callable[[Any], object]) -> ParameterControl:
@@ -148,7 +149,9 @@ def _switch(value: bool, edited: Callable[[Value], None]) -> ParameterControl:
 
 
 def _choice(value: str, setting: Setting, edited: Callable[[Value], None]) -> ParameterControl:
-    box = ChoiceBox("", setting.label, {name: name for name in setting.choices})
+    box = ChoiceBox(
+        "", setting.label, dict(zip(setting.choices, setting.choice_titles, strict=True))
+    )
     box.setCurrentText(value)
     box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContentsOnFirstShow)
     box.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)

@@ -62,7 +62,7 @@ class ParametersPanel(VerticalScrollArea):
             label = QLabel(format_label(setting))
             label.setWordWrap(True)
             label.setFixedWidth(_LABEL_PX)
-            tip = describe_setting(setting, f"{key.partition('/')[0]}.{name}")
+            tip = describe_setting(setting)
             label.setToolTip(tip)
             control.widget.setToolTip(tip)
             for slider in control.sliders:

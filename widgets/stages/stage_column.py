@@ -17,6 +17,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from pipeline.core.errors import name_options
 from pipeline.stages.stage import TRUTH
 from widgets.style.base import ChoiceBox
 from widgets.style.icons import PENDING, StateIcon, is_trouble
@@ -127,6 +128,7 @@ class StageColumn(QFrame):
         badge is shown in the head. What is on screen stays as it is until the next result.
         """
         self.state = state
+        notes = tuple(name_options(note) for note in notes)
         self._sign.show_state(state if is_trouble(state) else "")
         time = [] if ms is None else [_format_time(ms)]
         tip = "\n".join((", ".join((self.title, state, *time)), *notes))

@@ -32,6 +32,7 @@ class VerdictLine(QFrame):
         self.setObjectName("verdict")
         self.setAccessibleName("verdict")
         self.setFrameShape(QFrame.Shape.StyledPanel)
+        self.sentence = ""
         self.findings: tuple[Finding, ...] = ()
         self._sign = StateIcon()
         self._sentence = QLabel()
@@ -44,7 +45,7 @@ class VerdictLine(QFrame):
         self._row = set_spacing(QHBoxLayout(self), 8, (8, 2, 2, 2))
         fill(self._row, self._sign, (self._sentence, 1), self.list_button)
         self.buttons: list[QPushButton] = []  # that mend what is wrong, or show where
-        self.show_verdict("", "")
+        self.hide()
 
     @property
     def text(self) -> str:
@@ -63,6 +64,7 @@ class VerdictLine(QFrame):
         self.sentence = " ".join(filter(None, (sentence, cause)))
         self._sign.show_state(state)
         self._sentence.setText(f"<b>{_escape(sentence)}</b> {_escape(cause)}")
+        self.setVisible(bool(self.sentence))  # an empty bar would take a row of every page
         self.findings = tuple(findings)
         self._menu.clear()
         for finding in self.findings:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtWidgets import (
     QFrame,
     QHBoxLayout,
@@ -62,6 +62,8 @@ class NotificationBar(QFrame):
     A sentence without buttons leaves by itself after a time to read it, unless it is being read.
     """
 
+    message_shown = pyqtSignal(str)
+
     def __init__(self, name: str, *, read_ms: int = _READ_MS, choices_below: bool = False) -> None:
         super().__init__()
         self.setObjectName(name)
@@ -113,6 +115,7 @@ class NotificationBar(QFrame):
         self.buttons = [make_choice_button(choice, self.hide) for choice in choices]
         fill(self._choices, *self.buttons)
         self._text.setText(sentence[:1].upper() + sentence[1:])
+        self.message_shown.emit(self.text)
         self.show()
         self.updateGeometry()
         self._read.stop() if stays or choices else self._read.start()

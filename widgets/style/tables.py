@@ -23,39 +23,15 @@ from widgets.style.styling import copy_text
 
 _Role = Qt.ItemDataRole
 SORT_ROLE = Qt.ItemDataRole.UserRole  # a number, so that 10 comes after 9; unknown values come last
+_RIGHT = int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
 _LIMIT = re.compile(r"([<>])=?(-?\d+(?:\.\d*)?|-?\.\d+)$")
 
 
-def get_limits(words: str) -> tuple[float, float]:
-    """Return the range that the limits among the terms of a filter leave, infinite where there
-    is none.
-    """
-    limits = [match for match in map(_LIMIT.match, words.split()) if match is not None]
-    return (
-        max((float(m.group(2)) for m in limits if m.group(1) == ">"), default=-math.inf),
-        min((float(m.group(2)) for m in limits if m.group(1) == "<"), default=math.inf),
-    )
-
-
-def replace_limits(words: str, low: float, high: float) -> str:
-    """Return the filter with these limits in place of its own, none where they are infinite."""
-    others = [word for word in words.split() if _LIMIT.match(word) is None]
-    limits = [
-        f"{sign}{_format_limit(value)}"
-        for sign, value in ((">", low), ("<", high))
-        if math.isfinite(value)
-    ]
-    return " ".join((*others, *limits))
-
-
-def _format_limit(value: float) -> str:
-    """Return a number to three significant digits, without an exponent."""
-    digits = 2 - math.floor(math.log10(abs(value))) if value else 0
-    return f"{value:.{min(max(digits, 0), 9)}f}"
-
-
 class RowsModel(QAbstractTableModel):
-    """One row per thing under titled columns; subclasses set `n_rows` and the cells' `data`."""
+    """One row per thing under titled columns.
+
+    Subclasses set `n_rows` and say of a cell its text, its number, its picture and its tooltip.
+    """
 
     def __init__(self, titles: Sequence[str], tips: Sequence[str], parent: QObject) -> None:
         super().__init__(parent)
@@ -72,6 +48,40 @@ class RowsModel(QAbstractTableModel):
     def columnCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
         """Return the number of columns."""
         return 0 if parent.isValid() else len(self._headings[_Role.DisplayRole])
+
+    def format_cell(self, row: int, column: int) -> str:
+        """Return the text of a cell."""
+        raise NotImplementedError
+
+    def get_number(self, row: int, column: int) -> float | None:  # noqa: ARG002
+        """Return the number of a cell, NaN if unknown; None for a column of texts."""
+        return None
+
+    def get_picture(self, row: int, column: int) -> object:  # noqa: ARG002
+        """Return the icon of a cell; None without one."""
+        return None
+
+    def get_tip(self, row: int, column: int) -> str:
+        """Return the tooltip of a cell."""
+        return self.format_cell(row, column)
+
+    def data(self, index: QModelIndex, role: int = _Role.DisplayRole) -> object:
+        """Return what Qt asks of a cell; numbers are sorted as such and stand at the right."""
+        if not index.isValid():
+            return None
+        cell = index.row(), index.column()
+        number = self.get_number(*cell)
+        if role == SORT_ROLE and number is not None:
+            return number if math.isfinite(number) else -math.inf
+        if role == _Role.TextAlignmentRole:
+            return None if number is None else _RIGHT
+        reads = {
+            _Role.DisplayRole: self.format_cell,
+            SORT_ROLE: self.format_cell,
+            _Role.DecorationRole: self.get_picture,
+            _Role.ToolTipRole: self.get_tip,
+        }
+        return reads[_Role(role)](*cell) if role in reads else None
 
     def headerData(  # noqa: N802 - Qt's name
         self, section: int, orientation: Qt.Orientation, role: int = _Role.DisplayRole

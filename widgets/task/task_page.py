@@ -5,6 +5,7 @@ of a decision.
 from collections.abc import Mapping, Sequence
 
 from PyQt6.QtCore import Qt
+from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.views.colours import Rgb
@@ -13,7 +14,7 @@ from widgets.frames.error_attribution_panel import DecisionPanel
 from widgets.stages.steps_panel import make_curve_strips
 from widgets.style.base import ChoiceBox
 from widgets.style.plots import StripPlot
-from widgets.style.styling import fill, make_bold, make_splitter, set_spacing
+from widgets.style.styling import fill, make_bold, make_command_button, make_splitter, set_spacing
 from widgets.style.theme import to_hex
 from widgets.task.trials_panel import TrialsPanel
 from widgets.timeline.timeline import Timeline
@@ -54,7 +55,10 @@ class TaskPage(QWidget):
         self.split.setObjectName("task_split")
         upper.setSizes([_SCENE_SIZE, 1000 - _SCENE_SIZE])
         self.split.setSizes([_TABLE_SIZE, 1000 - _TABLE_SIZE])
-        fill(set_spacing(QVBoxLayout(self), 2, (2, 2, 2, 2)), self.message, (self.split, 1))
+        self._empty = QWidget()
+        self._head = fill(QHBoxLayout(self._empty), (self.message, 1))
+        layout = set_spacing(QVBoxLayout(self), 2, (2, 2, 2, 2))
+        fill(layout, self._empty, (self.split, 1), 0)
         self.show_message("")
         self.clear()
 
@@ -87,7 +91,11 @@ class TaskPage(QWidget):
     def show_message(self, text: str) -> None:
         """Show why there is nothing to see; "" hides it."""
         self.message.setText(text)
-        self.message.setVisible(bool(text))
+        self._empty.setVisible(bool(text))
+
+    def add_command(self, action: QAction) -> None:
+        """Add a command beside the message."""
+        self._head.insertWidget(0, make_command_button(action))
 
     def offer_places(self, places: Mapping[str, str], chosen: str) -> None:
         """Offer stream -> title of the fingers; emits no signal."""

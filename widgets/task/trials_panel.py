@@ -12,7 +12,6 @@ from pipeline.lab.tasks.trial_rows import TrialRow
 from widgets.style.icons import make_state_icon
 from widgets.style.styling import fill, make_search_line, set_spacing
 from widgets.style.tables import (
-    SORT_ROLE,
     RowFilter,
     RowsModel,
     copy_table,
@@ -20,7 +19,7 @@ from widgets.style.tables import (
     prepare_table,
 )
 
-_HINT = "filter: fails, t2t, hex_key, >0.5, a word"
+_HINT = "filter: fails, t2t, >0.5, a word"
 _FILTER_TIP = "Trials that match all terms: a limit of the error in mm, or a word of any column"
 _CAUSE_PX = 320
 TRIAL, CASE, TOUCH, TOLERANCE, OUTCOME, ERROR_MM, ERROR_DEG, CAUSE, TASK = range(9)
@@ -47,7 +46,6 @@ _TIPS = (
     "task",
 )
 _ICONS = {"succeeds": "computed", "fails": "failed", "damaged": "warning"}
-_RIGHT = int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
 
 
 class TrialsModel(RowsModel):
@@ -64,34 +62,22 @@ class TrialsModel(RowsModel):
         self.n_rows = len(trials)
         self.endResetModel()
 
-    def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
-        """Return the text of a cell, its sort value, its sign or its tooltip."""
-        if not index.isValid():
-            return None
-        trial = self.trials[index.row()]
-        column = index.column()
-        number = _get_number(trial, column)
-        if role == SORT_ROLE:
-            return (
-                format_cell(trial, column)
-                if number is None
-                else number
-                if math.isfinite(number)
-                else -math.inf
-            )
-        if role == Qt.ItemDataRole.TextAlignmentRole:
-            return _RIGHT if number is not None else None
-        values = {
-            Qt.ItemDataRole.DisplayRole: lambda: format_cell(trial, column),
-            Qt.ItemDataRole.DecorationRole: lambda: (
-                make_state_icon(_ICONS[trial.outcome]) if column == OUTCOME else None
-            ),
-            Qt.ItemDataRole.ToolTipRole: lambda: (
-                trial.problem or f"{trial.path.name}: {format_cell(trial, CAUSE)}"
-            ),
-        }
-        value = values.get(Qt.ItemDataRole(role))
-        return None if value is None else value()
+    def format_cell(self, row: int, column: int) -> str:
+        """Return the text of a cell."""
+        return format_cell(self.trials[row], column)
+
+    def get_number(self, row: int, column: int) -> float | None:
+        """Return the number of a cell; None for a column of texts."""
+        return _get_number(self.trials[row], column)
+
+    def get_picture(self, row: int, column: int) -> object:
+        """Return the sign of the outcome."""
+        return make_state_icon(_ICONS[self.trials[row].outcome]) if column == OUTCOME else None
+
+    def get_tip(self, row: int, column: int) -> str:  # noqa: ARG002 - of the row
+        """Return how a rollout ended."""
+        trial = self.trials[row]
+        return trial.problem or f"{trial.path.name}: {format_cell(trial, CAUSE)}"
 
 
 def format_cell(trial: TrialRow, column: int) -> str:

@@ -135,19 +135,14 @@ class Thumbnail(QAbstractButton):
             side = _SIGN_PX
             paint_state(painter, QRectF(left, _EDGE_PX, side, side), self.state, palette)
             left += side + _EDGE_PX
-        metrics = self.fontMetrics()
-        end = Qt.TextElideMode.ElideRight
-        for text, colour in (
-            (self.text(), palette.color(QPalette.ColorRole.WindowText)),
-            (self.method, to_qcolor(ink.secondary_text)),
-        ):
-            room = QRectF(left, _EDGE_PX, self.width() - left - _EDGE_PX, line)
-            painter.setPen(colour)
-            said = metrics.elidedText(text, end, int(room.width()))
-            painter.drawText(room, Qt.AlignmentFlag.AlignVCenter, said)
-            left += metrics.horizontalAdvance(text) + 2 * _EDGE_PX
-            if self.width() - left < 4 * _SIGN_PX or self.is_feedable:
-                break
+        room = QRectF(left, _EDGE_PX, self.width() - left - _EDGE_PX, line)
+        method_px = self.fontMetrics().horizontalAdvance(self.method)
+        has_room = self._paint_title(painter, room) >= method_px and not self.is_feedable
+        if has_room:
+            painter.setPen(to_qcolor(ink.secondary_text))
+            painter.drawText(
+                room, Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignRight, self.method
+            )
         if self.is_collapsed or self.is_feedable:
             return
         if self._picture is not None:
@@ -157,6 +152,8 @@ class Thumbnail(QAbstractButton):
                     self._picture, size, self.devicePixelRatioF(), palette
                 )
             painter.drawPixmap(_EDGE_PX, _EDGE_PX + line, self._pixmap)
+        if self.method and not has_room:
+            self._paint_label(painter, self.method, QPointF(_EDGE_PX, 2 * _EDGE_PX + line))
         if self.share is not None:
             self._paint_share(painter, ink, *self.share)
 
@@ -166,9 +163,22 @@ class Thumbnail(QAbstractButton):
         wide = max(2.0, min(1.0, abs(share)) * most)
         colour = to_qcolor(ink.worse if share > 0.5 else ink.accent)
         painter.fillRect(QRectF(_EDGE_PX, self.height() - 2 * _EDGE_PX, wide, _EDGE_PX), colour)
+        top = self.height() - 2.5 * _EDGE_PX - self.fontMetrics().height()
+        self._paint_label(painter, text, QPointF(_EDGE_PX, top))
+
+    def _paint_title(self, painter: QPainter, room: QRectF) -> int:
+        """Paint the title, and return how much room is left at its right."""
         metrics = self.fontMetrics()
-        box = QRectF(0, 0, metrics.horizontalAdvance(text) + 8, metrics.height())
-        box.moveBottomLeft(QPointF(_EDGE_PX, self.height() - 2.5 * _EDGE_PX))
+        wide = int(room.width())
+        painter.setPen(self.palette().color(QPalette.ColorRole.WindowText))
+        title = metrics.elidedText(self.text(), Qt.TextElideMode.ElideRight, wide)
+        painter.drawText(room, Qt.AlignmentFlag.AlignVCenter, title)
+        return wide - metrics.horizontalAdvance(title) - 2 * _EDGE_PX
+
+    def _paint_label(self, painter: QPainter, text: str, at: QPointF) -> None:
+        """Paint a text over the image."""
+        metrics = self.fontMetrics()
+        box = QRectF(at.x(), at.y(), metrics.horizontalAdvance(text) + 8, metrics.height())
         painter.fillRect(box, QColor(20, 24, 30, 190))
         painter.setPen(QColor(255, 255, 255))
         painter.drawText(box, Qt.AlignmentFlag.AlignCenter, text)

@@ -48,7 +48,7 @@ def describe_motions(
     rest = basis[:, ~straight]
     slides, _ = np.linalg.qr(sliding[3:])
     named = [
-        (f"slides along {describe_direction(a, _TRANSLATION_COSINE)}", _closest(sliding, 3, a))
+        (f"moves along {describe_direction(a, _TRANSLATION_COSINE)}", _closest(sliding, 3, a))
         for a in _axes_in(slides)
     ]
     turns = _turns(rest, slides)
@@ -128,18 +128,18 @@ def _describe_rotation(
     radius_mm: float,
     is_lost: Callable[[Doubles], bool],
 ) -> str:
-    words = f"turns about {describe_direction(turn[:3])}"
+    words = f"rotates about {describe_direction(turn[:3])}"
     # less what the translations compensate
     left = kept @ (turn[3:] + np.cross(turn[:3] / radius_mm, centre_mm))
     if np.linalg.norm(left) > _MIN_TRANSLATION:
-        return f"{words} while sliding along {describe_direction(turn[3:])}"
+        return f"{words} while moving along {describe_direction(turn[3:])}"
     along = turn[:3] * float(left @ turn[:3]) / float(turn[:3] @ turn[:3])
     if np.linalg.norm(along) > _PITCH * np.linalg.norm(turn[:3]) and not is_lost(
         turn - np.concatenate([np.zeros(3), along])
     ):
-        words += f" while sliding along {describe_direction(turn[:3])}"
+        words += f" while moving along {describe_direction(turn[:3])}"
     if np.linalg.norm(centre_mm) <= _CENTRE_DISTANCE * radius_mm:
         return words
-    return words + " through ({:.1f}, {:.1f}, {:.1f}) mm".format(
+    return words + " with its axis at ({:.1f}, {:.1f}, {:.1f}) mm".format(
         *(np.round(about_mm + centre_mm, 1) + 0.0)
     )

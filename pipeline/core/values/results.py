@@ -145,7 +145,7 @@ class ObjectPose:
     # (6, 6) of (rotation rad, translation mm) about the scene centroid
     covariance: Doubles | None = None
     observable: Doubles | None = None  # (6, 6) projector onto the observable directions
-    weak_directions: tuple[str, ...] = ()  # unobservable directions such as "slides along y"
+    weak_directions: tuple[str, ...] = ()  # unobservable directions such as "moves along y"
     rmse_mm: float = math.nan
     fitness: float = 0.0
     scene_mm: Floats  # (n, 3) registered points, target frame

@@ -9,6 +9,7 @@ from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.pairing import NO_PARTNER, pair_frames
 from pipeline.lab.evaluation.comparison_tiles import Comparison
 from pipeline.lab.evaluation.variants import Variant, VariantRunner
+from pipeline.stages.metrics.stage_metrics import METRICS
 from pipeline.translation.translate import Translation
 from pipeline.translation.truth_view import TruthView, add_truth_warnings, build_truth_view
 from pipeline.views.contrast import share_scale
@@ -19,6 +20,7 @@ from pipeline.views.preview import Preview, Tile, make_recorded_preview
 
 SOURCE = "source"
 IN_PROGRESS = "working…"
+_DIFFERENCE = "A minus B"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +57,7 @@ class VariantView:
         metrics = self.stage_metrics(stage)
         result = view.result
         truth = view.truth_view
-        words = [f"{name} {value:.3g}" for name, value in metrics.items()]
+        words = _format_metrics(metrics, "")
         return Tile(
             title=title,
             subtitle=" · ".join([*words, *(() if result is None else result.warnings)]),
@@ -214,24 +216,20 @@ def _share_scales(one: VariantView, other: VariantView) -> tuple[VariantView, Va
 
 
 def _build_difference_tile(one: VariantView, other: VariantView, stage: str) -> Tile:
-    """A less B; wipe and blink alternate between the two."""
+    """A minus B; wipe and blink alternate between the two."""
     a, b = (view.stages[stage].preview if stage in view.stages else None for view in (one, other))
     values = one.stage_metrics(stage)
     reference = other.stage_metrics(stage)
     metrics = {name: values[name] - reference[name] for name in values if name in reference}
-    subtitle = " · ".join(f"{name} {value:+.3g}" for name, value in metrics.items())
-    difference = (
-        None
-        if a is None or b is None
-        else compute_difference(a, b, label="A less B", fit_scale=True)
-    )
+    subtitle = " · ".join(_format_metrics(metrics, "+"))
+    difference = None if a is None or b is None else compute_difference(a, b, label=_DIFFERENCE)
     if difference is None:
         problem = (
             "" if b is None else "no difference: the two have other pixels, or no common scale"
         )
-        return Tile(title="A less B", subtitle=subtitle, metrics=metrics, problem=problem)
+        return Tile(title=_DIFFERENCE, subtitle=subtitle, metrics=metrics, problem=problem)
     return Tile(
-        title="A less B",
+        title=_DIFFERENCE,
         subtitle=subtitle,
         metrics=metrics,
         preview=a,
@@ -239,3 +237,11 @@ def _build_difference_tile(one: VariantView, other: VariantView, stage: str) -> 
         difference=difference,
         default_mode="difference",
     )
+
+
+def _format_metrics(metrics: Mapping[str, float], sign: str) -> list[str]:
+    """Metrics by their titles, with their units."""
+    return [
+        f"{METRICS[name].title} {value:{sign}.3g} {METRICS[name].unit}".rstrip()
+        for name, value in metrics.items()
+    ]

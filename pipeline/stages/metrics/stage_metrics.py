@@ -300,7 +300,10 @@ METRICS: Mapping[str, Metric] = {
         title="rotation error", unit="deg", meaning="rotation error of the object"
     ),
     "mssd_mm": Metric(
-        title="MSSD", unit="mm", meaning="maximum symmetry-aware surface distance of the object"
+        title="largest surface distance",
+        unit="mm",
+        meaning="largest distance between the object's surface at the estimated and the true pose, "
+        "up to its symmetries (MSSD)",
     ),
     "se2_mm": Metric(
         title="in-plane translation error",

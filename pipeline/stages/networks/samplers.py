@@ -31,7 +31,7 @@ alone, whatever the weight.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeVar, cast
 
@@ -43,6 +43,11 @@ from pipeline.core.params import list_settings, replace_value
 from pipeline.core.progress import SILENT, Progress
 
 Solver = Literal["ddim", "dpmpp_2m", "corrected"]
+SOLVERS: Mapping[Solver, str] = {
+    "ddim": "DDIM",
+    "dpmpp_2m": "DPM-Solver++ (2M)",
+    "corrected": "predictor and corrector",
+}
 Denoiser = Callable[[Any, float], Any]  # (noisy, sigma) -> expected clean array
 
 MAX_STEPS = 1000

@@ -140,7 +140,7 @@ def _register(
 REGISTRATION_OF_TOUCH = Method(
     stage="pose",
     name="registration_of_touch",
-    title="Signed distances",
+    title="Mesh fit",
     run=_register,
     params=PoseParams,
     reads=READS,

@@ -52,7 +52,7 @@ class PoseParams:
     face: str = setting(
         "auto",
         "Face toward the sensor",
-        choices=("auto", *FACES),
+        choices={"auto": "found by itself", **{face: f"{face} side" for face in FACES}},
         help="axis of the object that points toward the sensor",
         source="the paper's evaluation assumes it known",
     )

@@ -13,7 +13,7 @@ from pipeline.stages.stage import GroundTruth, Stage
 SIGNED_DISTANCES = Method(
     stage="pose",
     name="signed_distances",
-    title="Signed distances",
+    title="Mesh fit",
     help="many starts, registered on the mesh's signed distances, scored by contact and free space",
     run=skip_if_exact(
         signed_distances.skip_without_contact, signed_distances.estimate_or_track_pose
@@ -48,7 +48,7 @@ NETWORK = Method(
     run=fall_back_without_weights(
         network.predict_pose,
         network.REGISTRATION_OF_TOUCH,
-        "signed distances: no network for this target",
+        "mesh fit: no network for this target",
     ),
     params=signed_distances.PoseParams,
     reads=(*network.READS, "pose_weights"),

@@ -33,6 +33,7 @@ from pipeline.stages.networks.samplers import (
     GUIDED_STEPS,
     MAX_STEPS,
     MAX_WEIGHT,
+    SOLVERS,
     WEIGHTS,
     GuidedDenoiser,
     Solver,
@@ -102,7 +103,7 @@ class LatentParams:
     sampler: Solver = setting(
         "ddim",
         "Sampler",
-        choices=Solver,
+        choices=SOLVERS,
         help="solver of the denoising steps",
         source="DDIM: Song et al. 2021; DPM-Solver++ 2M: Lu et al. 2022; corrected: after Zhao et "
         "al. 2023",

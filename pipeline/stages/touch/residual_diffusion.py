@@ -44,6 +44,7 @@ from pipeline.stages.networks.samplers import (
     GUIDED_STEPS,
     MAX_STEPS,
     MAX_WEIGHT,
+    SOLVERS,
     WEIGHTS,
     GuidedDenoiser,
     Solver,
@@ -92,7 +93,7 @@ class DiffusionParams:
     sampler: Solver = setting(
         "corrected",
         "Sampler",
-        choices=Solver,
+        choices=SOLVERS,
         help="solver of the denoising steps",
         source="DDIM: Song et al. 2021; DPM-Solver++ 2M: Lu et al. 2022; corrected: after Zhao et "
         "al. 2023",
@@ -391,12 +392,15 @@ def report_change(
             return Fallback(result=replace(physical, notes=notes), reason=NO_CHANGE)
         return replace(
             touch,
-            notes=(*touch.notes, ChangeNote(f"network changed contact by {n_contact_changes} px")),
+            notes=(
+                *touch.notes,
+                ChangeNote(f"network correction: {n_contact_changes} px of the contact"),
+            ),
         )
     contact = touch.membrane.contact | physical.membrane.contact
     change_mm = np.abs(touch.membrane.indentation_mm - physical.membrane.indentation_mm)[contact]
     note = ChangeNote(
-        f"network changed {float(change_mm.mean()) if change_mm.size else 0.0:.2g} mm"
+        f"network correction: {float(change_mm.mean()) if change_mm.size else 0.0:.2g} mm"
     )
     return replace(touch, notes=(*touch.notes, note))
 

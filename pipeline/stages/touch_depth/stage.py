@@ -69,7 +69,7 @@ def _make_frame(touch: GeneratedTouch, target: SensorSpec) -> TactileFrame:
 MEMBRANE = Method(
     stage="touch_depth",
     name="membrane",
-    title="Membrane",
+    title="Generated membrane",
     help="the membrane computed with the generated touch",
     run=skip_if_exact(skip_without_contact, use_membrane),
     params=NoParams,

@@ -10,6 +10,7 @@ import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -21,6 +22,7 @@ from pipeline.core.graph import StageResult
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame
 from pipeline.translation import cross_section
+from pipeline.translation.colour_limits import fit_display
 from pipeline.translation.force import measure_force
 from pipeline.translation.reports import sheet
 from pipeline.translation.reports.export_request import SHEET, SOURCE, ExportRequest
@@ -31,6 +33,8 @@ from pipeline.translation.translated_frame import FrameReport
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from pipeline.views.display_params import DisplayParams
 
 T = TypeVar("T")
 DEFAULT_VIDEO_RATE_HZ = 10.0  # of a video, where the recording has no timestamps
@@ -95,9 +99,13 @@ class _Work:
         self.asked = asked
         self.translation = translation
         self.progress = progress
-        self.display = asked.display_params
         self.replaced = {translation.truth_label} if translation.truth_label else set[str]()
         self.problems: dict[int, FileProblem] = {}
+
+    @cached_property
+    def display(self) -> DisplayParams:
+        """Colour limits of all frames."""
+        return fit_display(self.translation, self.asked.display_params, self.progress)
 
     @property
     def frame_indices(self) -> list[int]:

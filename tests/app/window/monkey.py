@@ -58,7 +58,6 @@ _LEFT_ALONE = frozenset(
         "export_rollout_video",
         "export_rollout_bundle",
         "quit",
-        "keys",
     )
 )
 # parts of names of buttons that ask for a file, or open a menu that waits

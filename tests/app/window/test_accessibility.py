@@ -42,7 +42,7 @@ _CONTROLS = (
 )
 # a scroll bar or header belongs to its view; a tab is named by its text
 _PARTS = (QScrollBar, QHeaderView, QTabBar)
-DIALOGS = ("palette", "keys", "export", "live")
+DIALOGS = ("palette", "export", "live")
 
 
 @pytest.fixture

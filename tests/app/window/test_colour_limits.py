@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 
+from app.session.sample import SAMPLE_RECORDING
 from app.session.state import DISPLAY_KEY
 from app.shell.tour import wait_until_shown
 from pipeline.views.display_params import DisplayParams
@@ -15,6 +18,7 @@ from pipeline.views.preview import DEVIATION_LABEL
 def test_a_dragged_limit_applies_to_panel_and_panes(bubble_window, qtbot):
     window = bubble_window.window
     before = window.columns["depth"].view.preview
+    fitted_mm = bubble_window.session.display.bubble_limit_mm
     window.columns["depth"].view.colour_bar.limit_dragged.emit("bubble_limit_mm", 4.237)
     window.columns["depth"].view.colour_bar.limit_dragged.emit("bubble_floor_mm", 1.0)
     assert wait_until_shown(bubble_window, 60)
@@ -23,7 +27,27 @@ def test_a_dragged_limit_applies_to_panel_and_panes(bubble_window, qtbot):
     assert (scale.low, scale.high) == (1.0, pytest.approx(4.24))
     assert before.scale.high != scale.high
     bubble_window.undo_stack.undo()
-    assert bubble_window.session.display.bubble_limit_mm == 10.0
+    assert bubble_window.session.display.bubble_limit_mm == fitted_mm == 8.0
+
+
+def test_limits_are_fitted_once_to_a_recording(open_window):
+    sample_window = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
+    assert wait_until_shown(sample_window, 240), sample_window.window.banner.text
+    display = sample_window.session.display
+    limits = {
+        name: column.view.preview.scale
+        for name, column in sample_window.window.columns.items()
+        if column.view.preview.scale is not None
+    }
+    assert (limits["touch"].low, limits["touch"].high) == (-5.0, 5.0)
+    for frame in (3, 9):
+        sample_window.choose_frame(frame)
+        assert wait_until_shown(sample_window, 60)
+        assert sample_window.session.display == display
+        for name, scale in limits.items():
+            assert sample_window.window.columns[name].view.preview.scale == scale
+    following = sample_window.session.with_updates(recording=Path("other.h5"))
+    assert following.display == display.without_limits()
 
 
 def test_a_limit_stays_in_range_and_does_not_pass_the_other(bubble_window):

@@ -136,7 +136,7 @@ def test_what_can_be_tried_is_of_the_methods_in_use(gridded, qtbot):
     change nothing.
     """
     instrument, tab = gridded
-    offered = {tab.axes[0].itemText(i) for i in range(tab.axes[0].count())}
+    offered = {tab.axes[0].itemData(i) for i in range(tab.axes[0].count())}
     used = {f"{m.stage}.{name}" for m in instrument.methods for name in list_settings(m.params())}
     assert "network" in {m.name for m in instrument.methods if m.stage == "depth"}
     assert offered - used == {

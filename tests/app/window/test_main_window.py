@@ -458,7 +458,7 @@ def test_hovering_a_pixel_marks_it_everywhere_and_reads_its_value(bubble_window)
     depth = bubble_window.latest_frame.results["depth"].output
     row, col = (int(i) for i in divmod(int(depth.indentation_mm.argmax()), depth.contact.shape[1]))
     bubble_window.probe.probe_pixel("depth", row, col)
-    assert "mm in soft_bubble frame" in bubble_window.window.readout.text()
+    assert "mm in Soft Bubble frame" in bubble_window.window.readout.text()
     assert f"({col}, {row})" in bubble_window.window.readout.text()
     assert bubble_window.window.trace.text.startswith(f"({col}, {row})")
     assert " → " in bubble_window.window.trace.text

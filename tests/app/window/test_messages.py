@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from PyQt6.QtGui import QGuiApplication
+
 from app.compare.comparison import ComparisonController
 from app.shell.tour import wait_until_shown
 from pipeline.core.params import list_settings
@@ -44,3 +46,18 @@ def test_cancelling_twice_says_so_once(open_window):
     for _ in range(2):
         comparison.show_cancelled()
         assert message.text() == "cancelled; 3 methods"
+
+
+def test_the_bell_holds_the_last_ten_messages_and_a_sentence_leaves(bubble_window, qtbot):
+    window = bubble_window.window
+    for number in range(12):
+        window.say(f"message {number}")
+    window.say("message 11")
+    window.banner.show_problem("this went wrong")
+    said = [sentence for _, sentence in window.bell.messages]
+    assert said == [*(f"message {number}" for number in range(3, 12)), "This went wrong"]
+    qtbot.waitUntil(lambda: not window.said, timeout=20_000)
+    menu = window.bell.menu()
+    menu.aboutToShow.emit()
+    menu.actions()[0].trigger()
+    assert QGuiApplication.clipboard().text() == "This went wrong"

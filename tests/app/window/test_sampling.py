@@ -107,7 +107,7 @@ def test_steps_guidance_and_seed_stay_in_sight_whatever_stage_is_chosen(sampling
         for name in ("steps", "guidance", "seed"):
             qtbot.waitUntil(find_control(sampling, name).isVisible, timeout=240_000)
     column = window.columns["touch"]
-    assert column.findChild(QLabel, "note_touch").text().startswith("network changed ")
+    assert column.findChild(QLabel, "note_touch").text().startswith("network correction: ")
     sampling.choose_params(KEY, T2D2Params())
     find_control(sampling, "guidance").findChild(QSlider).setValue(200)
     assert sampling.session.params[KEY].steps == 8

@@ -28,12 +28,19 @@ def test_only_what_results_depend_on_is_listed():
     assert describe_differences(ONE, other, BUILT_IN) == (
         "recording: one.h5 | two.h5",
         "alignment offsets differ",
-        "cloud.stride: 1 | 4",
-        "target_depth: Surface | Point splat (paper)",
+        "Cloud, every n-th pixel: 1 | 4",
+        "Target depth: Surface | Point splat (paper)",
     )
+
+
+def test_a_method_that_the_mesh_decides_differs_from_a_chosen_one():
+    other = replace(ONE, methods={"touch": "t2d2"})
+    (text,) = describe_differences(ONE, other, BUILT_IN, has_mesh=True)
+    assert text.endswith("Object | T2D2 diffusion")
+    assert describe_differences(ONE, other, BUILT_IN) == ()
 
 
 def test_equal_settings_do_not_differ_and_missing_stages_are_listed():
     assert describe_differences(ONE, replace(ONE, frame=9), BUILT_IN) == ()
     texts = describe_differences(ONE, replace(ONE, route="t2t"), BUILT_IN)
-    assert any(t.startswith("depth: ") and t.endswith("| nothing") for t in texts)
+    assert any(t.startswith("Depth: ") and t.endswith("| nothing") for t in texts)

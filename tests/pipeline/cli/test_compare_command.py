@@ -19,7 +19,7 @@ def test_the_other_is_this_one_with_its_options_in_place(tmp_path, capsys):
     words = ["compare", *_ONE, "--variant", "--set cloud.stride=4", "--out", str(tmp_path / "ways")]
     assert run_app(build_app(), words) == 0
     tiles = json.loads((tmp_path / "ways" / "compare.json").read_text())["tiles"]
-    assert [tile["title"] for tile in tiles] == ["A · Cloud", "B · Cloud", "A less B"]
+    assert [tile["title"] for tile in tiles] == ["A · Cloud", "B · Cloud", "A minus B"]
     a, b = ((tmp_path / "ways" / tile["images"][0]).read_bytes() for tile in tiles[:2])
     assert a != b, "another stride"
 

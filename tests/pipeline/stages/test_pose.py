@@ -119,9 +119,9 @@ def test_a_rod_slides_along_its_axis_and_says_so():
     found = estimate_pose(
         observe_depth(rod(), lying(1.0, 0.5, 0.8, 3.0, 0.0)), rod().mesh, PoseParams()
     )
-    assert "slides along x" in found.weak_directions
+    assert "moves along x" in found.weak_directions
     assert len(found.weak_directions) == 2, "it also rolls about itself"
-    assert "slides along x: not observable, kept where the contact's middle is" in found.notes
+    assert "moves along x: not observable, kept where the contact's middle is" in found.notes
     assert found.sensor_from_object is not None
     assert abs(found.sensor_from_object[0, 3] - found.scene_mm[:, 0].mean()) < POSITION_TOLERANCE_MM
     axis = found.sensor_from_object[:3, 0]
@@ -135,7 +135,7 @@ def test_a_plate_leaves_three_directions_open():
     found = estimate_pose(
         observe_depth(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0)), slab().mesh, PoseParams()
     )
-    assert set(found.weak_directions) == {"slides along x", "slides along y", "turns about z"}
+    assert set(found.weak_directions) == {"moves along x", "moves along y", "rotates about z"}
     assert all("not observable" in note for note in found.notes[:3])
 
 
@@ -151,7 +151,7 @@ def test_a_flat_box_is_placed_by_the_outline_of_its_contact():
     # either way round: the box is symmetric
     along = abs(found.sensor_from_object[:3, 0] @ truth[:3, 0])
     assert np.degrees(np.arccos(min(along, 1.0))) < TURN_TOLERANCE_DEG
-    assert "slides along x: determined only by the outline of the contact" in found.notes
+    assert "moves along x: determined only by the outline of the contact" in found.notes
 
 
 def test_the_same_input_gives_the_same_bytes():
@@ -695,5 +695,5 @@ def test_the_slide_of_a_tilted_plate_is_not_called_an_axis_of_the_sensor():
         @ rigid.translation(0.0, 0.0, -5.0)
     )
     found = estimate_pose(observe_depth(slab(), truth), slab().mesh, PoseParams())
-    assert "slides along y" not in found.weak_directions
-    assert "slides along (0.00, 1.00, 0.07)" in found.weak_directions
+    assert "moves along y" not in found.weak_directions
+    assert "moves along (0.00, 1.00, 0.07)" in found.weak_directions

@@ -261,4 +261,4 @@ def test_a_network_pose_uses_the_symmetry_of_the_object(name, rotation_deg):
 def test_missing_pose_weights_fall_back_to_registration(contact_frame):
     graph = Graph(BUILT_IN.methods("t2d2", {"touch": "physics", "pose": "network"}, KINDS))
     given = inputs(contact_frame, mesh=None, pose_weights=NoWeights(why="none are shipped"))
-    assert graph.evaluate(["pose"], given, {})["pose"].badge.startswith("signed distances:")
+    assert graph.evaluate(["pose"], given, {})["pose"].badge.startswith("mesh fit:")

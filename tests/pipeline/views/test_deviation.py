@@ -102,11 +102,8 @@ def test_a_trace_says_which_way_the_membrane_went(bubble):
     )
 
 
-def test_a_difference_that_fits_its_scale_takes_a_round_limit_and_says_so(bubble, pressed):
+def test_differences_of_all_frames_share_one_scale(bubble, pressed):
     true = make_frame_preview(pressed, bubble.camera, bubble, DISPLAY)
-    for off_mm, limit in ((0.12, 0.2), (0.7, 1.0), (1e-4, 0.1), (3.0, 2.0)):
+    for off_mm in (0.12, 0.7, 1e-4, 3.0):
         made = replace(true, values=true.values + np.float32(off_mm))
-        shown = compute_difference(made, true, fit_scale=True)
-        assert (shown.scale.low, shown.scale.high) == pytest.approx((-limit, limit))
-        assert ("scale fitted" in shown.caption) == (limit < 2.0)
         assert compute_difference(made, true).scale.high == pytest.approx(2.0)

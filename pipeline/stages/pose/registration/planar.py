@@ -176,7 +176,11 @@ def estimate_planar_pose(
         progress,
         keep_steps=search.keep_steps,
     )
-    by_default = () if face != "auto" else (f"face {_FACE} by default; choose the face",)
+    by_default = (
+        ()
+        if face != "auto"
+        else (f"the object is taken to show its {_FACE} side; choose the face toward the sensor",)
+    )
     return replace(
         scene.no_pose,
         sensor_from_object=fit.scene_from_model,

@@ -14,7 +14,7 @@ _TURN = np.array([0.015, 0.007, 0.777, -0.5, 0.04, 0.0])
 
 
 @pytest.mark.parametrize(
-    ("slide_is_lost", "first"), [(True, "slides along (0.0"), (False, "turns about (-")]
+    ("slide_is_lost", "first"), [(True, "moves along (0.0"), (False, "rotates about (-")]
 )
 def test_a_slide_that_hardly_turns_is_called_a_slide_where_it_is_open_without_the_turn(
     slide_is_lost, first
@@ -27,4 +27,4 @@ def test_a_slide_that_hardly_turns_is_called_a_slide_where_it_is_open_without_th
     words = [name for name, _ in describe_motions(lost, np.array([-0.6, 0.2, 75.7]), 4.2, is_lost)]
     assert any(name.startswith(first) for name in words), words
     if slide_is_lost:
-        assert words[1] == "turns about z through (-0.8, -2.5, 75.7) mm"
+        assert words[1] == "rotates about z with its axis at (-0.8, -2.5, 75.7) mm"

@@ -80,7 +80,7 @@ def test_a_turn_that_a_cone_does_not_show_is_named_and_not_measured():
     result = track([press("cone"), press("cone", angle_deg=10.0), press("cone", angle_deg=20.0)])
     last = result.frames[-1]
     assert last.state == "tracked"
-    assert any("turns about z" in direction for direction in last.weak_directions)
+    assert any("rotates about z" in direction for direction in last.weak_directions)
     assert rigid.rotation_angle_deg(last.sensor_from_start) < 1.0
 
 
@@ -378,7 +378,7 @@ def test_the_more_frames_a_mean_is_of_the_smaller_is_the_stated_error():
     np.testing.assert_allclose(four.covariance, 1.25 / 2.0 * one.covariance)
 
 
-@pytest.mark.parametrize(("weak", "step_mm"), [((), 0.06), (("slides along x",), 0.0)])
+@pytest.mark.parametrize(("weak", "step_mm"), [((), 0.06), (("moves along x",), 0.0)])
 def test_motion_along_a_direction_that_is_not_measured_is_not_extrapolated(
     monkeypatch, weak, step_mm
 ):

@@ -75,7 +75,7 @@ def test_pose_errors_after_symmetry_stand_beside_the_plain_ones_once_the_mesh_is
         sensor_from_object=rigid.translation(2, 0.1, 0) @ truth @ rigid.rotation([0, 0, math.pi]),
         covariance=None,
         observable=slide,  # all but a slide along x
-        weak_directions=("slides along x",),
+        weak_directions=("moves along x",),
         rmse_mm=0.0,
         fitness=1.0,
         scene_mm=scene,

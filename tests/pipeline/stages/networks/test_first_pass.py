@@ -84,7 +84,7 @@ from app.session.sample import SAMPLE_RECORDING
 from pipeline.translation.translate import Request, open_translation
 opened = open_translation(Request(recording=SAMPLE_RECORDING, source="gelslim", target="soft_bubble", route="t2d2"))
 touch = opened[5].result("touch")
-assert touch.method.name == "t2d2" and touch.badge.startswith("network changed"), touch.notes
+assert touch.method.name == "t2d2" and touch.badge.startswith("network correction"), touch.notes
 assert "torch" not in sys.modules
 """
     subprocess.run([sys.executable, "-c", code], check=True, timeout=240)

@@ -108,26 +108,26 @@ def test_words_tell_the_axis_and_a_point_on_it():
     result = assess_observability(rod.points_mm, rod.normals, rod.points_mm.mean(axis=0), NOISE_MM)
     x_mm = rod.points_mm[:, 0].mean()  # the point of the axis that is nearest to the contact
     assert result.weak_directions == (
-        "slides along x",
-        f"turns about x through ({x_mm:.1f}, 2.0, 20.0) mm",
+        "moves along x",
+        f"rotates about x with its axis at ({x_mm:.1f}, 2.0, 20.0) mm",
     )
     ball = patch("sphere", 2).transform(rigid.translation(0.0, 0.0, 30.0))
     result = assess_observability(
         ball.points_mm, ball.normals, ball.points_mm.mean(axis=0), NOISE_MM
     )
     assert result.weak_directions == tuple(
-        f"turns about {axis} through (0.0, 0.0, 30.0) mm" for axis in "xyz"
+        f"rotates about {axis} with its axis at (0.0, 0.0, 30.0) mm" for axis in "xyz"
     )
     plate = patch("plane", 2)
     result = assess_observability(
         plate.points_mm, plate.normals, plate.points_mm.mean(axis=0), NOISE_MM
     )
-    assert result.weak_directions == ("slides along x", "slides along y", "turns about z")
+    assert result.weak_directions == ("moves along x", "moves along y", "rotates about z")
     skew = rod.transform(rigid.rotation([0.0, 0.0, math.radians(30.0)]))
     result = assess_observability(
         skew.points_mm, skew.normals, skew.points_mm.mean(axis=0), NOISE_MM
     )
-    assert result.weak_directions[0] == "slides along (0.87, 0.50, 0.00)"
+    assert result.weak_directions[0] == "moves along (0.87, 0.50, 0.00)"
 
 
 def test_a_helix_is_a_turn_with_a_slide():
@@ -141,7 +141,7 @@ def test_a_helix_is_a_turn_with_a_slide():
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     points = away[:, None] * out + pitch_mm * angle[:, None] * np.eye(3)[2]
     result = assess_observability(points, normals, points.mean(axis=0), 1e-3)
-    assert result.weak_directions == ("turns about z while sliding along z",)
+    assert result.weak_directions == ("rotates about z while moving along z",)
 
 
 def test_a_fine_screw_keeps_the_slide_that_goes_with_its_turn():
@@ -155,7 +155,7 @@ def test_a_fine_screw_keeps_the_slide_that_goes_with_its_turn():
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     points = away[:, None] * out + pitch_mm * angle[:, None] * np.eye(3)[2]
     result = assess_observability(points, normals, points.mean(axis=0), 1e-3)
-    assert "turns about z while sliding along z" in result.weak_directions[-1]
+    assert "rotates about z while moving along z" in result.weak_directions[-1]
 
 
 @pytest.mark.parametrize("sides", [64, 96, 200])
@@ -195,7 +195,7 @@ def test_a_hexagonal_rod_knows_its_roll():
         + along[:, None] * np.eye(3)[0]
     )
     result = assess_observability(points, normals, points.mean(axis=0), NOISE_MM)
-    assert result.weak_directions == ("slides along x",)
+    assert result.weak_directions == ("moves along x",)
 
 
 def test_no_variance_is_claimed_where_only_crooked_normals_see_something():

@@ -1,4 +1,4 @@
-"""The searchable page of commands, and the copy of tables."""
+"""The palette of commands, and the copy of tables."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QAction, QGuiApplication
 from PyQt6.QtWidgets import QTableWidget, QTableWidgetItem
 
-from widgets.shell.command_palette import ShortcutsPage
+from widgets.shell.command_palette import CommandPalette
 from widgets.style.tables import TableCopier, format_table
 
 
@@ -20,22 +20,23 @@ def make_table(qtbot):
     return table
 
 
-def test_the_page_keeps_commands_that_hold_all_words(qtbot):
-    page = ShortcutsPage()
+def test_a_command_is_found_by_name_key_and_description(qtbot):
+    palette = CommandPalette()
+    qtbot.addWidget(palette)
     commands = [QAction("&Open recording…"), QAction("Save session")]
-    qtbot.addWidget(page)
-    commands[0].setShortcut("Ctrl+O")
-    page.show_commands({"File": commands})
+    commands[0].setToolTip("Open a recording (Ctrl+O)")
+    commands[1].setToolTip("Keep files, settings and layout (Ctrl+S)")
 
-    def shown():
-        return [page.table.item(r, 1).text() for r in range(2) if not page.table.isRowHidden(r)]
+    def shown(text):
+        palette.line.setText(text)
+        return [palette.results.item(row).text() for row in range(palette.results.count())]
 
-    assert shown() == ["Open recording…", "Save session"]
-    assert page.table.item(0, 2).text() == "Ctrl+O"
-    page.line.setText("file open")
-    assert shown() == ["Open recording…"]
-    page.line.setText("nothing of this")
-    assert shown() == []
+    palette.show_commands(commands)
+    assert shown("") == ["Open recording…", "Save session"]
+    assert shown("opn") == ["Open recording…"]
+    assert shown("ctrl+s") == ["Save session"]
+    assert shown("layout settings") == ["Save session"]
+    assert shown("nothing of this") == []
 
 
 def test_a_table_is_copied_with_titles_and_without_hidden_columns(qtbot):
