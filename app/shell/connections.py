@@ -104,7 +104,7 @@ def connect(controller: SessionController, theme: Theme = "dark") -> AutosaveCon
     reference = ReferenceController(controller)
     alignment = AlignmentController(controller)
     gizmo = AlignmentGizmoController(controller, alignment)
-    scene = SceneController(controller)
+    scene = SceneController(controller, alignment)
     layouts = LayoutController(controller)
 
     # A session change (`change`, undo, redo, opening) becomes work here, and only here: the stages

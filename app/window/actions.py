@@ -377,6 +377,36 @@ TASK_COMMANDS = (
         "Write this rollout and what runs it again to a folder, for `tactoscope replay`",
     ),
 )
+SCENE_COMMANDS = (
+    Command(
+        "press_motion",
+        "Press in motion",
+        "Play the press in the scene: depth scaled from 0 to this frame's. In the scene the space "
+        "bar pauses, Esc ends",
+        icon="play",
+        key="Shift+Space",
+        checkable=True,
+    ),
+    Command("scene_free", "Oblique view", "Look at the scene from the side and above"),
+    Command("scene_top", "Top view", "Look at the scene from the cameras"),
+    Command("scene_side", "Side view", "Look at the scene along the surfaces"),
+    Command("scene_iso", "Isometric view", "Look at the scene along the diagonal of the axes"),
+    Command("scene_source", "Source's axis", "Look along the optical axis of the source"),
+    Command("scene_target", "Target's axis", "Look along the optical axis of the target"),
+    Command(
+        "scene_orthographic",
+        "Orthographic",
+        "Draw the scene without perspective: equal lengths are equal everywhere",
+        checkable=True,
+    ),
+    Command(
+        "scene_measure",
+        "Measure",
+        "Click two points of the scene's surfaces: their distance in mm",
+        checkable=True,
+    ),
+    Command("export_scene", "Export scene…", "Write the scene as image, or the press as a film"),
+)
 THEME_COMMANDS = (
     Command(
         "theme_light",
@@ -404,6 +434,7 @@ MENUS: Mapping[str, tuple[Command, ...]] = {  # title -> commands; every command
     "&Capture": CAPTURE_COMMANDS,
     "&Play": PLAYBACK_COMMANDS,
     "&View": VIEW_COMMANDS,
+    "&Scene": SCENE_COMMANDS,
     "&Layout": LAYOUT_COMMANDS,
     "Co&mpare": COMPARISON_MODE_COMMANDS + VARIANT_COMMANDS,
     "&Registration": REGISTRATION_COMMANDS,

@@ -50,7 +50,7 @@ from widgets.task.task_page import TaskPage
 from widgets.timeline.timeline import Timeline
 from widgets.track.track_page import TrackPage
 from widgets.views.view_3d import View3D
-from widgets.views.view_3d_panel import FittingLabel, StepsSlider, View3DPanel
+from widgets.views.view_3d_panel import ScenePanel, StepsSlider, View3DPanel
 
 DEFAULT_SIZE = QSize(1600, 950)
 _FRAME = QSize(2, 40)  # that a desktop draws around a window: borders and title bar
@@ -109,8 +109,7 @@ class MainWindow(QMainWindow):
         self._hidden_stages = frozenset[str]()
         self.current_layout = Layout()
         self.view_panels = {name: View3DPanel(self.steps.get(name)) for name, _ in columns}
-        self.scene_legend = FittingLabel(Qt.AlignmentFlag.AlignLeft)
-        self.scene_panel = View3DPanel(self.scene_legend)
+        self.scene_panel = ScenePanel()
         self.verdict = VerdictLine()
         self.pages = QStackedWidget()
         self.comparison = ComparisonPage()
@@ -133,6 +132,7 @@ class MainWindow(QMainWindow):
         self.menus = build_menus(
             self, self.actions_by_name, len(self.columns), self.drawers.all_drawers
         )
+        self.scene_panel.offer(self.actions_by_name["press_motion"], self.menus["Scene"])
         layouts = [self.actions_by_name[f"layout_{name}"] for name in LAYOUT_NAMES]
         self.layout_tabs = ActionTabs(layouts, "layout")
         self._menu_button = build_tool_bar(
@@ -328,7 +328,9 @@ class MainWindow(QMainWindow):
                 (
                     name,
                     self.columns[name],
-                    self.scene_panel if dims == "scene" else self.view_panels[name],
+                    self.scene_panel
+                    if dims == "scene" or layout.name == "align"
+                    else self.view_panels[name],
                     dims,
                 )
                 for name, dims in panes

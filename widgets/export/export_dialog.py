@@ -24,6 +24,8 @@ FORMATS = (  # suffix, title, content it can hold
     (".csv", "metrics of all frames, CSV", "frames"),
     (".mp4", "video of the frames, MP4", "frames"),
     (".avi", "video of the frames, AVI", "frames"),
+    (".webm", "video of the frames, WebM", "frames"),
+    (".webp", "video of the frames, animated WebP", "frames"),
 )
 SHEET = "sheet"
 
