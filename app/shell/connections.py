@@ -23,7 +23,7 @@ from app.session.state import DISPLAY_KEY
 from app.shell.layouts import LayoutController
 from app.shell.mending import MendingController
 from app.shell.panels import add_panels
-from app.shell.presentation import PresentationController, PresentationVideoController
+from app.shell.presentation import PresentationController
 from app.shell.shortcuts import KeyboardController, make_parameter_actions
 from app.shell.themes import ThemeController
 from app.shell.welcome import WelcomeController
@@ -94,7 +94,6 @@ def connect(controller: SessionController, theme: Theme = "dark") -> AutosaveCon
     welcome = WelcomeController(controller, autosave)
     ThemeController(controller, autosave, theme)
     export = ExportController(controller, autosave, comparison)
-    PresentationVideoController(controller, export)
     rollouts = RolloutController(controller)
     RolloutAttributionController(controller, rollouts)
     RolloutExportController(controller, rollouts, export, autosave)

@@ -28,6 +28,7 @@ from pipeline.views.scene import (
     find_scene_places,
     make_scene_layers,
 )
+from widgets.style.icons import make_command_icon
 
 _TICK_MS = 60  # between two images of the motion
 _PLAY_KEYS = frozenset({Qt.Key.Key_Space, Qt.Key.Key_Escape})
@@ -65,6 +66,8 @@ class SceneController(Feature):
         controller.closing.connect(self._timer.stop)
         self._alignment.dragged.connect(self._show_drag)
         self._play.toggled.connect(self._toggle_motion)
+        self._play.triggered.connect(lambda _on=False: self._view.setFocus())
+        self._window.connect_command("cancel", self._stop_motion)
         self._view.key_pressed.connect(self._handle_key)
         self._view.clicked.connect(self._measure_point)
         self._measure.toggled.connect(self._clear_measure)
@@ -80,7 +83,7 @@ class SceneController(Feature):
     def show_session(self, session: Session) -> None:
         """Show the scene once a pane is given to it; nothing without a recording."""
         if session.recording is None:
-            self._end_motion()
+            self._stop_motion()
             self._layers, self._places = (), None
             self._controller.views.show_page_scene("scene", (), None, session)
         elif self._controller.is_idle:
@@ -132,14 +135,14 @@ class SceneController(Feature):
 
     def _handle_key(self, key: int) -> None:
         if key == Qt.Key.Key_Escape:
-            self._play.setChecked(False)
-            self._end_motion()
+            self._stop_motion()
         else:
             self._play.toggle()
 
     def _toggle_motion(self, on: bool) -> None:
         """Play on, or pause; without a scene there is nothing to play."""
         opened = self._controller.views.translation
+        self._play.setIcon(make_command_icon("pause" if on else "play"))
         if not on:
             self._timer.stop()
         elif opened is None or self._places is None or not self._view.isVisible():
@@ -150,13 +153,12 @@ class SceneController(Feature):
                 self._motion = PressMotion(self._layers, opened.source, opened.target, self._places)
                 self._time = 0.0
             self._view.keys = _PLAY_KEYS
-            self._view.setFocus()
             self._shown_s = time.monotonic()
             self._timer.start()
 
-    def _end_motion(self) -> None:
+    def _stop_motion(self) -> None:
         """Show the frame itself again."""
-        self._timer.stop()
+        self._play.setChecked(False)
         if self._motion is not None:
             self._motion = None
             self._view.keys = _IDLE_KEYS
@@ -169,8 +171,7 @@ class SceneController(Feature):
         if self._view.isVisible():
             self._show_motion()
         else:
-            self._play.setChecked(False)
-            self._end_motion()
+            self._stop_motion()
 
     def _show_motion(self) -> None:
         opened = self._controller.views.translation

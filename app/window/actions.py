@@ -120,7 +120,7 @@ CAPTURE_COMMANDS = (
     Command(
         "save_video",
         "Save video…",
-        "Write the presentation of all frames as a video",
+        "Write source, scene, generated and recorded touch of all frames as a video",
         key="Ctrl+Shift+V",
     ),
     Command(
@@ -218,7 +218,7 @@ VIEW_COMMANDS = (
     Command(
         "full_screen",
         "Presentation",
-        "Show source, generated touch and truth on the full screen; Esc leaves",
+        "Show the three panes on the full screen, the press in motion; Esc leaves",
         key="F11",
         checkable=True,
     ),

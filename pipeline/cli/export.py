@@ -54,16 +54,16 @@ def export(
             of its arrays, .csv of force and metrics of all frames, up to the pane, .mp4, .avi,
             .webm or animated .webp of a pane through the frames, .rrd (Rerun) or .mcap (Foxglove)
             of all stages through the frames.
-        pane: A stage, `source`, `sheet` for all of them side by side, or `scene` for both sensors
-            and the object in 3D: its film is the press in motion, of --frame or of each of
-            --frames.
+        pane: A stage, `source`, `sheet` for all of them side by side, `scene` for both sensors and
+            the object in 3D, or `presentation` for source, scene, generated and recorded touch. The
+            film of the scene is the press in motion, of --frame or of each of --frames.
         content: Computed value, ground truth, or their difference; the last two need ground truth.
         frame: Frame of an image, of points or of arrays.
         frames: Frames of a table, video or viewer file, such as `0,3-7`; default: all.
         section: x, y of the start and of the end of a line in mm from the source camera's axis, on
             the gel: the .csv then holds the height of each pane along it on one frame; --pane takes
             several, comma-separated.
-        size: Width and height of a scene, pixels.
+        size: Width and height of a scene or presentation, pixels.
     """
     request = ExportRequest(
         request=options.build_request(recording, target),

@@ -26,19 +26,27 @@ from pipeline.core.values.frames import TactileFrame
 from pipeline.translation import cross_section
 from pipeline.translation.force import measure_force
 from pipeline.translation.reports import scene_film, sheet, viewer_files
-from pipeline.translation.reports.export_request import SCENE, SHEET, SOURCE, ExportRequest
+from pipeline.translation.reports.export_request import (
+    PRESENTATION,
+    SCENE,
+    SHEET,
+    SOURCE,
+    ExportRequest,
+)
+from pipeline.translation.reports.presentation import PRESENTED_PX, draw_presentation
 from pipeline.translation.reports.report import collect_stage_arrays
 from pipeline.translation.reports.video import write_video
 from pipeline.translation.reports.viewer_files import StageSample
 from pipeline.translation.translate import Translation, open_translation
 from pipeline.translation.translated_frame import FrameReport
+from pipeline.views.contrast import FittedContrast
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 T = TypeVar("T")
 DEFAULT_VIDEO_RATE_HZ = 10.0  # of a video, where the recording has no timestamps
-# width and height of a scene
+# width and height of a scene or presentation
 _LEAST_PX = 64
 _MOST_PX = 8192
 _CACHE_BYTES = 32 * 1024 * 1024
@@ -87,7 +95,7 @@ def export_file(asked: ExportRequest, progress: Progress = SILENT) -> ExportOutc
     ) as translation:
         panes = (SHEET, SOURCE, *translation.stages)
         if write in (_picture, _video):
-            panes = (SCENE, *panes)
+            panes = (SCENE, PRESENTATION, *panes)
         for pane in asked.pane.split(",") if asked.section else [asked.pane]:
             if pane not in panes:
                 known = ", ".join(panes)
@@ -110,6 +118,7 @@ class _Work:
         self.display = asked.display_params
         self.replaced = {translation.truth_label} if translation.truth_label else set[str]()
         self.problems: dict[int, FileProblem] = {}
+        self.contrast = FittedContrast()  # of a presentation
 
     @property
     def frame_indices(self) -> list[int]:
@@ -167,6 +176,10 @@ class _Work:
             return draw_sheet(frame, report, self.translation, display=self.display, timed=False)
         if self.asked.pane == SCENE:
             return self.make_scene(frame, results).draw_figure(self.size_px)
+        if self.asked.pane == PRESENTATION:
+            return draw_presentation(
+                frame, results, self.translation, self.display, self.contrast, self.size_px
+            )
         time = f", {frame.time_s:.2f} s" if np.isfinite(frame.time_s) else ""
         return sheet.draw_pane_figure(self._pane(frame, results), f"frame {index}{time}")
 
@@ -178,8 +191,10 @@ class _Work:
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """Width and height of a scene, even, which most codecs need."""
-        width, height = self.asked.size_px or scene_film.DEFAULT_SIZE_PX
+        """Width and height of a scene or presentation, even, which most codecs need."""
+        is_scene = self.asked.pane == SCENE
+        usual = scene_film.DEFAULT_SIZE_PX if is_scene else PRESENTED_PX
+        width, height = self.asked.size_px or usual
         if not (_LEAST_PX <= width <= _MOST_PX and _LEAST_PX <= height <= _MOST_PX):
             raise SettingProblem(
                 f"a size is {_LEAST_PX} to {_MOST_PX} pixels either way, got {width} x {height}"

@@ -15,10 +15,11 @@ from pipeline.sensors.alignment import Offsets
 from pipeline.translation.translate import Request
 from pipeline.views.display_params import DisplayParams
 
-# panes that are no stages: all of them side by side, the source frame, both sensors in 3D
+# panes that are no stages: all of them side by side, the source frame, both sensors in 3D, and
 SHEET = "sheet"
 SOURCE = "source"
 SCENE = "scene"
+PRESENTATION = "presentation"  # source, both sensors in 3D, generated and recorded touch
 PaneContent = Literal["computed", "truth", "difference"]
 _DISPLAY = "display."
 _OPTIONS = {  # field of a request -> option of the command line

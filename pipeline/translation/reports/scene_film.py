@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.core.arrays import Image
+from pipeline.core.arrays import Doubles, Image
 from pipeline.core.figures import make_figure
 from pipeline.core.geometry import rigid
+from pipeline.core.geometry.camera import Camera
 from pipeline.core.graph import StageResult
 from pipeline.core.values.frames import TactileFrame
 from pipeline.sensors.alignment import correct_alignment
@@ -35,10 +36,10 @@ if TYPE_CHECKING:
 
 FILM_RATE_HZ = 12.5
 DEFAULT_SIZE_PX = (960, 720)
-_DPI = 100
+DPI = 100
 _FINER = 2  # scenes are drawn so many times as large, and averaged: smooth edges
 _SWING_DEG = 14.0  # by which the view turns either way in a film
-_INK = "#e8ebf0"
+INK = "#e8ebf0"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,29 +73,27 @@ class FrameScene:
         draw(self.layers, 0.0, "")
         return figure
 
+    def draw_image(self, size_px: tuple[int, int]) -> Image:
+        """Return the scene alone, without a word."""
+        return _draw_layers(self.layers, self.bounds, size_px)[0]
+
     def _lay_out(self, size_px: tuple[int, int]) -> tuple[Figure, Any]:
         """Return an empty figure, and what draws layers, a turn in rad and a text into it."""
         width, height = size_px
-        figure = make_figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI)
+        figure = make_figure(figsize=(width / DPI, height / DPI), dpi=DPI)
         figure.set_facecolor("#{:02x}{:02x}{:02x}".format(*DARK_BACKGROUND))
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         axes.set_axis_off()
         shown = axes.imshow(np.zeros((height, width, 3), np.uint8), aspect="auto")
-        letters = {letter: axes.text(0, 0, letter, color=_INK) for letter in self.places.labels}
-        figure.text(0.015, 0.955, self.title, color=_INK, fontsize=11)
-        caption = figure.text(0.015, 0.03, "", color=_INK, fontsize=10)
+        letters = {letter: axes.text(0, 0, letter, color=INK) for letter in self.places.labels}
+        figure.text(0.015, 0.955, self.title, color=INK, fontsize=11)
+        caption = figure.text(0.015, 0.03, "", color=INK, fontsize=10)
 
         def draw(layers: tuple[Layer, ...], turn_rad: float, text: str) -> None:
-            camera, camera_from_scene = make_view(
-                _turn(self.bounds, turn_rad), _FINER * width, _FINER * height
+            image, camera, camera_from_scene = _draw_layers(
+                layers, _turn(self.bounds, turn_rad), size_px
             )
-            poses = {
-                layer.name: camera_from_scene
-                if layer.view_from_layer is None
-                else camera_from_scene @ layer.view_from_layer
-                for layer in layers
-            }
-            shown.set_data(_shrink(draw_scene(layers, camera, poses, DARK_BACKGROUND)))
+            shown.set_data(image)
             for letter, place in self.places.labels.items():
                 seen = rigid.apply(camera_from_scene, np.array([place]))
                 x_px, y_px, _ = camera.project(seen)
@@ -137,6 +136,22 @@ def make_frame_scene(
         bounds=compute_scene_bounds(source, target, opened),
         title=", ".join(filter(None, (sensors, f"frame {frame.index}", translation.truth_label))),
     )
+
+
+def _draw_layers(
+    layers: Sequence[Layer], bounds: ViewBounds, size_px: tuple[int, int]
+) -> tuple[Image, Camera, Doubles]:
+    """Return an image of layers, its camera, finer than the image, and camera_from_scene."""
+    width, height = size_px
+    camera, camera_from_scene = make_view(bounds, _FINER * width, _FINER * height)
+    poses = {
+        layer.name: camera_from_scene
+        if layer.view_from_layer is None
+        else camera_from_scene @ layer.view_from_layer
+        for layer in layers
+    }
+    image = _shrink(draw_scene(layers, camera, poses, DARK_BACKGROUND))
+    return image, camera, camera_from_scene
 
 
 def _turn(bounds: ViewBounds, turn_rad: float) -> ViewBounds:
