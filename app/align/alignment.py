@@ -5,6 +5,7 @@ runs in parallel.
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from PyQt6.QtCore import pyqtSignal
 
 from app.align import alignment_jobs
@@ -18,7 +19,15 @@ from app.window.logs import log
 from pipeline.core.arrays import Doubles
 from pipeline.core.errors import SettingProblem, TouchError
 from pipeline.core.geometry import rigid
-from pipeline.sensors.alignment import AXES, AlignmentFile, Axis, Offsets, save_alignment
+from pipeline.sensors.alignment import (
+    AXES,
+    AlignmentFile,
+    Axis,
+    Offsets,
+    compose_motion,
+    decompose_motion,
+    save_alignment,
+)
 from pipeline.translation.alignment.score import AlignmentScore
 from pipeline.translation.translate import Translation
 from widgets.style.styling import make_single_shot_timer
@@ -32,12 +41,14 @@ class AlignmentController(Feature):
     """Connects the dock with the session; nothing is computed while the dock is hidden."""
 
     contact_moved = pyqtSignal()
+    dragged = pyqtSignal(object)  # layers of the target depth, or None: the offsets alone
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
         self._panel = self._window.alignment
         self.refinement = RefinementController(controller)
         self.offsets = Offsets()  # of the handles, also during a drag
+        self._grabbed = Offsets()
         self._axis = ""
         self._recording: Path | None = None
         self._assessment: AlignmentAssessment | None = None
@@ -75,6 +86,11 @@ class AlignmentController(Feature):
             or self._assess_ticket
             or self.refinement.is_refining
         )
+
+    @property
+    def is_dragging(self) -> bool:
+        """Whether `offsets` are those of a drag that has not ended."""
+        return self._panel.dragging
 
     @property
     def contact_centre_mm(self) -> Doubles | None:
@@ -177,12 +193,34 @@ class AlignmentController(Feature):
         self._axis = ""
         self._show_pivot()
 
+    def grab(self) -> None:
+        """Begin a drag of a gizmo."""
+        self._panel.begin_drag()
+        self._grabbed = self.offsets
+
+    def drag_motion(self, shift_mm: Doubles, rotation: Doubles) -> None:
+        """Move by a translation (3,) and a rotation (3, 3) about the contact since `grab`."""
+        start = self._grabbed
+        centre_mm = start.pivot_mm if self._assessment is None else self._assessment.pivot_mm
+        about = rigid.apply(start.to_matrix(), centre_mm)
+        turn = np.eye(4)
+        turn[:3, :3] = rotation
+        motion = compose_motion(about, rigid.rotation_vector_rad(turn), shift_mm)
+        self._axis = "axes"
+        self.offsets = decompose_motion(motion @ start.to_matrix(), start.pivot_mm)
+        self._panel.show_values(self.offsets.values)
+        self._preview_drag()
+
     def _drag(self, axis: str, value: float) -> None:
-        controller = self._controller
         name: Axis = next(a for a in AXES if a == axis)
         self._axis = name if self._axis in ("", name) else "axes"
         self.offsets = self.offsets.with_axis_value(name, value)
+        self._preview_drag()
+
+    def _preview_drag(self) -> None:
+        controller = self._controller
         self._show_pivot()
+        self.dragged.emit(None)
         session = replace(controller.session, offsets=self.offsets)
         evaluator = controller.evaluator
         controller.submit_priority(
@@ -225,6 +263,7 @@ class AlignmentController(Feature):
             self._controller.views.show_drag_preview(
                 part.preview, part.observation_view, part.layers
             )
+            self.dragged.emit(part.layers)
             self._show_score(part.score)
         elif (
             isinstance(part, AlignmentAssessment)

@@ -110,10 +110,6 @@ class StageViews:
         Unless `is_newest`, the column still counts as pending.
         """
         name = part.result.name if isinstance(part, StagePreview) else "source"
-        # what the presentation does not show is shown again after it
-        if self._window.presented_columns:
-            self._shown[name] = part
-            return
         column = self._window.columns[name]
         self._show_preview(
             name, part.preview, part.truth_view if isinstance(part, StagePreview) else None
@@ -350,8 +346,7 @@ class StageViews:
         return changed - {name}
 
     def _list_pending(self) -> list[str]:
-        shown = () if self._window.presented_columns else self._window.visible_columns()
-        return [name for name in shown if name not in self._fresh]
+        return [name for name in self._window.visible_columns() if name not in self._fresh]
 
 
 def _get_view_key(stage: str, other: Translation | None) -> tuple[str, Request | None]:

@@ -22,6 +22,8 @@ from app.window import dialogs
 from app.window.jobs import JobFunction, JobReporter
 from pipeline.core.errors import TouchError, escape_text
 from pipeline.translation.reports.export_request import (
+    PRESENTATION,
+    SCENE,
     SHEET,
     SOURCE,
     ExportRequest,
@@ -55,6 +57,10 @@ class ExportController(BackgroundController):
         # see `start_writing`
         self._written: tuple[Path, str, Callable[[object], str] | None] = Path(), "", None
         self._window.connect_command("export", self.show_export_dialog)
+        self._window.connect_command(
+            "save_video", partial(self.show_export_dialog, PRESENTATION, ".webm")
+        )
+        self._window.connect_command("export_scene", partial(self.show_export_dialog, SCENE))
         self._window.connect_command("copy_command", self.copy_view_command)
         self._window.section_panel.command.clicked.connect(self.copy_section_command)
         self._window.connect_command("export_bundle", self.ask_bundle)
@@ -65,7 +71,12 @@ class ExportController(BackgroundController):
             column.customContextMenuRequested.connect(partial(self._show_menu, name))
 
     def make_export_request(
-        self, path: Path, pane: str = SHEET, content: str = "computed", frames: str = ""
+        self,
+        path: Path,
+        pane: str = SHEET,
+        content: str = "computed",
+        frames: str = "",
+        size: tuple[int, int] | None = None,
     ) -> ExportRequest:
         """Build the export of what is on screen to one file."""
         session = self._controller.session
@@ -79,6 +90,7 @@ class ExportController(BackgroundController):
             settings=format_settings({**params, "display": session.display}),
             frame=session.frame,
             frames=frames,
+            size_px=size,
             path=path,
         )
 
@@ -113,7 +125,12 @@ class ExportController(BackgroundController):
         )
 
     def copy_export_command(
-        self, pane: str, content: str = "", suffix: str = ".png", frames: str = ""
+        self,
+        pane: str,
+        content: str = "",
+        suffix: str = ".png",
+        frames: str = "",
+        size: tuple[int, int] | None = None,
     ) -> None:
         """Copy the command that writes this export."""
         if self._controller.views.translation is None:
@@ -121,7 +138,9 @@ class ExportController(BackgroundController):
             return
         content = content or self._content_on_screen(pane)
         self._copy(
-            format_command(self.make_export_request(Path(f"{pane}{suffix}"), pane, content, frames))
+            format_command(
+                self.make_export_request(Path(f"{pane}{suffix}"), pane, content, frames, size)
+            )
         )
 
     def copy_view_command(self) -> None:
@@ -152,16 +171,21 @@ class ExportController(BackgroundController):
         copy_text(command)
         self.notification.show_notification(f"copied: {command}")
 
-    def show_export_dialog(self, pane: str = "") -> None:
+    def show_export_dialog(self, pane: str = "", suffix: str = ".png") -> None:
         """Ask what to export."""
         opened = self._controller.views.translation
         if opened is None:
             self.notification.show_notification(_NOT_OPEN)
             return
-        panes = [(SHEET, "all, side by side"), (SOURCE, "source")]
+        panes = [
+            (SHEET, "all, side by side"),
+            (SCENE, "both sensors and the object, 3D"),
+            (PRESENTATION, "presentation: source, 3D, touches"),
+            (SOURCE, "source"),
+        ]
         panes += [(name, opened.catalogue.stage(name).title.lower()) for name in opened.stages]
         pane = pane or self._pane_on_screen()
-        self.dialog.show_panes(panes, pane, self._content_on_screen(pane))
+        self.dialog.show_panes(panes, pane, self._content_on_screen(pane), suffix)
         self.dialog.show()
         self.dialog.raise_()
 
@@ -179,10 +203,12 @@ class ExportController(BackgroundController):
         if folder is not None:
             self.start_bundle(folder, note)
 
-    def _export_selected(self, pane: str, content: str, suffix: str, frames: str) -> None:
+    def _export_selected(
+        self, pane: str, content: str, suffix: str, frames: str, size: tuple[int, int] | None
+    ) -> None:
         path = self.ask_path("Export", suffix)
         if path is not None:
-            self.start_export(self.make_export_request(path, pane, content, frames))
+            self.start_export(self.make_export_request(path, pane, content, frames, size))
 
     def ask_path(self, title: str, suffix: str) -> Path | None:
         """Ask for a file to write; None if nothing is open or the user cancels."""
@@ -241,7 +267,9 @@ class ExportController(BackgroundController):
     def _content_on_screen(self, pane: str) -> str:
         mode = self._controller.views.comparison_mode
         return (
-            mode if pane not in (SHEET, SOURCE) and mode in ("truth", "difference") else "computed"
+            mode
+            if pane not in (SHEET, SOURCE, SCENE, PRESENTATION) and mode in ("truth", "difference")
+            else "computed"
         )
 
     def _show_menu(self, name: str, at: QPoint) -> None:

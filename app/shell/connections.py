@@ -24,7 +24,7 @@ from app.session.state import DISPLAY_KEY
 from app.shell.layouts import LayoutController
 from app.shell.mending import MendingController
 from app.shell.panels import add_panels
-from app.shell.presentation import PresentationController, PresentationVideoController
+from app.shell.presentation import PresentationController
 from app.shell.shortcuts import KeyboardController, make_parameter_actions
 from app.shell.themes import ThemeController
 from app.shell.welcome import WelcomeController
@@ -95,7 +95,6 @@ def connect(controller: SessionController, theme: Theme = "dark") -> AutosaveCon
     welcome = WelcomeController(controller, autosave)
     ThemeController(controller, autosave, theme)
     export = ExportController(controller, autosave, comparison)
-    PresentationVideoController(controller, export)
     rollouts = RolloutController(controller)
     RolloutAttributionController(controller, rollouts)
     RolloutExportController(controller, rollouts, export, autosave)
@@ -106,7 +105,7 @@ def connect(controller: SessionController, theme: Theme = "dark") -> AutosaveCon
     reference = ReferenceController(controller)
     alignment = AlignmentController(controller)
     gizmo = AlignmentGizmoController(controller, alignment)
-    scene = SceneController(controller)
+    scene = SceneController(controller, alignment)
     layouts = LayoutController(controller)
 
     # A session change (`change`, undo, redo, opening) becomes work here, and only here: the stages

@@ -1,34 +1,16 @@
-"""Full screen presentation and its video, image to clipboard, and the magnifier."""
+"""Full screen presentation, image to clipboard, and the magnifier."""
 
-from pathlib import Path
+from dataclasses import replace
 
-from PyQt6.QtCore import QSize
 from PyQt6.QtGui import QGuiApplication
 
-from app.document.evaluator import Evaluator
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
-from app.export.export import ExportController
-from app.shell.presentation_jobs import choose_presented_stages, make_panes, write_presentation
-from app.window.jobs import JobReporter
-from pipeline.core.errors import escape_text
-from pipeline.translation.reports.video import find_h264_encoder
-from pipeline.views.contrast import FittedContrast
-from widgets.shell.presentation_view import PresentationView
+from app.session.layout import Layout
+from app.views.stage_previews import StagePreview
+from pipeline.translation.pixel_trace import SOURCE
+from pipeline.translation.reports.presentation import name_pane, name_sensors
 from widgets.views.magnifier import Magnifier
-
-# commands whose shortcuts act in the presentation too
-_COMMANDS = (
-    "full_screen",
-    "play",
-    "first",
-    "previous",
-    "next",
-    "last",
-    "back_10",
-    "forward_10",
-    "loop",
-)
 
 
 class PresentationController(Feature):
@@ -43,9 +25,9 @@ class PresentationController(Feature):
         self._window.connect_command("full_screen", self._set_full_screen)
         self._window.connect_command("copy_image", self.copy_image)
         self._window.connect_command("magnify", self._hide_magnifier)
-        self.view: PresentationView | None = None  # while something is presented
-        self._contrast = FittedContrast()
-        controller.frame_shown.connect(self._show_frame)
+        self._layout_before: Layout | None = None  # while something is presented
+        self._window.connect_command("cancel", self.leave)
+        controller.frame_shown.connect(self._show_titles)
         controller.closing.connect(self.leave)
         for column in self._window.columns.values():
             column.pixel_hovered.connect(self._show_pixel)
@@ -62,48 +44,46 @@ class PresentationController(Feature):
             self._window.say(f"image of {size.width()} x {size.height()} pixels copied")
 
     def present(self) -> None:
-        """Show source, generated touch and truth on the full screen of the window.
+        """Show the panes of *Look* alone on the full screen, the press in motion.
 
         Esc or F11 leaves.
         """
-        opened = self._controller.views.translation
-        screen = self._window.screen()
-        if opened is None:
+        controller = self._controller
+        if controller.views.translation is None:
             self._window.say("nothing to present; open a recording first")
             self._full_screen.setChecked(False)
             return
         self._full_screen.setChecked(True)
-        self._contrast = FittedContrast()
-        self.view = PresentationView()
-        self.view.left.connect(self.leave)
-        self.view.addActions([self._window.actions_by_name[name] for name in _COMMANDS])
-        if screen is not None:
-            self.view.setGeometry(screen.geometry())
-        self._window.presented_columns = choose_presented_stages(opened)
-        self.view.showFullScreen()
-        self._controller.refresh()
+        self._layout_before = controller.session.layout
+        if self._layout_before.name != "look":
+            controller.change("present", layout=replace(self._layout_before, name="look"))
+        self._window.set_presenting(on=True)
+        self._show_titles()
+        self._window.actions_by_name["press_motion"].setChecked(True)
 
     def leave(self) -> None:
-        """Close the presentation; the window is as it was, on the frame shown last."""
-        view = self.view
-        self.view = None
+        """Show the window as it was, on the frame shown last."""
         self._full_screen.setChecked(False)
-        if view is not None:
-            self._window.presented_columns = ()
-            view.close()
-            view.deleteLater()
-            self._controller.refresh()
-
-    def _show_frame(self, _index: int) -> None:
-        """Show the frame once all of it is there: the one before stays as it is until then."""
-        opened = self._controller.views.translation
-        views = self._controller.views
-        if self.view is None or opened is None:
+        layout = self._layout_before
+        if not self._window.is_presenting or layout is None:
             return
-        shown = {name: views.get_shown_stage(name) for name in self._window.presented_columns}
-        panes = make_panes(opened, shown, self._contrast)
-        if panes:
-            self.view.show_panes(panes)
+        self._layout_before = None
+        self._window.set_presenting(on=False)
+        if not self._controller.is_closed:
+            self._controller.change("present", layout=layout)
+
+    def _show_titles(self, _index: int = 0) -> None:
+        """Name sensor and method of every pane."""
+        opened = self._controller.views.translation
+        if not self._window.is_presenting or opened is None:
+            return
+        titles = dict[tuple[str, bool], str]()
+        for stage in (SOURCE, *opened.stages):
+            part = self._controller.views.get_shown_stage(stage)
+            result = part.result if isinstance(part, StagePreview) else None
+            titles[stage, False] = name_pane(opened, stage, result)
+            titles[stage, True] = name_sensors(opened)
+        self._window.look.show_titles(titles)
 
     def _set_full_screen(self) -> None:
         self.present() if self._full_screen.isChecked() else self.leave()
@@ -118,44 +98,3 @@ class PresentationController(Feature):
             self.magnifier.hide()
         else:
             self.magnifier.show_pixel(view.canvas, view.preview, row, col)
-
-
-_SIZE = QSize(1920, 1080)
-_NO_H264 = "; H.264 needs an ffmpeg with libx264 on the PATH"
-
-
-class PresentationVideoController(Feature):
-    """Asks for a file, then writes all frames as the presentation shows them."""
-
-    def __init__(self, controller: SessionController, export: ExportController) -> None:
-        super().__init__(controller)
-        self._export = export
-        controller.window.connect_command("save_video", self.ask)
-
-    def ask(self) -> None:
-        """Ask where the video goes, then write it."""
-        path = self._export.ask_path("Save video", ".mp4" if find_h264_encoder() else ".avi")
-        if path is not None:
-            self.write(path)
-
-    def write(self, path: Path, size: QSize = _SIZE) -> None:
-        """Write the video of the open recording."""
-        controller = self._controller
-        session = controller.session
-
-        def work(report: JobReporter) -> str:
-            evaluator = Evaluator(controller.catalogue, like=controller.evaluator)
-            try:
-                return write_presentation(session, evaluator, size, path, report)
-            finally:
-                evaluator.close()
-
-        def describe(codec: object) -> str:
-            return (
-                f"written as {codec}: "
-                f"{escape_text(str(path))}{_NO_H264 if codec == 'MJPEG' else ''}"
-            )
-
-        self._export.start_writing(
-            f"writing {escape_text(path.name)}", work, path, describe=describe
-        )

@@ -1,55 +1,252 @@
-"""The scene of *Look*: both sensors and the object, from what the stages on screen show."""
+"""The scene: both sensors and the object from what the stages on screen show, still or as the
+press in motion.
+"""
 
+import time
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from PyQt6.QtCore import QPointF, Qt, QTimer
+
+from app.align.alignment import AlignmentController
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
 from app.session.state import Session
 from app.views.scene_geometry import show_scene_caption
 from app.views.stage_previews import StagePreview
-from pipeline.views.layers import Layer
+from pipeline.core.arrays import Doubles
+from pipeline.core.geometry import rigid
+from pipeline.views.colours import REGISTERED_POINT_COLOUR, repeat_colour
+from pipeline.views.layers import Layer, make_lines_layer, stretch_depth
+from pipeline.views.press_motion import DURATION_S, SOURCE_SURFACES, PressMotion
 from pipeline.views.scene import (
     MEMBRANE_STAGES,
+    SCENE_VIEWS,
+    ScenePlaces,
     compute_scene_bounds,
-    find_scene_labels,
+    find_scene_places,
     make_scene_layers,
 )
+from widgets.style.icons import make_command_icon
+
+_TICK_MS = 60  # between two images of the motion
+_PLAY_KEYS = frozenset({Qt.Key.Key_Space, Qt.Key.Key_Escape})
+_IDLE_KEYS = frozenset({Qt.Key.Key_Space})
 
 
 class SceneController(Feature):
     """Places the finished layers of the stages in the alignment frame while a pane shows them."""
 
-    def __init__(self, controller: SessionController) -> None:
+    def __init__(self, controller: SessionController, alignment: AlignmentController) -> None:
         super().__init__(controller)
+        self._alignment = alignment
+        self._view = self._window.scene_panel.view
+        self._place = controller.views.page_views["scene"]
+        self._layers: tuple[Layer, ...] = ()
+        self._places: ScenePlaces | None = None
+        self._motion: PressMotion | None = None
+        self._time = 0.0  # of the motion, from 0 to 1
+        self._shown_s = 0.0  # when it was last shown
+        self._timer = QTimer(self)
+        self._timer.setInterval(_TICK_MS)
+        self._timer.timeout.connect(self._move_on)
+        self._measured: list[Doubles] = []  # up to two points, as drawn
+        self._measured_mm: list[Doubles] = []  # and without the stretched depth
+        self._play, self._measure, self._orthographic = (
+            self._window.actions_by_name[name]
+            for name in ("press_motion", "scene_measure", "scene_orthographic")
+        )
+        self._connect()
+
+    def _connect(self) -> None:
+        controller = self._controller
+        controller.views.scene.show_scale_bar(self._place)
         controller.frame_shown.connect(self._show_frame)
+        controller.closing.connect(self._timer.stop)
+        self._alignment.dragged.connect(self._show_drag)
+        self._play.toggled.connect(self._toggle_motion)
+        self._play.triggered.connect(lambda _on=False: self._view.setFocus())
+        self._window.connect_command("cancel", self._stop_motion)
+        self._view.key_pressed.connect(self._handle_key)
+        self._view.clicked.connect(self._measure_point)
+        self._measure.toggled.connect(self._clear_measure)
+        self._orthographic.toggled.connect(self._set_orthographic)
+        for name in (*SCENE_VIEWS, "source", "target"):
+            self._window.connect_command(f"scene_{name}", partial(self._look_from, name))
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether the press is shown in motion, playing or paused."""
+        return self._motion is not None
 
     def show_session(self, session: Session) -> None:
         """Show the scene once a pane is given to it; nothing without a recording."""
         if session.recording is None:
+            self._stop_motion()
+            self._layers, self._places = (), None
             self._controller.views.show_page_scene("scene", (), None, session)
         elif self._controller.is_idle:
             self._show_frame()
 
     def _show_frame(self, _index: int = 0) -> None:
+        if not self._alignment.is_dragging:
+            self._show()
+
+    def _show_drag(self, target_depth: Sequence[Layer] | None) -> None:
+        """Show the source where a drag has it, and what the target sees of it there."""
+        self._show(target_depth)
+
+    def _show(self, target_depth: Sequence[Layer] | None = None) -> None:
         views, session = self._controller.views, self._controller.session
-        opened = views.translation
-        if opened is None or not any(dims == "scene" for _, dims in session.layout.panes):
+        opened, layout = views.translation, session.layout
+        is_shown = layout.name == "align" or any(dims == "scene" for _, dims in layout.panes)
+        if opened is None or not is_shown:
             return
         parts = {
             name: part
             for name in (*opened.stages, "source")
             if (part := views.get_shown_stage(name)) is not None
         }
-        alignment = session.offsets.apply_to(opened.alignment)
-        layers = make_scene_layers(
-            {name: part.layers for name, part in parts.items()},
-            opened.source,
-            opened.target,
-            alignment,
-            next(filter(None, (_find_recorded(parts.get(name)) for name in MEMBRANE_STAGES)), ()),
+        shown = {name: part.layers for name, part in parts.items()}
+        if target_depth is not None:  # of the others none is of this alignment
+            shown = {"source": shown.get("source", ()), "target_depth": tuple(target_depth)}
+        offsets = self._alignment.offsets if self._alignment.is_dragging else session.offsets
+        self._places = find_scene_places(opened.alignment, offsets.apply_to(opened.alignment))
+        recorded = next(
+            filter(None, (_find_recorded(parts.get(name)) for name in MEMBRANE_STAGES)), ()
+        )
+        self._layers = make_scene_layers(
+            shown, opened.source, opened.target, self._places, recorded
         )
         bounds = compute_scene_bounds(opened.source, opened.target, opened.alignment)
-        views.show_page_scene("scene", layers, bounds, session)
-        views.scene.label_points(views.page_views["scene"], find_scene_labels(alignment))
-        show_scene_caption(self._window, opened, session.display)
+        if self._motion is not None:
+            self._motion = PressMotion(self._layers, opened.source, opened.target, self._places)
+            self._show_motion()
+        else:
+            views.show_page_scene("scene", (*self._layers, *self._draw_measure()), bounds, session)
+            show_scene_caption(self._window, opened, session.display)
+        self._show_labels()
+
+    def _show_labels(self) -> None:
+        if self._places is not None:
+            labels = {**self._places.labels, **self._label_measure()}
+            self._controller.views.scene.label_points(self._place, labels)
+
+    def _handle_key(self, key: int) -> None:
+        if key == Qt.Key.Key_Escape:
+            self._stop_motion()
+        else:
+            self._play.toggle()
+
+    def _toggle_motion(self, on: bool) -> None:
+        """Play on, or pause; without a scene there is nothing to play."""
+        opened = self._controller.views.translation
+        self._play.setIcon(make_command_icon("pause" if on else "play"))
+        if not on:
+            self._timer.stop()
+        elif opened is None or self._places is None or not self._view.isVisible():
+            self._play.setChecked(False)
+            self._window.say("no scene to play; show one in a pane: scene, at its upper right")
+        else:
+            if self._motion is None:
+                self._motion = PressMotion(self._layers, opened.source, opened.target, self._places)
+                self._time = 0.0
+            self._view.keys = _PLAY_KEYS
+            self._shown_s = time.monotonic()
+            self._timer.start()
+
+    def _stop_motion(self) -> None:
+        """Show the frame itself again."""
+        self._play.setChecked(False)
+        if self._motion is not None:
+            self._motion = None
+            self._view.keys = _IDLE_KEYS
+            self._show()
+
+    def _move_on(self) -> None:
+        now_s = time.monotonic()
+        self._time = (self._time + (now_s - self._shown_s) / DURATION_S) % 1.0
+        self._shown_s = now_s
+        if self._view.isVisible():
+            self._show_motion()
+        else:
+            self._stop_motion()
+
+    def _show_motion(self) -> None:
+        opened = self._controller.views.translation
+        if self._motion is None or opened is None:
+            return
+        layers = (*self._motion.make_layers(self._time), *self._draw_measure())
+        self._controller.views.scene.show_layers(self._place, layers, is_passing=True)
+        show_scene_caption(
+            self._window,
+            opened,
+            self._controller.session.display,
+            self._motion.describe(self._time),
+        )
+
+    def _set_orthographic(self, on: bool) -> None:
+        self._controller.views.scene.set_orthographic(self._place, on=on)
+
+    def _look_from(self, name: str) -> None:
+        if self._places is None:
+            return
+        if name in SCENE_VIEWS:
+            direction, up = (np.array(vector) for vector in SCENE_VIEWS[name])
+        else:
+            pose = (
+                self._places.view_from_source if name == "source" else self._places.view_from_target
+            )
+            direction, up = -pose[:3, 2], -pose[:3, 1]
+        self._controller.views.scene.look_from(self._place, direction, up)
+
+    def _measure_point(self, at: QPointF) -> None:
+        """Take a clicked point as the next end of what is measured."""
+        found = self._controller.views.scene.find_surface_point(self._place, at)
+        if not self._measure.isChecked() or found is None:
+            return
+        if len(self._measured) == 2:
+            self._measured, self._measured_mm = [], []
+        name, place = found
+        self._measured.append(np.array(place))
+        self._measured_mm.append(self._undo_stretch(name, np.array(place)))
+        self._show()
+
+    def _undo_stretch(self, layer: str, place: Doubles) -> Doubles:
+        """Return where a point of a surface with stretched depth is."""
+        opened = self._controller.views.translation
+        if opened is None or self._places is None:
+            return place
+        if layer in SOURCE_SURFACES:
+            sensor, view_from_sensor = opened.source, self._places.view_from_source
+        elif layer in MEMBRANE_STAGES:
+            sensor, view_from_sensor = opened.target, self._places.view_from_target
+        else:
+            return place
+        times = self._controller.session.display.get_depth_stretch(sensor)
+        seen = rigid.apply(rigid.invert(view_from_sensor), place[None])
+        return rigid.apply(view_from_sensor, stretch_depth(seen, sensor, 1.0 / times))[0]
+
+    def _clear_measure(self) -> None:
+        self._measured, self._measured_mm = [], []
+        self._show()
+
+    def _draw_measure(self) -> tuple[Layer, ...]:
+        if not self._measured:
+            return ()
+        ends = np.array([(self._measured[0], self._measured[-1])])
+        line = make_lines_layer(
+            "measure", ends.astype(np.float32), repeat_colour(REGISTERED_POINT_COLOUR, 1)
+        )
+        return (line,)
+
+    def _label_measure(self) -> dict[str, tuple[float, float, float]]:
+        if len(self._measured) < 2:
+            return {}
+        x, y, z = (float(value) for value in 0.5 * (self._measured[0] + self._measured[1]))
+        length_mm = float(np.linalg.norm(self._measured_mm[1] - self._measured_mm[0]))
+        return {f"{length_mm:.2f} mm": (x, y, z)}
 
 
 def _find_recorded(part: object) -> tuple[Layer, ...]:

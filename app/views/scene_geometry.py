@@ -103,9 +103,13 @@ def show_captions(window: MainWindow, opened: Translation, display: DisplayParam
         )
 
 
-def show_scene_caption(window: MainWindow, opened: Translation, display: DisplayParams) -> None:
-    """Update what is written under the scene; the sensors have the colours of their cameras."""
-    window.scene_legend.set_texts(
+def show_scene_caption(
+    window: MainWindow, opened: Translation, display: DisplayParams, motion: str = ""
+) -> None:
+    """Update what is written under the scene: the sensors in the colours of their cameras, and
+    the `motion` in place of frame and axes.
+    """
+    window.scene_panel.sensors.set_texts(
         *(
             f"{_colour(f'S {source}', SOURCE_COLOUR)} {_colour(f'T {target}', TARGET_COLOUR)}"
             for source, target in (
@@ -115,7 +119,8 @@ def show_scene_caption(window: MainWindow, opened: Translation, display: Display
         )
     )
     stretch = get_depth_stretch("touch_depth", opened, display)
-    window.scene_panel.caption.set_texts(*_format_captions("alignment", stretch))
+    captions = (motion,) if motion else _format_captions("alignment", stretch)
+    window.scene_panel.caption.set_texts(*captions)
 
 
 def _colour(text: str, colour: Rgb) -> str:

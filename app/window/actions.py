@@ -124,7 +124,7 @@ CAPTURE_COMMANDS = (
     Command(
         "save_video",
         "Save video…",
-        "Write the presentation of all frames as a video",
+        "Write source, scene, generated and recorded touch of all frames as a video",
         key="Ctrl+Shift+V",
     ),
     Command(
@@ -222,7 +222,7 @@ VIEW_COMMANDS = (
     Command(
         "full_screen",
         "Presentation",
-        "Show source, generated touch and truth on the full screen; Esc leaves",
+        "Show the three panes on the full screen, the press in motion; Esc leaves",
         key="F11",
         checkable=True,
     ),
@@ -386,6 +386,36 @@ TASK_COMMANDS = (
         "Write this rollout and what runs it again to a folder, for `tactoscope replay`",
     ),
 )
+SCENE_COMMANDS = (
+    Command(
+        "press_motion",
+        "Press in motion",
+        "Play the press in the scene: depth scaled from 0 to this frame's. In the scene the space "
+        "bar pauses, Esc ends",
+        icon="play",
+        key="Shift+Space",
+        checkable=True,
+    ),
+    Command("scene_free", "Oblique view", "Look at the scene from the side and above"),
+    Command("scene_top", "Top view", "Look at the scene from the cameras"),
+    Command("scene_side", "Side view", "Look at the scene along the surfaces"),
+    Command("scene_iso", "Isometric view", "Look at the scene along the diagonal of the axes"),
+    Command("scene_source", "Source's axis", "Look along the optical axis of the source"),
+    Command("scene_target", "Target's axis", "Look along the optical axis of the target"),
+    Command(
+        "scene_orthographic",
+        "Orthographic",
+        "Draw the scene without perspective: equal lengths are equal everywhere",
+        checkable=True,
+    ),
+    Command(
+        "scene_measure",
+        "Measure",
+        "Click two points of the scene's surfaces: their distance in mm",
+        checkable=True,
+    ),
+    Command("export_scene", "Export scene…", "Write the scene as image, or the press as a film"),
+)
 THEME_COMMANDS = (
     Command(
         "theme_light",
@@ -418,6 +448,7 @@ MENUS: Mapping[str, tuple[Command, ...]] = {  # title -> commands; every command
     "&Capture": CAPTURE_COMMANDS,
     "&Play": PLAYBACK_COMMANDS,
     "&View": VIEW_COMMANDS,
+    "&Scene": SCENE_COMMANDS,
     "&Layout": LAYOUT_COMMANDS,
     "Co&mpare": COMPARISON_MODE_COMMANDS + VARIANT_COMMANDS,
     "&Registration": REGISTRATION_COMMANDS,

@@ -14,6 +14,7 @@ from PyQt6.QtWidgets import (
     QStackedWidget,
     QStatusBar,
     QTabWidget,
+    QToolBar,
     QVBoxLayout,
     QWidget,
 )
@@ -52,7 +53,7 @@ from widgets.task.task_page import TaskPage
 from widgets.timeline.timeline import Timeline
 from widgets.track.track_page import TrackPage
 from widgets.views.view_3d import View3D
-from widgets.views.view_3d_panel import FittingLabel, StepsSlider, View3DPanel
+from widgets.views.view_3d_panel import ScenePanel, StepsSlider, View3DPanel
 
 DEFAULT_SIZE = QSize(1600, 950)
 _FRAME = QSize(2, 40)  # that a desktop draws around a window: borders and title bar
@@ -69,6 +70,7 @@ class MainWindow(QMainWindow):
 
     paths_dropped = pyqtSignal(list)  # of Path
     closing = pyqtSignal()
+    _put_away: Sequence[QWidget] = ()  # by a presentation
 
     def __init__(
         self, columns: Sequence[tuple[str, str]], stages_with_steps: frozenset[str] = frozenset()
@@ -106,12 +108,10 @@ class MainWindow(QMainWindow):
         self.error_attribution = ErrorAttributionPanel()
         self.steps_panel = StepsPanel()
         self.section_panel = SectionPanel()
-        self.presented_columns: tuple[str, ...] = ()  # those of a presentation, while there is one
         self._hidden_stages = frozenset[str]()
         self.current_layout = Layout()
         self.view_panels = {name: View3DPanel(self.steps.get(name)) for name, _ in columns}
-        self.scene_legend = FittingLabel(Qt.AlignmentFlag.AlignLeft)
-        self.scene_panel = View3DPanel(self.scene_legend)
+        self.scene_panel = ScenePanel()
         self.verdict = VerdictLine()
         self.pages = QStackedWidget()
         self.comparison = ComparisonPage()
@@ -134,6 +134,7 @@ class MainWindow(QMainWindow):
         self.menus = build_menus(
             self, self.actions_by_name, len(self.columns), self.drawers.all_drawers
         )
+        self.scene_panel.offer(self.actions_by_name["press_motion"], self.menus["Scene"])
         layouts = [self.actions_by_name[f"layout_{name}"] for name in LAYOUT_NAMES]
         self.layout_tabs = ActionTabs(layouts, "layout")
         for name in ("track", "task", "folder"):
@@ -295,6 +296,7 @@ class MainWindow(QMainWindow):
     def show_inspector_if_checked(self) -> None:
         """Show the inspector, unless its command or the layout hides it."""
         is_shown = self.actions_by_name["inspector"].isChecked()
+        is_shown = is_shown and not self.is_presenting
         self.inspector.setVisible(is_shown and self.current_layout.name == "look")
 
     def show_progress(self, fraction: float | None, text: str = "") -> None:
@@ -325,6 +327,28 @@ class MainWindow(QMainWindow):
         """Show the tab of a layout, or hide it where there is nothing for it; its command stays."""
         self.layout_tabs.offer(self.actions_by_name[f"layout_{name}"], offered=offered)
 
+    @property
+    def is_presenting(self) -> bool:
+        """Whether the panes are shown alone."""
+        return bool(self._put_away)
+
+    def set_presenting(self, *, on: bool) -> None:
+        """Show the panes alone on the full screen, or the whole window again."""
+        if on == self.is_presenting:
+            return
+        put_away = self._put_away
+        self._put_away = ()
+        if on:
+            around = *self.findChildren(QToolBar), *self.drawers.all_drawers, self._status
+            put_away = [one for one in (*around, self.verdict) if one.isVisible()]
+            self._put_away = put_away
+        for widget in put_away:
+            widget.setVisible(not on)
+        self.setWindowState(self.windowState() ^ Qt.WindowState.WindowFullScreen)
+        if not on:
+            self.look.show_titles({})
+        self.show_layout(self.current_layout)
+
     def hide_stages(self, names: frozenset[str]) -> None:
         """Hide the columns that the route does not compute."""
         self._hidden_stages = names
@@ -341,14 +365,16 @@ class MainWindow(QMainWindow):
         }
         page = pages.get(layout.name, self.look)
         self.look.filmstrip.hide_stages(self._hidden_stages)
-        self.look.filmstrip.setVisible(layout.name == "look")
+        self.look.filmstrip.setVisible(layout.name == "look" and not self.is_presenting)
         panes = layout.resolve_panes(self.route_columns) if page is self.look else ()
         self.look.show_panes(
             [
                 (
                     name,
                     self.columns[name],
-                    self.scene_panel if dims == "scene" else self.view_panels[name],
+                    self.scene_panel
+                    if dims == "scene" or layout.name == "align"
+                    else self.view_panels[name],
                     dims,
                 )
                 for name, dims in panes
@@ -357,7 +383,7 @@ class MainWindow(QMainWindow):
         self.show_inspector_if_checked()
         self.pages.setCurrentWidget(page)
         # a task steps through ticks, a folder through recordings
-        self.timeline.setVisible(layout.name not in ("task", "folder"))
+        self.timeline.setVisible(layout.name not in ("task", "folder") and not self.is_presenting)
         for i, key in enumerate(self.columns):
             self.actions_by_name[f"stage_{i + 1}"].setEnabled(key in self.route_columns)
         for name in LAYOUT_NAMES:
@@ -369,9 +395,7 @@ class MainWindow(QMainWindow):
         return [name for name in self.columns if name not in self._hidden_stages]
 
     def visible_columns(self) -> tuple[str, ...]:
-        """The stages that are visible, large or as cards, or in a presentation."""
-        if self.presented_columns:
-            return tuple(name for name in self.presented_columns if name in self.route_columns)
+        """The stages that are visible, large or as cards."""
         return tuple(self.current_layout.list_stages(self.route_columns))
 
     @property
@@ -382,10 +406,8 @@ class MainWindow(QMainWindow):
     @property
     def shows_true_touch(self) -> bool:
         """Whether the generated touch is shown with the recorded one."""
-        return (
-            bool(self.presented_columns)
-            or self.current_layout.name == "task"
-            or any(name == "touch" and column.isVisible() for name, column in self.columns.items())
+        return self.current_layout.name == "task" or any(
+            name == "touch" and column.isVisible() for name, column in self.columns.items()
         )
 
     def connect_command(self, name: str, function: Callable[[], object]) -> None:

@@ -42,6 +42,7 @@ def export(
     frame: int = 0,
     frames: str = "",
     section: tuple[float, float, float, float] | None = None,
+    size: tuple[int, int] | None = None,
     settings: _DisplaySettings = (),
 ) -> int:
     """Write one file of a translation.
@@ -50,15 +51,18 @@ def export(
 
     Args:
         out: File to write: .png or .pdf of a pane or the sheet, .ply of a pane's points in mm, .npz
-            of its arrays, .csv of force and metrics of all frames, up to the pane, .mp4 or .avi of
-            a pane through the frames.
-        pane: A stage, `source`, or `sheet` for all of them side by side.
+            of its arrays, .csv of force and metrics of all frames, up to the pane, .mp4, .avi,
+            .webm or animated .webp of a pane through the frames.
+        pane: A stage, `source`, `sheet` for all of them side by side, `scene` for both sensors and
+            the object in 3D, or `presentation` for source, scene, generated and recorded touch. The
+            film of the scene is the press in motion, of --frame or of each of --frames.
         content: Computed value, ground truth, or their difference; the last two need ground truth.
         frame: Frame of an image, of points or of arrays.
         frames: Frames of a table or a video, such as `0,3-7`; default: all.
         section: x, y of the start and of the end of a line in mm from the source camera's axis, on
             the gel: the .csv then holds the height of each pane along it on one frame; --pane takes
             several, comma-separated.
+        size: Width and height of a scene or presentation, pixels.
     """
     request = ExportRequest(
         request=options.build_request(recording, target),
@@ -68,6 +72,7 @@ def export(
         frame=frame,
         frames=frames,
         section=section or (),
+        size_px=size,
         path=out,
     )
     with open_progress_bar() as progress:

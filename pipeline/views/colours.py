@@ -87,22 +87,23 @@ def apply_colour_map(values: Floats, scale: ColourScale) -> Image:
 
 def darken_diverging(pixels: Image) -> Image:
     """Return colours (..., 3) of the diverging map as those of the dark one; other colours stay."""
-    light = get_colour_table("diverging")
-    dark = get_colour_table("diverging_dark")
-    index = _index_diverging()
-    at = index[(pixels[..., 0].astype(np.uint16) << 8) | pixels[..., 2]]
-    known = (at >= 0) & (pixels[..., 1] == light[at, 1])
-    return freeze(np.where(known[..., None], dark[at], pixels))
+    at = locate_in_colour_table(pixels, "diverging")
+    return freeze(np.where((at >= 0)[..., None], get_colour_table("diverging_dark")[at], pixels))
 
 
-def _index_diverging() -> NDArray[np.int16]:
-    """Return the place in the diverging map of each red and blue, which no two of its colours
-    share; -1 = none.
-    """
-    colours = get_colour_table("diverging").astype(np.uint16)
+def locate_in_colour_table(pixels: Image, name: ColourMapName) -> NDArray[np.int16]:
+    """Return the places (...) of colours (..., 3) in a map from 0 to 255; -1 = not of the map."""
+    table = get_colour_table(name)
     index = np.full(1 << 16, -1, np.int16)
-    index[(colours[:, 0] << 8) | colours[:, 2]] = np.arange(len(colours), dtype=np.int16)
-    return freeze(index)
+    index[_number_colours(table)] = np.arange(len(table), dtype=np.int16)
+    at = index[_number_colours(pixels)]
+    return freeze(np.where((pixels == table[at]).all(axis=-1), at, np.int16(-1)))
+
+
+def _number_colours(pixels: Image) -> NDArray[np.uint16]:
+    """Return a number (...) that differs for all colours (..., 3) of a map."""
+    red, green, blue = (pixels[..., k].astype(np.uint16) for k in range(3))
+    return 1280 * red + 5 * green + 257 * blue
 
 
 def repeat_colour(colour: Rgb, count: int) -> NDArray[np.uint8]:

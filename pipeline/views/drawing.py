@@ -63,6 +63,11 @@ def list_outlines(preview: Preview) -> tuple[Line, ...]:
     )
 
 
+def choose_bar_length_mm(longest_mm: float) -> float:
+    """Return the longest round length of a scale bar; 0 where all are too long."""
+    return next((length for length in _BAR_LENGTHS_MM if length <= longest_mm), 0.0)
+
+
 def make_scale_bar(
     preview: Preview,
     visible_px: tuple[float, float, float, float],
@@ -76,7 +81,7 @@ def make_scale_bar(
     """
     left, top, right, bottom = visible_px
     longest_mm = _LONGEST_BAR * (right - left) * preview.pixel_mm
-    length_mm = next((length for length in _BAR_LENGTHS_MM if length <= longest_mm), 0.0)
+    length_mm = choose_bar_length_mm(longest_mm)
     if not (length_mm and math.isfinite(longest_mm)):
         return None
     rows, cols = preview.pixels.shape[:2]

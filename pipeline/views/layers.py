@@ -14,11 +14,14 @@ from pipeline.core.geometry.camera import Camera
 from pipeline.core.geometry.meshes import Mesh, make_grid_triangles
 from pipeline.core.geometry.normals import compute_area_vectors
 from pipeline.sensors.spec import SensorSpec
-from pipeline.views.colours import MEMBRANE_COLOUR, OBJECT_COLOUR, ColourMapName, Rgb, repeat_colour
+from pipeline.views.colours import MEMBRANE_COLOUR, OBJECT_COLOUR, ColourScale, Rgb, repeat_colour
 from pipeline.views.preview import Preview, compute_rest_depth_mm
 
 # of one surface: more are not visible in a view this small and slow rendering down
 MAX_POINTS = 16_000
+# of the first view: angle, and distance in radii of what it shows
+FIELD_OF_VIEW_DEG = 28.0
+VIEW_DISTANCE = 3.7
 _MEMBRANE_COLS = 64.0  # a faint smooth surface needs no more
 # points (n, 3) in mm, with triangles (m, 3) and normals (n, 3)
 _Surface = tuple[Floats, NDArray[np.int32], Floats]
@@ -31,8 +34,7 @@ class Layer:
     name: str  # unique in its sub-view: the same name is updated in place
     points_mm: Floats  # (n, 3)
     rgb: NDArray[np.uint8]  # (n, 3)
-    # that the colours are of; None = true colours or one colour
-    colour_map: ColourMapName | None = None
+    scale: ColourScale | None = None  # that the colours are of; None = true colours or one colour
     triangles: Indices | None = None  # (m, 3); None = a point cloud
     segments: Indices | None = None  # or lines (m, 2)
     normals: Floats | None = None  # (n, 3) for smooth shading
@@ -93,24 +95,22 @@ def make_cloud_layer(
     points_mm: Floats,
     colours: NDArray[np.uint8],
     point_px: float,
-    colour_map: ColourMapName | None = None,
+    scale: ColourScale | None = None,
 ) -> Layer:
     """Return points, thinned to what is visible."""
     keep = slice(None, None, max(1, math.ceil(len(points_mm) / MAX_POINTS)))
     points = freeze(np.asarray(points_mm[keep], dtype=np.float32))
-    return Layer(
-        name=name, points_mm=points, rgb=colours[keep], point_px=point_px, colour_map=colour_map
-    )
+    return Layer(name=name, points_mm=points, rgb=colours[keep], point_px=point_px, scale=scale)
 
 
 def make_lines_layer(
-    name: str, ends_mm: Floats, colours: NDArray[np.uint8], colour_map: ColourMapName | None = None
+    name: str, ends_mm: Floats, colours: NDArray[np.uint8], scale: ColourScale | None = None
 ) -> Layer:
     """Return lines between pairs of points (n, 2, 3), each in one colour (n, 3)."""
     points = freeze(np.ascontiguousarray(ends_mm, dtype=np.float32).reshape(-1, 3))
     rgb = freeze(np.repeat(colours, 2, axis=0))
     segments = freeze(np.arange(2 * len(ends_mm), dtype=np.int32).reshape(-1, 2))
-    return Layer(name=name, points_mm=points, rgb=rgb, segments=segments, colour_map=colour_map)
+    return Layer(name=name, points_mm=points, rgb=rgb, segments=segments, scale=scale)
 
 
 @derive_once
@@ -149,7 +149,7 @@ def make_mesh_layer(name: str, mesh: Mesh, colour: Rgb, *, opacity: float = 1.0)
     )
 
 
-def stretch_depth(points_mm: Floats, sensor: SensorSpec, times: float) -> Doubles:
+def stretch_depth(points_mm: NDArray[np.floating], sensor: SensorSpec, times: float) -> Doubles:
     """Return points (n, 3) with their distance from the rest surface multiplied by `times`."""
     points = np.array(points_mm, dtype=np.float64)
     if len(points):
@@ -175,14 +175,13 @@ def _choose_stride(rows: int, cols: int) -> int:
 
 def _texture_surface(name: str, surface: _Surface, pixels: Image, preview: Preview) -> Layer:
     xyz, triangles, normals = surface
-    colour_map = None if preview.scale is None else preview.scale.colour_map
     return Layer(
         name=name,
         points_mm=xyz,
         rgb=freeze(pixels.reshape(-1, 3).copy()),
         triangles=triangles,
         normals=normals,
-        colour_map=colour_map,
+        scale=preview.scale,
     )
 
 

@@ -84,7 +84,7 @@ def _layer_cloud(cloud: Cloud, context: PreviewContext, _preview: Preview) -> tu
     reach = -context.target.membrane.signed_distance_mm(cloud.points_mm).astype(np.float32)
     scale = make_deviation_scale(context.target, context.display, _REACH_LABEL)
     colours = apply_colour_map(reach, scale)
-    layer = make_cloud_layer("cloud", points.astype(np.float32), colours, 3.0, scale.colour_map)
+    layer = make_cloud_layer("cloud", points.astype(np.float32), colours, 3.0, scale)
     return (layer, make_membrane_layer(context.target))
 
 
@@ -277,10 +277,8 @@ def _layer_step(pose: ObjectPose, context: PreviewContext, preview: Preview) -> 
     every = slice(None, None, max(1, math.ceil(len(colours) / _MAX_LINES)))
     ends = np.stack([pose.scene_mm, correspondences.nearest_mm.astype(np.float32)], axis=1)
     return (
-        make_cloud_layer("scene", pose.scene_mm, colours.astype(np.uint8), 4.0, scale.colour_map),
-        make_lines_layer(
-            "correspondences", ends[every], colours[every].astype(np.uint8), scale.colour_map
-        ),
+        make_cloud_layer("scene", pose.scene_mm, colours.astype(np.uint8), 4.0, scale),
+        make_lines_layer("correspondences", ends[every], colours[every].astype(np.uint8), scale),
         *_layer_pose(pose, context, preview)[1:],
     )
 

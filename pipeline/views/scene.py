@@ -1,7 +1,11 @@
-"""The scene: both sensors, their surfaces and the object as 3D layers in the alignment frame A."""
+"""The scene: both sensors, their surfaces and the object as 3D layers in the alignment frame A.
 
+Presets are the directions that one looks at it from.
+"""
+
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
@@ -12,35 +16,78 @@ from pipeline.core.geometry import rigid
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.views.colours import RECORDED_COLOUR, SOURCE_COLOUR, TARGET_COLOUR, Rgb, repeat_colour
-from pipeline.views.layers import Layer, ViewBounds, make_cloud_layer, make_lines_layer
+from pipeline.views.layers import (
+    FIELD_OF_VIEW_DEG,
+    VIEW_DISTANCE,
+    Layer,
+    ViewBounds,
+    make_cloud_layer,
+    make_lines_layer,
+)
 from pipeline.views.view import to_xyz
 
 # stages whose surface is the target's membrane, the best one first
 MEMBRANE_STAGES = ("touch_depth", "touch", "target_depth")
+SCENE_LETTERS = "SAT"  # source, alignment frame, target
 _RECORDED_DOTS = 220
 _DOT_PX = 1.5
 _SURFACE_OPACITY = 0.8
 _HOUSING_OPACITY = 0.1
 _AXIS = 0.2  # length in distances of the rest surface from the camera
 _AXES_RGB = np.array(((220, 60, 60), (60, 170, 80), (80, 120, 235)), dtype=np.uint8)
-_DIRECTION = (0.4, 0.85, -0.3)  # from the side, the cameras above the touch
-_LOWER = 0.58  # height of the view's centre between the cameras and the touch
-_MARGIN = 0.9  # radius of the view in half diagonals of both sensors
+# where one looks from, and what is up: in A, z is along the optical axes, away from the cameras
+SCENE_VIEWS: Mapping[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
+    "free": ((0.4, 0.85, -0.3), (0.0, 0.0, -1.0)),
+    "top": ((0.0, 0.0, -1.0), (0.0, -1.0, 0.0)),
+    "side": ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0)),
+    "iso": ((1.0, 1.0, -1.0), (0.0, 0.0, -1.0)),
+}
+_FILLED = 0.9  # share of the shorter side of the view that both sensors take
+_FIT_STEPS = 12
+_LEAST_STEP = 0.7  # the eye stays outside
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScenePlaces:
+    """Where the frames are in the scene, which is frame A of the opened alignment, (4, 4) mm each.
+
+    The target stays where it is: offsets move the source and A.
+    """
+
+    view_from_source: Doubles
+    view_from_alignment: Doubles
+    view_from_target: Doubles
+
+    @property
+    def labels(self) -> dict[str, tuple[float, float, float]]:
+        """Return the letters of the frames and where they are, mm."""
+        poses = self.view_from_source, self.view_from_alignment, self.view_from_target
+        return {
+            letter: to_xyz(pose[:3, 3]) for letter, pose in zip(SCENE_LETTERS, poses, strict=True)
+        }
+
+
+def find_scene_places(opened: Alignment, moved: Alignment) -> ScenePlaces:
+    """Return the places of the frames under an alignment that was `moved` since it was opened."""
+    view_from_target = rigid.invert(opened.target_from_alignment)
+    return ScenePlaces(
+        view_from_source=view_from_target @ moved.target_from_source,
+        view_from_alignment=view_from_target @ moved.target_from_alignment,
+        view_from_target=view_from_target,
+    )
 
 
 def make_scene_layers(
     shown: Mapping[str, Sequence[Layer]],
     source: SensorSpec,
     target: SensorSpec,
-    alignment: Alignment,
+    places: ScenePlaces,
     recorded: Sequence[Layer] = (),
 ) -> tuple[Layer, ...]:
-    """Return what stages show, by name, and both sensors, all placed in the alignment frame.
+    """Return what stages show, by name, and both sensors, in one view.
 
     `recorded` is the membrane that the target itself measured: a ghost.
     """
-    from_source = alignment.alignment_from_source
-    from_target = rigid.invert(alignment.target_from_alignment)
     objects = [layer for layer in shown.get("pose", ()) if layer.name == "object"]
     name = next((name for name in MEMBRANE_STAGES if name in shown), "")
     membrane = [
@@ -54,28 +101,36 @@ def make_scene_layers(
         for points in (layer.points_mm[:: max(1, len(layer.points_mm) // _RECORDED_DOTS)],)
     ]
     images = [
-        layer
+        _drape(layer, shown.get("depth", ()))
         if source.gel is not None
         else replace(layer, name="source membrane", opacity=_SURFACE_OPACITY)
         for layer in shown.get("source", ())
     ]
     placed = [
-        _place((*membrane, *ghosts, *_outline("target", target)), from_target),
-        _place((*images, *_outline("source", source)), from_source),
+        _place((*membrane, *ghosts, *_outline("target", target)), places.view_from_target),
+        _place((*images, *_outline("source", source)), places.view_from_source),
     ]
     # translucent layers cover what is listed before them: the smaller sensor is in the larger one
     if _measure_reach_mm(source) > _measure_reach_mm(target):
         placed.reverse()
-    return (*_place(objects, from_target), *chain(*placed), _draw_links(alignment))
+    return (
+        *_place(objects, places.view_from_target),
+        *chain(*placed),
+        _draw_links(places.labels),
+    )
 
 
-def find_scene_labels(alignment: Alignment) -> dict[str, tuple[float, float, float]]:
-    """Return the letters of the frames and where they are in the alignment frame, mm."""
-    return {
-        "S": to_xyz(alignment.alignment_from_source[:3, 3]),
-        "A": (0.0, 0.0, 0.0),
-        "T": to_xyz(rigid.invert(alignment.target_from_alignment)[:3, 3]),
-    }
+def _drape(image: Layer, depth: Sequence[Layer]) -> Layer:
+    """Return a gel's image on the surface that was measured, where it has the image's pixels."""
+    surface = next((layer for layer in depth if layer.name == "depth"), image)
+    if surface.points_mm.shape != image.points_mm.shape:
+        return image
+    return replace(
+        image,
+        points_mm=surface.points_mm,
+        triangles=surface.triangles,
+        normals=surface.normals,
+    )
 
 
 def compute_scene_bounds(
@@ -88,17 +143,34 @@ def compute_scene_bounds(
             rigid.apply(rigid.invert(alignment.target_from_alignment), _find_corners(target)),
         ]
     )
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    # perspective enlarges what is below, nearer to the eye: its middle is lower
-    centre = low + np.array((0.5, 0.5, _LOWER)) * (high - low)
+    direction, up = SCENE_VIEWS["free"]
+    centre, radius = _fit_view(corners, np.array(direction), np.array(up))
     return ViewBounds(
         centre_mm=to_xyz(centre),
-        radius_mm=_MARGIN * 0.5 * float(np.linalg.norm(high - low)),
+        radius_mm=radius,
         frame="alignment",
-        direction=_DIRECTION,
-        up=(0.0, 0.0, -1.0),
+        direction=direction,
+        up=up,
         origin_mm=(0.0, 0.0, 0.0),
     )
+
+
+def _fit_view(corners: Doubles, direction: Doubles, up: Doubles) -> tuple[Doubles, float]:
+    """Return centre and radius of the view from `direction` that shows all corners (n, 3)."""
+    toward = direction / np.linalg.norm(direction)
+    right = np.cross(up, toward)
+    right /= np.linalg.norm(right)
+    across = np.stack([right, np.cross(toward, right)])
+    centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    distance = VIEW_DISTANCE * float(np.linalg.norm(corners - centre, axis=1).max())
+    for _ in range(_FIT_STEPS):  # what is nearer is larger
+        off = corners - centre
+        seen = (off @ across.T) / (distance - off @ toward)[:, None]
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        centre = centre + distance * (0.5 * (low + high) @ across)
+        half = math.tan(0.5 * math.radians(FIELD_OF_VIEW_DEG)) * _FILLED
+        distance *= max(0.5 * float((high - low).max()) / half, _LEAST_STEP)
+    return centre, distance / VIEW_DISTANCE
 
 
 def _place(layers: Sequence[Layer], alignment_from_layers: Doubles) -> list[Layer]:
@@ -155,9 +227,9 @@ def _outline(role: str, sensor: SensorSpec) -> tuple[Layer, ...]:
     )
 
 
-def _draw_links(alignment: Alignment) -> Layer:
+def _draw_links(labels: Mapping[str, tuple[float, float, float]]) -> Layer:
     """Return T_S->A and T_A->T as lines from the source's camera over A to the target's."""
-    labels = find_scene_labels(alignment)
-    ends = np.array([(labels["S"], labels["A"]), (labels["A"], labels["T"])], dtype=np.float32)
+    s, a, t = (labels[letter] for letter in SCENE_LETTERS)
+    ends = np.array([(s, a), (a, t)], dtype=np.float32)
     colours = np.array((SOURCE_COLOUR, TARGET_COLOUR), dtype=np.uint8)
     return make_lines_layer("links", ends, colours)

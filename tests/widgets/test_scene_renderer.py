@@ -9,7 +9,7 @@ import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtWidgets import QApplication
 
-from pipeline.views.colours import get_colour_table, repeat_colour
+from pipeline.views.colours import ColourScale, get_colour_table, repeat_colour
 from pipeline.views.layers import Layer, ViewBounds
 from widgets.style.theme import is_dark, use_palette
 from widgets.views.scene_renderer import SceneRenderer
@@ -37,6 +37,7 @@ def surface(z: float) -> Layer:
     )
 
 
+SIGNED = ColourScale(colour_map="diverging", low=-1.0, high=1.0, unit="mm", quantity="deviation")
 SIGHTS = {
     0: ViewBounds(centre_mm=(0, 0, 10), radius_mm=2.0, frame="a"),
     1: ViewBounds(centre_mm=(0, 0, 10), radius_mm=2.0, frame="a"),
@@ -259,8 +260,8 @@ def test_a_faint_surface_does_not_shine_through_one_in_the_same_place(scene):
 
 def test_signed_values_take_the_colours_of_the_theme(scene, qtbot):
     light = np.array(get_colour_table("diverging")[[127]])
-    sheet = replace(surface(10.0), rgb=np.repeat(light, 4, axis=0), colour_map="diverging")
-    true = replace(sheet, name="true", colour_map=None)
+    sheet = replace(surface(10.0), rgb=np.repeat(light, 4, axis=0), scale=SIGNED)
+    true = replace(sheet, name="true", scale=None)
     before = QApplication.palette()
     scene.show_layers(0, [sheet, true])
     try:

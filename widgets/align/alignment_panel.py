@@ -8,7 +8,7 @@ from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QGridLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
-from pipeline.sensors.alignment import AXES, Axis
+from pipeline.sensors.alignment import AXES
 from pipeline.translation.alignment.score import AlignmentScore, Sensitivity
 from widgets.align.refine_box import RefineBox
 from widgets.compare.sensitivity_bars import SensitivityBars
@@ -198,12 +198,6 @@ class AlignmentPanel(VerticalScrollArea):
         """Show how sensitive the score is to each axis."""
         self.bars.setEnabled(True)
         self.bars.show_sensitivities(axes)
-
-    def drag_axis(self, axis: Axis, value: float) -> None:
-        """Show the value of an axis that another widget drags."""
-        self.begin_drag()
-        self.rows[axis].show_value(value)
-        self.offset_changed.emit(axis, value)
 
     def begin_drag(self) -> None:
         """Begin a drag, here or in another widget."""

@@ -1,5 +1,6 @@
 """Export dialog: what to export and in which format; non-modal."""
 
+import re
 from collections.abc import Sequence
 
 from PyQt6.QtCore import pyqtSignal
@@ -24,15 +25,21 @@ FORMATS = (  # suffix, title, content it can hold
     (".csv", "metrics of all frames, CSV", "frames"),
     (".mp4", "video of the frames, MP4", "frames"),
     (".avi", "video of the frames, AVI", "frames"),
+    (".webm", "video of the frames, WebM", "frames"),
+    (".webp", "video of the frames, animated WebP", "frames"),
 )
 SHEET = "sheet"
+SCENES = ("scene", "presentation")  # drawn in any size
+_FILM = "the press in motion, of this frame or of those named"
+_SIZE = re.compile(r"\s*(\d{1,5})\s*[x\u00d7]\s*(\d{1,5})\s*")
+_SCENE_FORMATS = (".png", ".pdf", ".mp4", ".avi", ".webm", ".webp")
 
 
 class ExportDialog(QDialog):
-    """Emits `export_wanted` and `command_wanted` with pane, content, suffix and frames."""
+    """Emits `export_wanted` and `command_wanted` with pane, content, suffix, frames and size."""
 
-    export_requested = pyqtSignal(str, str, str, str)
-    command_requested = pyqtSignal(str, str, str, str)
+    export_requested = pyqtSignal(str, str, str, str, object)
+    command_requested = pyqtSignal(str, str, str, str, object)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -49,12 +56,17 @@ class ExportDialog(QDialog):
         self.frames.setAccessibleName("export frames")
         self.frames.setPlaceholderText("all, or for example 0,3-7")
         self.frames.setToolTip("frames of a table or a video, by number")
+        self.size_line = QLineEdit()
+        self.size_line.setObjectName("export_size")
+        self.size_line.setAccessibleName("export size")
+        self.size_line.setPlaceholderText("pixels, for example 1920 x 1080")
         form = QFormLayout(self)
         for label, widget in (
             ("pane", self.pane_box),
             ("shows", self.content_box),
             ("as", self.format_box),
             ("frames", self.frames),
+            ("size", self.size_line),
         ):
             form.addRow(label, widget)
         self._told = QLabel()
@@ -66,18 +78,24 @@ class ExportDialog(QDialog):
         form.addRow(fill(QHBoxLayout(), 1, self.copy, self.write))
         self.copy.clicked.connect(lambda: self.command_requested.emit(*self.selection))
         self.write.clicked.connect(self._export)
+        self.size_line.textChanged.connect(self._fit)
         for box in (self.pane_box, self.format_box):
             box.currentIndexChanged.connect(self._fit)
 
     @property
-    def selection(self) -> tuple[str, str, str, str]:
-        """Pane, content, suffix, frames."""
+    def selection(self) -> tuple[str, str, str, str, tuple[int, int] | None]:
+        """Pane, content, suffix, frames, size in pixels."""
         shown = self.content_box.choice if self.content_box.isEnabled() else "computed"
         frames = self.frames.text().strip() if self.frames.isEnabled() else ""
-        return self.pane_box.choice, shown, self.format_box.choice, frames
+        sides = _SIZE.fullmatch(self.size_line.text()) if self.size_line.isEnabled() else None
+        size = (int(sides[1]), int(sides[2])) if sides else None
+        return self.pane_box.choice, shown, self.format_box.choice, frames, size
 
-    def show_panes(self, panes: Sequence[tuple[str, str]], chosen: str, shown: str) -> None:
-        """Offer these panes (name, title) and select one of them with its content."""
+    def show_panes(
+        self, panes: Sequence[tuple[str, str]], chosen: str, shown: str, suffix: str
+    ) -> None:
+        """Offer these panes (name, title) and select one of them with its content and format."""
+        self.format_box.setCurrentIndex(max(0, self.format_box.findData(suffix)))
         self.pane_box.offer(dict(panes), chosen)
         self.content_box.setCurrentIndex(max(0, self.content_box.findData(shown)))
         self._fit()
@@ -86,12 +104,19 @@ class ExportDialog(QDialog):
         """Enable only the options of the selected pane and format."""
         pane = self.pane_box.choice
         of = next((of for suffix, _, of in FORMATS if suffix == self.format_box.choice), "every")
-        self.content_box.setEnabled(pane not in (SHEET, "source", ""))
+        self.content_box.setEnabled(pane not in (SHEET, "source", "", *SCENES))
+        self.size_line.setEnabled(pane in SCENES)
         self.frames.setEnabled(of == "frames")
-        wrong = of == "pane" and pane == SHEET
-        self._told.setText("a sheet has no points; select one pane" if wrong else "")
+        text = "a sheet has no points; select one pane" if of == "pane" and pane == SHEET else ""
+        if pane in SCENES and self.format_box.choice not in _SCENE_FORMATS:
+            text = "this is an image or a film; select PNG, PDF or a video"
+        size = self.size_line.text().strip()
+        if pane in SCENES and size and not _SIZE.fullmatch(size):
+            text = "a size is width x height in pixels, for example 1920 x 1080"
+        is_film = pane == SCENES[0] and of == "frames"
+        self._told.setText(text or (_FILM if is_film else ""))
         for button in (self.copy, self.write):
-            button.setEnabled(not wrong)
+            button.setEnabled(not text)
 
     def _export(self) -> None:
         self.export_requested.emit(*self.selection)

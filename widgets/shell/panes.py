@@ -28,6 +28,7 @@ _DIMS_WORDS = {
     "scene": "both sensors and the object",
 }
 MAX_PANES = 3
+_LARGE = 1.5  # letters of a title that is alone
 _SCENE_TITLE = "Both sensors and the object"
 _LEAST_WIDE_PX = 480
 _COLLAPSED_BELOW_PX = 550  # a lower page collapses the cards to names
@@ -133,6 +134,8 @@ class Pane(QFrame):
         self._head = fill(set_spacing(QHBoxLayout(), 0), (self._title, 1), *self._buttons.values())
         fill(set_spacing(QVBoxLayout(self), 0), self._rim, self._head, (self._both, 1))
         self._held: tuple[StageColumn, View3DPanel] | None = None
+        self._dims = ""
+        self._own_title = ""
 
     def set_contents(self, column: StageColumn, cell: View3DPanel, dims: str) -> None:
         """Show these widgets; the previous ones must have been released."""
@@ -143,13 +146,27 @@ class Pane(QFrame):
             for widget in (column, column.head, cell):
                 _watch(widget, self)
             self._held = column, cell
-        is_scene = dims == "scene"
-        self._title.setVisible(is_scene)
-        column.head.setVisible(not is_scene)
+        self._dims = dims
+        self.show_title(self._own_title)
         column.setVisible(dims in ("2D", "both"))
         cell.setVisible(dims != "2D")
         for name, button in self._buttons.items():
             button.setChecked(name == dims)
+
+    def show_title(self, text: str) -> None:
+        """Show a large text in place of all controls; "" for the usual head."""
+        self._own_title = text
+        font = self.font()
+        font.setBold(True)
+        font.setPointSizeF(font.pointSizeF() * (_LARGE if text else 1.0))
+        self._title.setFont(font)
+        self._title.setText(text or _SCENE_TITLE)
+        self._title.setWordWrap(bool(text))
+        self._title.setVisible(bool(text) or self._dims == "scene")
+        if self._held is not None:
+            self._held[0].head.setVisible(not text and self._dims != "scene")
+        for button in self._buttons.values():
+            button.setHidden(bool(text))
 
     def release_contents(self) -> None:
         """Hide and release the widgets before they move to another pane."""
@@ -243,6 +260,11 @@ class LookPage(QWidget):
             if number < len(held):
                 pane.set_contents(*held[number][1:])
         self.activate_pane(self.active_pane)
+
+    def show_titles(self, titles: Mapping[tuple[str, bool], str]) -> None:
+        """Show (stage, whether it is the scene) -> title in the panes; {} shows their controls."""
+        for pane, stage, has_scene in zip(self.panes, self._stages, self._has_scene, strict=False):
+            pane.show_title(titles.get((stage, has_scene), ""))
 
     def minimumSizeHint(self) -> QSize:  # noqa: N802
         """Return little: neither the cards, which collapse, nor three heads keep the window from

@@ -1,5 +1,6 @@
 """Off-screen renderer of the 3D views: layers, cameras, lights and axes, one view at a time."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -20,10 +21,13 @@ from vtkmodules.vtkRenderingCore import (
 
 from pipeline.core.arrays import Doubles, Image
 from pipeline.views.colours import Rgb, darken_diverging
-from pipeline.views.layers import Layer, ViewBounds
-from widgets.style.theme import ThemeColours
+from pipeline.views.layers import FIELD_OF_VIEW_DEG, VIEW_DISTANCE, Layer, ViewBounds
+from widgets.style.theme import ThemeColours, get_colour_map
 
 _LINE_PX = 1.5
+_ORTHOGRAPHIC_DEG = 0.5  # so narrow an angle shows nothing of perspective
+_HALF_VIEW = math.tan(0.5 * math.radians(FIELD_OF_VIEW_DEG))
+_ZOOM_LIMITS = 0.02, 4.0  # distances of a camera, in those of the fitted one
 _BEHIND = 4.0, 4.0  # polygon offset: slope factor and units of the depth buffer
 
 
@@ -45,6 +49,7 @@ class OffscreenRenderer:
         self._kept: list[dict[str, tuple[Layer, Any, Any, ThemeColours]]] = [
             {} for _ in range(columns)
         ]
+        self._sights: dict[int, ViewBounds] = {}
         self._axes = [[_arrow(renderer, axis) for axis in range(3)] for renderer in self.renderers]
 
     def render_pixels(self, column: int, width_px: int, height_px: int, ink: ThemeColours) -> Image:
@@ -92,7 +97,7 @@ class OffscreenRenderer:
             else:
                 mesh = old[1]
                 actor = old[2]
-                if old[0] is not layer or old[3] is not ink:
+                if old[3] is not ink or not _has_same_arrays(old[0], layer):
                     _write(mesh, layer, old[0], ink)
             at = placed.get(layer.name, layer.view_from_layer)
             actor.SetUserMatrix(None if at is None else pv.vtkmatrix_from_array(at))
@@ -115,6 +120,59 @@ class OffscreenRenderer:
         camera.SetFocalPoint(*numbers[3:6])
         camera.SetViewUp(*numbers[6:9])
         camera.SetViewAngle(numbers[9])
+
+    def look_from(self, column: int, direction: Doubles, up: Doubles) -> None:
+        """Look at what the view was fitted to from a direction, at the same size."""
+        camera = self.renderers[column].GetActiveCamera()
+        toward = direction / np.linalg.norm(direction)
+        sight = self._sights.get(column)
+        centre = np.array(camera.GetFocalPoint() if sight is None else sight.centre_mm)
+        camera.SetPosition(*(centre + camera.GetDistance() * toward))
+        camera.SetFocalPoint(*centre)
+        camera.SetViewUp(*up)
+
+    def set_orthographic(self, column: int, *, on: bool) -> None:
+        """Draw without perspective, which is from far away, or with it; the size stays."""
+        camera = self.renderers[column].GetActiveCamera()
+        before = math.tan(0.5 * math.radians(camera.GetViewAngle()))
+        angle_deg = _ORTHOGRAPHIC_DEG if on else FIELD_OF_VIEW_DEG
+        self._set_distance(
+            camera, camera.GetDistance() * before / math.tan(0.5 * math.radians(angle_deg))
+        )
+        camera.SetViewAngle(angle_deg)
+
+    def is_orthographic(self, column: int) -> bool:
+        """Whether a view is drawn without perspective."""
+        return self.renderers[column].GetActiveCamera().GetViewAngle() <= _ORTHOGRAPHIC_DEG
+
+    def limit_camera(self, column: int) -> None:
+        """Keep what the view was fitted to in sight: neither lost by zoom nor by panning."""
+        sight = self._sights.get(column)
+        if sight is None:
+            return
+        camera = self.renderers[column].GetActiveCamera()
+        fitted = VIEW_DISTANCE * sight.radius_mm * _HALF_VIEW
+        fitted /= math.tan(0.5 * math.radians(camera.GetViewAngle()))
+        low, high = (share * fitted for share in _ZOOM_LIMITS)
+        if not low <= camera.GetDistance() <= high:
+            self._set_distance(camera, min(max(camera.GetDistance(), low), high))
+        off = np.array(camera.GetFocalPoint()) - sight.centre_mm
+        too_far = float(np.linalg.norm(off)) / sight.radius_mm
+        if too_far > 1.0:
+            back = off / too_far - off
+            camera.SetPosition(*(np.array(camera.GetPosition()) + back))
+            camera.SetFocalPoint(*(np.array(camera.GetFocalPoint()) + back))
+
+    @staticmethod
+    def _set_distance(camera: Any, distance_mm: float) -> None:
+        focus = np.array(camera.GetFocalPoint())
+        away = np.array(camera.GetPosition()) - focus
+        camera.SetPosition(*(focus + distance_mm / camera.GetDistance() * away))
+
+    def measure_view_mm(self, column: int) -> float:
+        """Return the length of the shorter side of a view where its camera looks at."""
+        camera = self.renderers[column].GetActiveCamera()
+        return 2.0 * camera.GetDistance() * math.tan(0.5 * math.radians(camera.GetViewAngle()))
 
     def find_linked_views(self, column: int) -> list[int]:
         """Return the views that share this view's camera, itself first."""
@@ -158,6 +216,7 @@ class OffscreenRenderer:
     def fit_cameras(self, bounds: Mapping[int, ViewBounds], linked: bool) -> None:
         """Set cameras on the sensor's side, so that indentation bulges toward the viewer."""
         shared: dict[str, Any] = {}
+        self._sights.update(bounds)
         for column, sight in bounds.items():
             camera = shared.get(sight.frame) if linked else None
             if camera is None:
@@ -177,6 +236,7 @@ def _view() -> Any:
     """
     renderer: Any = vtkRenderer()
     renderer.SetAutomaticLightCreation(False)
+    renderer.SetUseOIT(False)  # sorting the few faint surfaces by pixel doubles the time
     headlight = vtkLight()
     side = vtkLight()
     headlight.SetLightTypeToHeadlight()
@@ -201,9 +261,9 @@ def _camera(sight: ViewBounds) -> Any:
     camera = vtkCamera()
     direction = np.array(sight.direction) / np.linalg.norm(sight.direction)
     camera.SetFocalPoint(*sight.centre_mm)
-    camera.SetPosition(*(np.array(sight.centre_mm) + 3.7 * sight.radius_mm * direction))
+    camera.SetPosition(*(np.array(sight.centre_mm) + VIEW_DISTANCE * sight.radius_mm * direction))
     camera.SetViewUp(*sight.up)
-    camera.SetViewAngle(28.0)
+    camera.SetViewAngle(FIELD_OF_VIEW_DEG)
     return camera
 
 
@@ -247,6 +307,8 @@ def _add_layer(renderer: Any, mesh: Any, layer: Layer) -> Any:
     elif layer.triangles is None:
         look.SetRepresentationToPoints()
         look.LightingOff()
+    elif layer.normals is None:  # has its own colour from all sides
+        look.LightingOff()
     else:
         look.SetInterpolationToGouraud()
         look.SetAmbient(0.3)
@@ -263,7 +325,7 @@ def _write(mesh: Any, layer: Layer, old: Layer | None, ink: ThemeColours) -> Non
     change.
     """
     same = old is not None and len(old.points_mm) == len(layer.points_mm)
-    is_darkened = layer.colour_map == "diverging" and ink.diverging != layer.colour_map
+    is_darkened = layer.scale is not None and get_colour_map(ink, layer.scale) == "diverging_dark"
     rgb = darken_diverging(layer.rgb) if is_darkened else layer.rgb
     if same:
         mesh.points[:] = layer.points_mm
@@ -285,6 +347,12 @@ def _write(mesh: Any, layer: Layer, old: Layer | None, ink: ThemeColours) -> Non
     if layer.normals is not None:
         mesh.point_data.active_normals = np.array(layer.normals, dtype=np.float32)
     mesh.Modified()
+
+
+def _has_same_arrays(one: Layer, other: Layer) -> bool:
+    """Whether two layers differ at most in where they are."""
+    names = "points_mm", "rgb", "scale", "triangles", "segments", "normals"
+    return all(getattr(one, name) is getattr(other, name) for name in names)
 
 
 def _write_cells(mesh: Any, layer: Layer) -> None:

@@ -18,8 +18,11 @@ from PyQt6.QtCore import QObject, QPointF, QSize, Qt
 from PyQt6.QtGui import QImage
 
 from pipeline.core.arrays import Doubles
+from pipeline.core.geometry import rigid
 from pipeline.core.memo import Memo
+from pipeline.views.drawing import choose_bar_length_mm
 from pipeline.views.layers import Layer, ViewBounds
+from pipeline.views.view import to_xyz
 from widgets.style.styling import make_single_shot_timer
 from widgets.style.theme import get_theme_colours, to_qcolor
 from widgets.views.view_3d import View3D
@@ -34,6 +37,7 @@ _KEPT_BYTES = 24 * 1024 * 1024  # 18 frames of 6 views of 240 x 240 px
 # search radius; thickness of a surface as a share of its distance
 _NEAR_PX = 6.0
 _ONE_SURFACE = 0.02
+_LONGEST_BAR = 0.25  # of the width of the view
 _ONE_TURN = 120  # Qt's wheel units of one notch
 _BUTTONS = {
     Qt.MouseButton.LeftButton: "LeftButton",  # rotate
@@ -69,6 +73,8 @@ class SceneRenderer(QObject):
         self._bounds = dict[int, ViewBounds]()
         self._cameras = dict[int, CameraState]()
         self._is_linked = False
+        self._passing: set[int] = set()  # views whose images are not shown again
+        self._scaled: set[int] = set()  # views with a scale bar
         self._due: list[int] = []
         self._kept: Memo[object, CachedImage] = Memo(most_bytes=_KEPT_BYTES, weigh=_size_bytes)
         self._finished = False
@@ -119,9 +125,12 @@ class SceneRenderer(QObject):
         """VTK's renderer of each view."""
         return self._stage.renderers
 
-    def show_layers(self, column: int, layers: Sequence[Layer]) -> None:
-        """Show exactly these layers in a view."""
+    def show_layers(
+        self, column: int, layers: Sequence[Layer], *, is_passing: bool = False
+    ) -> None:
+        """Show exactly these layers in a view; of a motion, the image is not kept."""
         shown = tuple(layers)
+        (self._passing.add if is_passing else self._passing.discard)(column)
         old = self._layers.get(column, ())
         if self._placed.pop(column, None) or [id(layer) for layer in old] != [
             id(layer) for layer in shown
@@ -178,6 +187,50 @@ class SceneRenderer(QObject):
         """Show short texts beside points of a view."""
         self._labels[column] = labels
         self._show_dot(column)
+
+    def look_from(self, column: int, direction: Doubles, up: Doubles) -> None:
+        """Look at a view's contents from a direction (3,)."""
+        if self.is_open:
+            self._stage.look_from(column, direction, up)
+            self._draw_soon(column)
+
+    def set_orthographic(self, column: int, *, on: bool) -> None:
+        """Draw a view without or with perspective."""
+        if self.is_open and on != self._stage.is_orthographic(column):
+            self._stage.set_orthographic(column, on=on)
+            self._draw_soon(column)
+
+    def show_scale_bar(self, column: int) -> None:
+        """Draw a scale bar over a view from now on, right in the plane that its camera looks at."""
+        self._scaled.add(column)
+
+    def project_points(self, column: int, points_mm: Doubles) -> Doubles:
+        """Return the positions (n, 2) of points (n, 3) in the view's widget."""
+        view = self.views[column]
+        shares, _ = self._stage.project_points(
+            column, points_mm, view.width() / max(1, view.height())
+        )
+        return shares * (view.width(), view.height())
+
+    def find_surface_point(self, column: int, at: QPointF) -> tuple[str, Point3] | None:
+        """Return the foremost point of the drawn surfaces near a position, after the name of its
+        layer; None for none.
+        """
+        layers = [one for one in self._layers.get(column, ()) if one.triangles is not None]
+        if not layers:
+            return None
+        points = [
+            layer.points_mm
+            if layer.view_from_layer is None
+            else rigid.apply(layer.view_from_layer, layer.points_mm)
+            for layer in layers
+        ]
+        joined = np.concatenate(points).astype(np.float64)
+        index = self.find_nearest_point(column, at, joined)
+        if index < 0:
+            return None
+        last = np.cumsum([len(some) for some in points])
+        return layers[int(np.searchsorted(last, index, "right"))].name, to_xyz(joined[index])
 
     def find_nearest_point(self, column: int, at: QPointF, points_mm: Doubles) -> int:
         """Return the foremost of the points (n, 3) drawn within a few pixels of a position.
@@ -268,7 +321,8 @@ class SceneRenderer(QObject):
             rows, cols = pixels.shape[:2]
             image = QImage(pixels.tobytes(), cols, rows, 3 * cols, QImage.Format.Format_RGB888)
             image = image.convertToFormat(QImage.Format.Format_RGB32)
-            self._kept.put(key, (image, tuple(ref(layer) for layer in layers)))
+            if column not in self._passing:
+                self._kept.put(key, (image, tuple(ref(layer) for layer in layers)))
             self.n_renders += 1
             self.render_time_s += time.thread_time() - begun_s
             view.show_image(image)
@@ -290,6 +344,12 @@ class SceneRenderer(QObject):
         view.show_dot(find(self._marks.get(column)))
         labels = {text: find(place) for text, place in self._labels.get(column, {}).items()}
         view.show_labels({text: at for text, at in labels.items() if at is not None})
+        if column in self._scaled:
+            mm_of_px = self._stage.measure_view_mm(column) / max(
+                1, min(view.width(), view.height())
+            )
+            length_mm = choose_bar_length_mm(_LONGEST_BAR * view.width() * mm_of_px)
+            view.show_scale(length_mm / mm_of_px, f"{length_mm:g} mm" if length_mm else "")
 
     def _tell(self, column: int, event: Any, what: str) -> None:
         """Pass a mouse event to VTK in pixels of its image.
@@ -322,6 +382,7 @@ class SceneRenderer(QObject):
         self._mouse.SetEventInformationFlipY(x, y, control, shift, chr(0), 0, None)
         before = self._stage.get_camera(column)
         self._mouse.InvokeEvent(name)
+        self._stage.limit_camera(column)
         if self._stage.get_camera(column) != before:
             for other in self._stage.find_linked_views(column):
                 self._draw_soon(other)

@@ -5,8 +5,8 @@ renderer.
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QImage, QPainter, QPen
+from PyQt6.QtCore import QEvent, QPoint, QPointF, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QImage, QKeyEvent, QPainter, QPen
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from widgets.style.base import EventListener
@@ -14,6 +14,8 @@ from widgets.style.theme import CROSSHAIR_COLOUR, get_backdrop, to_qcolor
 
 _DOT_PX = 5.0
 _MARGIN_PX = 12
+_BAR_PX = 3.0
+_ROOM_PX = 80.0  # left of the scale bar, for its text
 _A_CLICK_PX = 4.0  # a release closer to its press than this is a click
 
 
@@ -23,6 +25,8 @@ class View3D(QWidget):
     image_requested = pyqtSignal()
     hovered = pyqtSignal(QPointF)  # mouse position, no button down
     clicked = pyqtSignal(QPointF)  # a click, not the end of a rotation
+    menu_requested = pyqtSignal(QPoint)  # a click of the right button, not the end of a zoom
+    key_pressed = pyqtSignal(int)  # one of `keys`
 
     def __init__(self) -> None:
         super().__init__()
@@ -34,6 +38,8 @@ class View3D(QWidget):
         self.notice = ""  # shown in place of an image
         self.marker: QPointF | None = None  # shares of width and height
         self.labels: Mapping[str, QPointF] = {}  # text -> shares of width and height
+        self.scale_bar = (0.0, "")  # length in pixels, and in words; "" = none
+        self.keys = frozenset[Qt.Key]()  # that it takes from the window while it has the focus
         self._pressed: QPointF | None = None
         self.setMouseTracking(True)
         kinds = QEvent.Type.Resize, QEvent.Type.Show, QEvent.Type.PaletteChange
@@ -66,6 +72,12 @@ class View3D(QWidget):
             self.labels = labels
             self.update()
 
+    def show_scale(self, length_px: float, text: str) -> None:
+        """Show a scale bar."""
+        if (length_px, text) != self.scale_bar:
+            self.scale_bar = length_px, text
+            self.update()
+
     def show_notice(self, text: str) -> None:
         """Show why there is no image."""
         self.notice = text
@@ -92,6 +104,8 @@ class View3D(QWidget):
             for ink, moved in (self.palette().window(), 1.0), (self.palette().windowText(), 0.0):
                 painter.setPen(ink.color())
                 painter.drawText(place + QPointF(moved, moved), text)
+        if self.scale_bar[1]:
+            self._paint_scale(painter, *self.scale_bar)
         if self.marker is not None:
             painter.setRenderHint(QPainter.RenderHint.Antialiasing)
             painter.setPen(QPen(Qt.GlobalColor.white, 1.5))
@@ -99,9 +113,35 @@ class View3D(QWidget):
             at = QPointF(self.marker.x() * self.width(), self.marker.y() * self.height())
             painter.drawEllipse(at, _DOT_PX, _DOT_PX)
 
+    def _paint_scale(self, painter: QPainter, length_px: float, text: str) -> None:
+        end = QPointF(self.width() - _MARGIN_PX, _MARGIN_PX + painter.fontMetrics().height())
+        begin = end - QPointF(length_px, 0.0)
+        painter.setPen(QPen(self.palette().windowText().color(), _BAR_PX))
+        painter.drawLine(begin, end)
+        room = QRectF(begin - QPointF(_ROOM_PX, end.y()), end + QPointF(0.0, -_BAR_PX))
+        painter.drawText(room, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignBottom, text)
+
+    def event(self, a0: QEvent | None) -> bool:
+        """Take its keys before they become shortcuts of the window."""
+        kind = QEvent.Type.ShortcutOverride
+        if isinstance(a0, QKeyEvent) and a0.type() == kind and self._takes(a0):
+            a0.accept()
+            return True
+        return super().event(a0)
+
+    def keyPressEvent(self, a0: Any) -> None:  # noqa: N802
+        """Emit its keys."""
+        if self._takes(a0):
+            self.key_pressed.emit(a0.key())
+        else:
+            super().keyPressEvent(a0)
+
+    def _takes(self, key: QKeyEvent) -> bool:
+        return key.key() in self.keys and not key.modifiers()
+
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
         """Begin to move the camera."""
-        self._pressed = a0.position() if a0.button() == Qt.MouseButton.LeftButton else None
+        self._pressed = a0.position()
         self._pass_on(a0, "press")
 
     def mouseReleaseEvent(self, a0: Any) -> None:  # noqa: N802
@@ -111,7 +151,10 @@ class View3D(QWidget):
             self._pressed is not None
             and (a0.position() - self._pressed).manhattanLength() < _A_CLICK_PX
         ):
-            self.clicked.emit(a0.position())
+            if a0.button() == Qt.MouseButton.LeftButton:
+                self.clicked.emit(a0.position())
+            elif a0.button() == Qt.MouseButton.RightButton:
+                self.menu_requested.emit(a0.globalPosition().toPoint())
         self._pressed = None
 
     def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802

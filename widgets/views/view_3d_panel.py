@@ -1,11 +1,12 @@
 """A 3D view with a legend or a step slider, and the name of its frame."""
 
 from PyQt6.QtCore import QEvent, QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtGui import QTextDocumentFragment
+from PyQt6.QtGui import QAction, QTextDocumentFragment
 from PyQt6.QtWidgets import (
     QGridLayout,
     QHBoxLayout,
     QLabel,
+    QMenu,
     QSizePolicy,
     QSlider,
     QToolButton,
@@ -14,7 +15,7 @@ from PyQt6.QtWidgets import (
 
 from pipeline.core.values.results import PoseStep, TouchStep
 from widgets.style.base import EventListener, FixedSizeLabel
-from widgets.style.styling import fill, set_spacing
+from widgets.style.styling import fill, make_command_button, make_icon_button, set_spacing
 from widgets.views.view_3d import View3D
 
 AnyStep = PoseStep | TouchStep
@@ -32,9 +33,31 @@ class View3DPanel(QWidget):
         for label in (self.legend, self.caption):
             label.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         line = set_spacing(QHBoxLayout(), 8, (4, 0, 4, 2))
-        layout = set_spacing(QGridLayout(self), 0)
-        layout.addWidget(self.view, 0, 0)
-        layout.addLayout(fill(line, (under or self.legend, 1), (self.caption, 1)), 0, 0, _BELOW)
+        self._grid = set_spacing(QGridLayout(self), 0)
+        self._grid.addWidget(self.view, 0, 0)
+        self._grid.addLayout(fill(line, (under or self.legend, 1), (self.caption, 1)), 0, 0, _BELOW)
+
+
+class ScenePanel(View3DPanel):
+    """The view of both sensors, with buttons in its upper left corner and a menu."""
+
+    def __init__(self) -> None:
+        self.sensors = FittingLabel(Qt.AlignmentFlag.AlignLeft)
+        super().__init__(self.sensors)
+        self.view.keys = frozenset({Qt.Key.Key_Space})
+        self.view.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.view.setAccessibleName("both sensors and the object")
+        self._tools = set_spacing(QHBoxLayout(), 0)
+        corner = Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft
+        self._grid.addLayout(self._tools, 0, 0, corner)
+
+    def offer(self, motion: QAction, menu: QMenu) -> None:
+        """Offer the motion and the menu of the scene."""
+        views = make_icon_button("sliders", "scene_menu", "Views and tools of the scene")
+        views.setMenu(menu)
+        views.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
+        fill(self._tools, make_command_button(motion), views)
+        self.view.menu_requested.connect(menu.popup)
 
 
 class FittingLabel(QLabel):

@@ -3,20 +3,16 @@
 The scene is drawn without a 3D library, by a depth buffer in numpy.
 """
 
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.core.arrays import Doubles, Image, freeze
+from pipeline.core.arrays import Image, freeze
 from pipeline.core.errors import TouchError
 from pipeline.core.figures import make_figure
 from pipeline.core.files import check_folder_for, require_separate
-from pipeline.core.geometry import rigid
-from pipeline.core.geometry.camera import Camera
-from pipeline.core.geometry.rasterisation import render_mesh
 from pipeline.core.progress import SILENT, Progress
 from pipeline.lab.tasks.rerun import describe_error
 from pipeline.lab.tasks.rollout_file import read_rollout
@@ -39,8 +35,8 @@ from pipeline.translation.reports.video import write_video
 from pipeline.translation.translate import open_translation
 from pipeline.views.colours import Rgb
 from pipeline.views.display_params import DisplayParams
-from pipeline.views.layers import Layer, ViewBounds
 from pipeline.views.preview import Preview
+from pipeline.views.scene_drawing import draw_scene, make_view
 
 _INCHES = (11.2, 6.4)
 _DPI = 100
@@ -50,13 +46,6 @@ _SCENE_AXES = (0.01, 0.015, 600 / 1120, 560 / 640)
 _FORCE_AXES = (0.62, 0.1, 0.35, 0.28)
 _TOUCH_TITLES = ("source", "generated touch", "true touch")
 _MAX_RATE_HZ = 60.0
-# as in the window: angle, and distance in radii of the scene
-_FIELD_OF_VIEW_DEG = 28.0
-_AWAY = 3.7
-_AMBIENT = 0.45  # share of light from everywhere
-_LIGHT = (0.3, -0.5, -0.8)  # in the camera's frame, toward the scene
-_BACKGROUND = 250
-_LINE_PX = 2
 
 
 def write_rollout_video(path: Path, out: Path, progress: Progress = SILENT) -> None:
@@ -179,70 +168,3 @@ def _lay_out(rollout: RecordedRollout, decision: int) -> Callable[[Image, int], 
 
 def _to_hex(colour: Rgb) -> str:
     return "#{:02x}{:02x}{:02x}".format(*colour)
-
-
-def make_view(bounds: ViewBounds, width_px: int, height_px: int) -> tuple[Camera, Doubles]:
-    """A pinhole camera that sees a scene as the window's first view does, and its pose
-    camera_from_world (4, 4).
-    """
-    direction = _normalise(np.array(bounds.direction))
-    centre = np.array(bounds.centre_mm)
-    right = _normalise(np.cross(np.array(bounds.up), direction))
-    camera_from_world = np.eye(4)
-    camera_from_world[:3, :3] = right, np.cross(-direction, right), -direction
-    camera_from_world[:3, 3] = -camera_from_world[:3, :3] @ (
-        centre + _AWAY * bounds.radius_mm * direction
-    )
-    focal_px = 0.5 * min(width_px, height_px) / math.tan(0.5 * math.radians(_FIELD_OF_VIEW_DEG))
-    camera = Camera(
-        rows=height_px,
-        cols=width_px,
-        fx_px=focal_px,
-        fy_px=focal_px,
-        cx_px=0.5 * width_px,
-        cy_px=0.5 * height_px,
-    )
-    return camera, camera_from_world
-
-
-def draw_scene(layers: Sequence[Layer], camera: Camera, poses: Mapping[str, Doubles]) -> Image:
-    """Solid surfaces, then faint ones, then lines over all; (rows, cols, 3).
-
-    `poses` are those of the layers in the camera, (4, 4) by name.
-    """
-    pixels = np.full((*camera.shape, 3), float(_BACKGROUND))
-    depth = np.full(camera.shape, np.inf)
-    for layer in sorted(layers, key=lambda layer: -layer.opacity):
-        if layer.triangles is None:
-            continue
-        points = rigid.apply(poses[layer.name], layer.points_mm)
-        own_depth, triangle = render_mesh(points, layer.triangles, camera)
-        a, b, c = (points[layer.triangles[:, k]] for k in range(3))
-        normals = np.cross(b - a, c - a)
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-        shade = _AMBIENT + (1.0 - _AMBIENT) * np.abs(normals @ _normalise(np.array(_LIGHT)))
-        front = (triangle >= 0) & (own_depth < depth)
-        colour = shade[triangle[front]][:, None] * layer.rgb[0].astype(np.float64)
-        pixels[front] += layer.opacity * (colour - pixels[front])
-        if layer.opacity == 1.0:
-            depth[front] = own_depth[front]
-    image = np.clip(pixels, 0, 255).astype(np.uint8)
-    for layer in layers:
-        if layer.segments is not None:
-            _draw_lines(image, layer, camera, poses[layer.name])
-    return freeze(image)
-
-
-def _draw_lines(image: Image, layer: Layer, camera: Camera, camera_from_layer: Doubles) -> None:
-    import cv2
-
-    assert layer.segments is not None
-    places = np.stack(camera.project(rigid.apply(camera_from_layer, layer.points_mm))[:2], axis=-1)
-    colour = [int(value) for value in layer.rgb[0]]
-    for begin, end in places[layer.segments]:
-        ends = [tuple(int(value) for value in np.round(place)) for place in (begin, end)]
-        cv2.line(image, ends[0], ends[1], colour, _LINE_PX, cv2.LINE_AA)
-
-
-def _normalise(vector: Doubles) -> Doubles:
-    return vector / np.linalg.norm(vector)

@@ -9,8 +9,9 @@ import csv
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -24,8 +25,15 @@ from pipeline.core.values.frames import TactileFrame
 from pipeline.translation import cross_section
 from pipeline.translation.colour_limits import fit_display
 from pipeline.translation.force import measure_force
-from pipeline.translation.reports import sheet
-from pipeline.translation.reports.export_request import SHEET, SOURCE, ExportRequest
+from pipeline.translation.reports import scene_film, sheet
+from pipeline.translation.reports.export_request import (
+    PRESENTATION,
+    SCENE,
+    SHEET,
+    SOURCE,
+    ExportRequest,
+)
+from pipeline.translation.reports.presentation import PRESENTED_PX, draw_presentation
 from pipeline.translation.reports.report import collect_stage_arrays
 from pipeline.translation.reports.video import write_video
 from pipeline.translation.translate import Translation, open_translation
@@ -38,6 +46,9 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 DEFAULT_VIDEO_RATE_HZ = 10.0  # of a video, where the recording has no timestamps
+# width and height of a scene or presentation
+_LEAST_PX = 64
+_MOST_PX = 8192
 _CACHE_BYTES = 32 * 1024 * 1024
 # no dates in the files: the same content gives the same bytes
 _UNDATED: Mapping[str, Mapping[str, None]] = {
@@ -82,10 +93,15 @@ def export_file(asked: ExportRequest, progress: Progress = SILENT) -> ExportOutc
     with open_translation(
         request, settings=asked.stage_settings, cache_bytes=_CACHE_BYTES
     ) as translation:
+        panes = (SHEET, SOURCE, *translation.stages)
+        if write in (_picture, _video):
+            panes = (SCENE, PRESENTATION, *panes)
         for pane in asked.pane.split(",") if asked.section else [asked.pane]:
-            if pane not in (SHEET, SOURCE, *translation.stages):
-                known = ", ".join((SHEET, SOURCE, *translation.stages))
-                raise SettingProblem(f"no pane {pane!r} on this route; there are {known}")
+            if pane not in panes:
+                known = ", ".join(panes)
+                raise SettingProblem(
+                    f"no pane {pane!r} as {asked.path.suffix} on this route; there are {known}"
+                )
         work = _Work(asked, translation, progress)
         write(work)
     problems = tuple(f"frame {index}: {problem}" for index, problem in work.problems.items())
@@ -161,8 +177,30 @@ class _Work:
             metrics = self.translation.compute_metrics(results, index)
             report = FrameReport(index=index, results=results, metrics=metrics)
             return draw_sheet(frame, report, self.translation, display=self.display, timed=False)
+        if self.asked.pane == SCENE:
+            return self.make_scene(frame, results).draw_figure(self.size_px)
+        if self.asked.pane == PRESENTATION:
+            return draw_presentation(frame, results, self.translation, self.display, self.size_px)
         time = f", {frame.time_s:.2f} s" if np.isfinite(frame.time_s) else ""
         return sheet.draw_pane_figure(self._pane(frame, results), f"frame {index}{time}")
+
+    def make_scene(
+        self, frame: TactileFrame, results: Mapping[str, StageResult]
+    ) -> scene_film.FrameScene:
+        """Return both sensors and the object on a frame."""
+        return scene_film.make_frame_scene(frame, results, self.translation, self.display)
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of a scene or presentation, even, which most codecs need."""
+        is_scene = self.asked.pane == SCENE
+        usual = scene_film.DEFAULT_SIZE_PX if is_scene else PRESENTED_PX
+        width, height = self.asked.size_px or usual
+        if not (_LEAST_PX <= width <= _MOST_PX and _LEAST_PX <= height <= _MOST_PX):
+            raise SettingProblem(
+                f"a size is {_LEAST_PX} to {_MOST_PX} pixels either way, got {width} x {height}"
+            )
+        return width // 2 * 2, height // 2 * 2
 
     def render_pane(self, index: int) -> sheet.RenderedPane:
         """Return the requested pane of a frame."""
@@ -274,7 +312,15 @@ def _section(work: _Work) -> None:
 
 
 def _video(work: _Work) -> None:
-    """Write the frames at the recording's own rate."""
+    """Write the frames at the recording's own rate, or their presses in motion."""
+    if work.asked.pane == SCENE:
+        asked = replace(work.asked, frames=work.asked.frames or str(work.asked.frame))
+        work.asked = asked
+        films = work.make_each(
+            lambda index: work.make_scene(*work.evaluate_frame(index)).draw_film(work.size_px)
+        )
+        write_video(asked.path, chain.from_iterable(films), scene_film.FILM_RATE_HZ)
+        return
     images = work.make_each(lambda index: _rgb(work.draw_figure(index)))
     write_video(work.asked.path, images, _rate_hz(work.translation, work.frame_indices))
 
@@ -311,4 +357,6 @@ _WRITERS: Mapping[str, Callable[[_Work], None]] = {
     ".csv": _table,
     ".mp4": _video,
     ".avi": _video,
+    ".webm": _video,
+    ".webp": _video,
 }

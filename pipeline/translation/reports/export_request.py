@@ -15,9 +15,11 @@ from pipeline.sensors.alignment import Offsets
 from pipeline.translation.translate import Request
 from pipeline.views.display_params import DisplayParams
 
-# panes that are no stages: all of them side by side, and the source frame
+# panes that are no stages: all of them side by side, the source frame, both sensors in 3D, and
 SHEET = "sheet"
 SOURCE = "source"
+SCENE = "scene"
+PRESENTATION = "presentation"  # source, both sensors in 3D, generated and recorded touch
 PaneContent = Literal["computed", "truth", "difference"]
 _DISPLAY = "display."
 _OPTIONS = {  # field of a request -> option of the command line
@@ -40,11 +42,12 @@ class ExportRequest:
 
     request: Request
     settings: tuple[str, ...] = ()  # "stage.parameter=value", also "display.parameter=value"
-    pane: str = SHEET  # a stage, SOURCE or SHEET; several for a section, comma-separated
+    pane: str = SHEET  # a stage or one of the above; several for a section, comma-separated
     content: PaneContent = "computed"
     frame: int = 0
     frames: str = ""  # of a table or a video, for example "0,3-7"; "" = all
     section: tuple[float, ...] = ()  # x, y of start and end of a line in mm; () = none
+    size_px: tuple[int, int] | None = None  # width and height of a scene; None = the default
     path: Path
 
     @property
@@ -86,6 +89,8 @@ def format_command(asked: ExportRequest) -> str:
         words += ["--frames", asked.frames]
     if asked.section:
         words += ["--section", *(_format_value(value) for value in asked.section)]
+    if asked.size_px:
+        words += ["--size", *(str(value) for value in asked.size_px)]
     words += [word for line in asked.settings for word in ("--set", line)]
     return shlex.join([*words, "--out", os.fspath(asked.path.absolute())])
 

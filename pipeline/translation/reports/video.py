@@ -1,7 +1,8 @@
 """Write videos: encoded in a temporary folder, read back, then put in their place.
 
 An .mp4 is H.264 where an ffmpeg with libx264 is on the PATH, else OpenCV's MPEG-4; an .avi is
-MJPEG.
+MJPEG. Browsers play .webm, which is VP8, and .webp, an animated image that loops and is held in
+memory until it is written.
 """
 
 import contextlib
@@ -25,7 +26,14 @@ from pipeline.core.files import check_folder_for, open_atomic
 from pipeline.core.native_stderr import silence_native_libraries
 
 # OpenCV's name of the codec, and the usual one
-CODECS = {".mp4": ("mp4v", "MPEG-4"), ".avi": ("MJPG", "MJPEG")}
+CODECS = {
+    ".mp4": ("mp4v", "MPEG-4"),
+    ".avi": ("MJPG", "MJPEG"),
+    ".webm": ("VP80", "VP8"),
+    ".webp": ("", "WebP"),
+}
+_WEBP_QUALITY = 60  # of 100
+_WEBP_BYTES = 2 * 1024**3  # of its images in memory
 _LIST_S = 10.0  # in which ffmpeg lists its encoders
 _STALL_S = 30.0  # that ffmpeg may take for one image
 _FINISH_S = 600.0  # and to end after the last
@@ -86,11 +94,12 @@ def write_video(path: Path, images: Iterable[Image], rate_hz: float) -> str:
     check_folder_for(path)
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / f"video{suffix}"
-        encode = (
-            _encode_by_ffmpeg(ffmpeg, made, first, rate_hz)
-            if ffmpeg
-            else _encode(made, first, rate_hz)
-        )
+        if ffmpeg:
+            encode = _encode_by_ffmpeg(ffmpeg, made, first, rate_hz)
+        elif suffix == ".webp":
+            encode = _encode_webp(made, rate_hz)
+        else:
+            encode = _encode(made, first, rate_hz)
         try:
             with encode as write:
                 for pixels in chain([first], images):
@@ -118,6 +127,28 @@ def _encode(path: Path, first: Image, rate_hz: float) -> Generator[_WriteImage]:
         yield lambda pixels: writer.write(np.ascontiguousarray(pixels[:, :, ::-1]))
     finally:
         writer.release()
+
+
+@contextmanager
+def _encode_webp(path: Path, rate_hz: float) -> Generator[_WriteImage]:
+    import cv2
+
+    images: list[Image] = []
+
+    def keep(pixels: Image) -> None:
+        if len(images) * pixels.nbytes > _WEBP_BYTES:
+            raise FileProblem(
+                f"{len(images)} images of this size fill the memory; write .webm, or fewer frames",
+                path,
+            )
+        images.append(np.ascontiguousarray(pixels[:, :, ::-1]))
+
+    yield keep
+    film = cv2.Animation()
+    film.frames = images
+    film.durations = [round(1000.0 / rate_hz)] * len(images)
+    if not cv2.imwriteanimation(str(path), film, [cv2.IMWRITE_WEBP_QUALITY, _WEBP_QUALITY]):
+        raise FileProblem("this machine's OpenCV cannot write animations; write .webm", path)
 
 
 @contextmanager
@@ -162,6 +193,11 @@ def count_frames(video: Path) -> int:
     """Return the number of frames that can be read."""
     import cv2
 
+    if video.suffix == ".webp":
+        _, film = cv2.imreadanimation(str(video))
+        lasts_ms = np.array(film.durations)
+        # equal images after each other are one that lasts longer
+        return round(float(lasts_ms.sum()) / float(lasts_ms.min())) if len(lasts_ms) else 0
     with silence_native_libraries():
         reader = cv2.VideoCapture(str(video))
         n = 0

@@ -12,9 +12,8 @@ from app.frames.frame_ranking import FrameRankingController
 from app.session.sample import SAMPLE_RECORDING
 from app.session.state import Session
 from app.shell.mending import MendingController
-from app.shell.presentation_jobs import make_panes
 from app.shell.tour import wait_until_shown
-from pipeline.views.contrast import FittedContrast
+from pipeline.translation.reports.presentation import name_pane
 
 LIMIT_S = 240
 RECORDINGS = SAMPLE_RECORDING.parent
@@ -195,9 +194,10 @@ def test_a_pinned_truth_is_marked_wherever_its_results_are_shown(open_window):
     assert depth.state == "warning", "not a green 'read'"
     assert "border" in depth.styleSheet()
     assert "with true depth" in touch.view.remark.text()
-    shown = {name: controller.views.get_shown_stage(name) for name in ("source", "touch")}
-    panes = make_panes(controller.views.translation, shown, FittedContrast())
-    assert panes[1].title == "Soft Bubble, generated touch: Physical render, with true depth"
+    title = name_pane(
+        controller.views.translation, "touch", controller.views.get_shown_stage("touch").result
+    )
+    assert title == "Soft Bubble, generated touch: Physical render, with true depth"
     click(depth.head.findChildren(QPushButton), "Unpin")
     assert wait_until_shown(controller, LIMIT_S)
     assert controller.session.methods == {"touch": "physics"}

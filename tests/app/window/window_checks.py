@@ -146,8 +146,8 @@ class Watched:
         QCoreApplication.processEvents()
 
     def _stuck(self) -> list[str]:
-        """The columns in sight that wait for work; under a presentation none is in sight."""
-        if self._instrument.session.recording is None or self._window.presented_columns:
+        """The columns in sight that wait for work."""
+        if self._instrument.session.recording is None:
             return []
         columns = self._window.columns
         return [

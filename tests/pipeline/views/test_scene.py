@@ -12,7 +12,8 @@ from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.views.colours import repeat_colour
 from pipeline.views.layers import Layer
-from pipeline.views.scene import compute_scene_bounds, find_scene_labels, make_scene_layers
+from pipeline.views.scene import compute_scene_bounds, find_scene_places, make_scene_layers
+from pipeline.views.scene_drawing import make_view
 
 SENSORS = ("gelslim", "soft_bubble", "digit")
 triples = st.tuples(*[st.floats(-90.0, 90.0)] * 3)
@@ -46,6 +47,7 @@ def test_a_point_of_source_and_target_is_where_the_alignment_says(
     alignment = Alignment(alignment_from_source=inward, target_from_alignment=onward)
     in_target = rigid.apply(alignment.target_from_source, point)
     on_object = rigid.apply(rigid.invert(in_object), in_target)
+    places = find_scene_places(alignment, alignment)
     layers = make_scene_layers(
         {
             "source": (_point("source", point),),
@@ -57,7 +59,7 @@ def test_a_point_of_source_and_target_is_where_the_alignment_says(
         },
         load_sensor(source),
         load_sensor(target),
-        alignment,
+        places,
         (_point("touch", in_target),),
     )
     names = [layer.name for layer in layers]
@@ -66,8 +68,8 @@ def test_a_point_of_source_and_target_is_where_the_alignment_says(
     image = "source membrane" if source == "soft_bubble" else "source"
     for name in (image, "touch_depth", "object", "recorded"):
         np.testing.assert_allclose(_find(layers, name)[0], expected, atol=1e-3)
-    labels = find_scene_labels(alignment)
-    np.testing.assert_allclose(labels["S"], inward[:3, 3])
+    labels = places.labels
+    np.testing.assert_allclose(labels["S"], inward[:3, 3], atol=1e-9)
     # what T_S->A and T_A->T lead from and to
     links = _find(layers, "links")
     np.testing.assert_allclose(links[[0, 1]], [labels["S"], labels["A"]], atol=1e-4)
@@ -86,7 +88,12 @@ def test_the_view_holds_both_sensors(source, target):
         target_from_alignment=rigid.invert(other.alignment_from_sensor),
     )
     bounds = compute_scene_bounds(one, other, alignment)
-    layers = make_scene_layers({}, one, other, alignment)
-    for name in ("source camera", "target camera"):
-        away = np.linalg.norm(_find(layers, name) - bounds.centre_mm, axis=1)
-        assert away.max() < 1.3 * bounds.radius_mm
+    layers = make_scene_layers({}, one, other, find_scene_places(alignment, alignment))
+    camera, camera_from_scene = make_view(bounds, 400, 400)
+    corners = np.concatenate([_find(layers, f"{role} camera") for role in ("source", "target")])
+    x_px, y_px, _ = camera.project(rigid.apply(camera_from_scene, corners))
+    seen = np.stack([x_px, y_px])
+    assert 0.0 < seen.min() < 40.0
+    assert 360.0 < seen.max() < 400.0
+    spans = seen.max(axis=1) + seen.min(axis=1)
+    np.testing.assert_allclose(spans, 400.0, atol=2.0)  # in the middle
