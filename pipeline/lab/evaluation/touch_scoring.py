@@ -6,6 +6,7 @@ from collections.abc import Generator, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -185,7 +186,9 @@ class _TouchScorer:
             metrics=metrics,
             ms=sum(self._ms[r.method.key] for r in results.values() if r.method is not None),
             pose_errors=self._compute_pose_errors(candidate, given),
-            features=None if is_own else encode_change(self._translation.target, change),
+            features=None
+            if is_own
+            else encode_change(self._translation.target, change, self._job.weights),
             notes=tuple(dict.fromkeys(r.fallback for r in results.values() if r.fallback)),
             finger=self._find_finger(touch_depth) if judges_grasps else None,
         )
@@ -325,8 +328,19 @@ def _has_setting(assignment: str, params: Mapping[str, object]) -> bool:
 _TASK = "touch_pose"
 
 
-def load_encoder_weights(target: SensorSpec) -> Weights | NoWeights:
-    """The encoder of a sensor's touches, or the reason that there is none."""
+INCEPTION = "inception"  # in place of a touch method of `ScoringJob.weights`
+
+
+def load_encoder_weights(
+    target: SensorSpec, weights: Mapping[str, Path] = MappingProxyType({})
+) -> Weights | NoWeights:
+    """The Inception network of `weights`, else the encoder of a sensor's touches, or the reason
+    that there is none.
+    """
+    if INCEPTION in weights:
+        from pipeline.stages.networks.inception import read_inception
+
+        return weights_registry.load_file(weights[INCEPTION], read_inception)
     own = weights_registry.load_for_task(_TASK, f"encoder_{target.name}", None)
     return (
         own
@@ -335,17 +349,25 @@ def load_encoder_weights(target: SensorSpec) -> Weights | NoWeights:
     )
 
 
-def encode_change(target: SensorSpec, change: Floats) -> Floats | None:
+def encode_change(
+    target: SensorSpec, change: Floats, weights: Mapping[str, Path] = MappingProxyType({})
+) -> Floats | None:
     """Features (n,) of a change (rows, cols, channels) of a sensor; None without encoder."""
-    known = load_encoder_weights(target)
+    known = load_encoder_weights(target, weights)
     if isinstance(known, NoWeights):
         return None
     import torch
 
+    from pipeline.stages.networks import inception
     from pipeline.stages.networks.network_factory import load_network
-    from pipeline.stages.networks.touch_formats import normalise, resize_to_square
+    from pipeline.stages.networks.touch_formats import encode_image, normalise, resize_to_square
 
-    encoder: Any = load_network(known)
     with torch.inference_mode():
-        image = torch.from_numpy(np.array(normalise(resize_to_square(change), target.kind))[None])
-        return freeze(encoder.compute_embedding(image)[0].numpy().astype(np.float32))
+        if INCEPTION in weights:
+            square = encode_image(resize_to_square(change, inception.SIDE), target.kind)
+            features = inception.compute_features(known, torch.from_numpy(square[None]))
+        else:
+            encoder: Any = load_network(known)
+            square = normalise(resize_to_square(change), target.kind)
+            features = encoder.compute_embedding(torch.from_numpy(np.array(square)[None]))
+        return freeze(features[0].numpy().astype(np.float32))

@@ -185,6 +185,7 @@ def test_the_command_prints_both_tables_and_writes_every_metric(
         (("--method", "touch=physics"), "name those of interest with --only"),
         (("--set", "touch.wish=3"), "'wish'"),
         (("--grasps", "0"), "--grasps must lie within"),
+        (("--inception", __file__), "--inception: "),
     ],
 )
 def test_mistakes_are_one_sentence(tokens, said, capsys, cache_folder, few_objects):
