@@ -4,6 +4,7 @@ import os
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
+from datetime import date
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -250,6 +251,7 @@ def _as_json(
 ) -> dict[str, object]:
     return {
         "split": table.split,
+        "date": date.today().isoformat(),
         "notes": list(table.notes),
         "regions": dict(REGIONS),
         "metrics": {name: asdict(metric) for name, metric in TOUCH_METRICS.items()},
