@@ -72,7 +72,7 @@ COLUMNS = (
 )
 BEGIN = ("recorded", "no_contact", "mean", "own")  # of a transfer's rows; the object is the last
 SHORT = {"soft_bubble": "bubble", "gelslim": "GelSlim", "digit": "DIGIT", "gelsight_mini": "Mini"}
-NAMES = {"own": "own sensor"}
+NAMES = {"own": "own sensor", "vqvae": "vqvae (ours is weak)"}
 
 
 def main(files: list[str]) -> str:
