@@ -259,9 +259,10 @@ def feel_grasp(plan: TrialPlan, mesh: Mesh, case: str, progress: Progress = SILE
     indentation_mm = float(rng.uniform(*DEPTH_RANGE_MM))
     needs_target = plan.attribute or plan.record_frames or TRUE in plan.touches
     needs_source = plan.record_frames or any(touch not in (TRUE, NONE) for touch in plan.touches)
-    source, target = load_placed_sensor(SOURCE), load_placed_sensor(TARGET)
-    believed: Doubles = freeze(moved @ source.alignment_from_sensor)
-    source = replace(source, alignment_from_sensor=believed)
+    described = load_placed_sensor(SOURCE)
+    believed: Doubles = freeze(moved @ described.alignment_from_sensor)
+    source = replace(described, alignment_from_sensor=believed)
+    target = load_placed_sensor(TARGET)
     moments: list[Moment] = []
     frames: list[tuple[str, TactileFrame, Truth | None]] = []
     pairings: list[Pairing] = []

@@ -65,8 +65,8 @@ if TYPE_CHECKING:
 Times = Literal["as trained", "leading", "trailing"]
 _DRAFT_STEPS = 4
 NOT_SHIPPED = (
-    "latent diffusion runs the lab's checkpoints, or weights of `tactoscope train latent`; choose "
-    "a file with --weights touch=FILE"
+    "no weights of latent diffusion are shipped: it runs the lab's checkpoints, or those of "
+    "`tactoscope train latent`, in commands with --weights"
 )
 OUTSIDE_VIEW = (
     "what a bubble feels outside the source's view is sampled: on small new objects its error "
