@@ -237,14 +237,28 @@ class _TouchScorer:
         )
 
     def _evaluate(
-        self, touch: str, given: Mapping[str, object], stage: str, pose: str = ""
+        self,
+        touch: str,
+        given: Mapping[str, object],
+        stage: str,
+        pose: str = "",
+        *,
+        is_own: bool = False,
     ) -> dict[str, StageResult]:
-        """Results up to a stage with one touch and pose method.
+        """Results up to a stage with one touch and pose method; of the source's own frame in place
+        of a touch.
 
         Remembers the times of computed stages.
         """
         methods = {**self._job.methods, **({"pose": pose} if pose else {})}
         like = choose_candidate(self._translation, touch, methods, self._job.weights)
+        if is_own:
+            source = like.source
+            frame = like.stream.frame(self._index)
+            assert frame.reference is not None  # its depth is known
+            change = source.sensor_kind.compute_relative_change(frame.image, frame.reference)
+            given = {**given, "touch": make_touch_from_change(source, change)}
+            like = replace(like, target=source)
         params = default_params(like.methods)
         for assignment in self._job.settings:
             if _has_setting(assignment, params):
@@ -291,10 +305,12 @@ class _TouchScorer:
         stage = self._translation.catalogue.stage("pose")
         is_own = candidate.name == OWN
         for name in self._job.pose_methods:
-            is_unfit = name == "network" and is_own
-            if candidate.name == NO_CONTACT or name == PAPER_GRASP or is_unfit:
+            if candidate.name == NO_CONTACT or name == PAPER_GRASP:
                 continue
-            pose = self._evaluate("physics", given, "pose", name)["pose"].output
+            found = self._evaluate("physics", given, "pose", name, is_own=is_own)["pose"]
+            if is_own and found.fallback:  # no network knows this source
+                continue
+            pose = found.output
             assert isinstance(pose, ObjectPose)
             if is_own and pose.sensor_from_object is not None:
                 in_target = self._translation.alignment.target_from_source @ pose.sensor_from_object

@@ -45,7 +45,10 @@ def parse_disturbance(assignments: Iterable[str]) -> Disturbance:
     disturbance = Disturbance()
     for assignment in assignments:
         name, _, value = (part.strip() for part in assignment.partition("="))
-        disturbance = replace_value(disturbance, name, value)
+        try:
+            disturbance = replace_value(disturbance, name, value)
+        except SettingProblem as error:
+            raise SettingProblem(f"--disturb {assignment}: {error}") from error
     return disturbance
 
 

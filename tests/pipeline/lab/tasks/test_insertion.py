@@ -232,7 +232,11 @@ def test_wrong_options_are_named(options, word):
 
 @pytest.mark.parametrize(
     ("text", "word"),
-    [("slip", "slip must be a number"), ("slip=-1", "slip"), ("fall=1", "slip, tilt, alignment")],
+    [
+        ("slip", "--disturb slip: slip must be a number"),
+        ("slip=-1", "--disturb slip=-1: slip must lie within 0 and 10 mm"),
+        ("fall=1", "there are slip, tilt, alignment"),
+    ],
 )
 def test_wrong_disturbances_are_named(text, word):
     with pytest.raises(SettingProblem, match=word):
