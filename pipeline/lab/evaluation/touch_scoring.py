@@ -313,8 +313,12 @@ class _TouchScorer:
             pose = found.output
             assert isinstance(pose, ObjectPose)
             if is_own and pose.sensor_from_object is not None:
-                in_target = self._translation.alignment.target_from_source @ pose.sensor_from_object
-                pose = replace(pose, sensor_from_object=in_target)
+                target_from_source = self._translation.alignment.target_from_source
+                pose = replace(
+                    pose,
+                    sensor_from_object=target_from_source @ pose.sensor_from_object,
+                    scene_mm=rigid.apply(target_from_source, pose.scene_mm),
+                )
             errors = stage.compute_metrics(pose, truth)
             if "se2_mm" in errors and "se2_deg" in errors:
                 pose_errors[name] = errors["se2_mm"], errors["se2_deg"]
