@@ -82,7 +82,7 @@ def test_the_sources_own_depth_is_a_row_of_poses_and_the_object_one_of_touches(
     errors = own.pose_errors["signed_distances"]
     assert errors.rotation_deg[0] < 2.0
     assert errors.translation_mm[0] < 0.2, "at the contact, which lies in the target's frame too"
-    assert own.pose_errors["network"].translation_mm[0] < 1.0, "by the network of the source"
+    assert own.pose_errors["network"].translation_mm[0] < 3.0, "by the network of the source"
     assert by_object.metrics["error_mm"]["contact"] < physics.metrics["error_mm"]["contact"]
 
 
