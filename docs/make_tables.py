@@ -29,10 +29,10 @@ the target. Both know the mesh; no other row does.
 **When translating loses to the source's own sensor, and when it wins.** On unseen tools an image network loses:
 registered on the GelSlim's own depth the pose is 0.15 mm and 0.4 degrees off, on T2T's bubble 1.1 mm and 2.7 degrees,
 and pegs are inserted 31 and 21 times of 32 (`../tasks.md`). *object* is as good as the source (0.06 mm, 0.4 degrees, 31
-of 32), and its touch is the only generated one near the true one. Translating wins where the target sees more than the
-source and the translation knows the object: on training objects a pose network is 0.41 mm and 1.1 degrees off by T2T's
-bubble, 0.45 mm and 1.8 degrees by the GelSlim itself. And it wins where a policy knows the target alone: a marble is
-rolled home 20 of 20 times through T2D2, 0 of 20 times untranslated.
+of 32), and its touch is the only generated one near the true one. It draws level where the translation knows the object and
+the target sees more of it: on training objects a pose network is 0.41 mm and 1.1 degrees off by T2T's bubble, 0.45 mm
+and 1.8 degrees by the GelSlim itself. It wins where a policy knows the target alone: a marble is rolled home 20 of 20
+times through T2D2, 0 of 20 times untranslated.
 
 Shipped weights (14 minutes on one GPU, T2D2 somewhat more), one step each. Latent diffusion of ours is not in the
 table: no weights of it are shipped (see `../experiments.md`). The VQ-VAE gets the source reprojected to the target's
@@ -47,8 +47,8 @@ it by the weights of torchvision's `inception_v3`.
 
 Poses are counted as in the paper: translation and rotation in the sensor plane, at the contact and up to the object's
 symmetry, mean and standard deviation over touches; first by the target's pose network (the paper's in brackets), which
-knows the training objects (the source's own one for *own sensor*), then by our registration of the mesh and by Open3D's point-to-plane ICP on the surface of
-the touch. A translation along an edge or bar that fills a gel's view is not observable: registered on such a touch the
+knows the training objects (by the source's own one for *own sensor*), then by our registration of the mesh and by
+Open3D's point-to-plane ICP on the surface of the touch. A translation along an edge or bar that fills a gel's view is not observable: registered on such a touch the
 mean is that of a guess.
 
     tactoscope evaluate --split unseen_tools --grasps 4 --poses network,signed_distances --json tools.json
