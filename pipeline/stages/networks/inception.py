@@ -24,23 +24,25 @@ _STEM = ("1a_3x3", "2a_3x3", "2b_3x3", "pool", "3b_1x1", "4a_3x3", "pool")
 _SAME_SIZE = ("2b_3x3", "3b_1x1")  # of the stem; its others are not padded
 _HALVING = ("6a", "7a")
 _BLOCKS = ("5b", "5c", "5d", "6a", "6b", "6c", "6d", "6e", "7a", "7b", "7c")
-_CONVOLUTION = re.compile(r"(Conv2d|Mixed)_(\w\w)[._]")
+_N_LAYERS = 94  # convolutions, without those of the auxiliary classifier
+_FILTERS = ".conv.weight"
+_NORMAL = (".bn.running_mean", ".bn.running_var", ".bn.weight", ".bn.bias")  # as batch_norm takes
+_LAYER = re.compile(r"(Conv2d|Mixed)_.*\.conv\.weight")
 
 
 def read_inception(path: Path) -> Weights:
     """Weights in torchvision's layout; raises FileProblem for any other file."""
 
     def select(names: Collection[str]) -> Mapping[str, str]:
-        used = {name: name for name in names if _CONVOLUTION.match(name)}
-        needed = {*(part[:2] for part in _STEM if part != "pool"), *_BLOCKS}
-        missing = sorted(needed - {name.partition("_")[2][:2] for name in used})
-        if missing:
+        layers = [name.removesuffix(_FILTERS) for name in names if _LAYER.fullmatch(name)]
+        used = [f"{layer}{part}" for layer in layers for part in (_FILTERS, *_NORMAL)]
+        if len(layers) != _N_LAYERS or not set(used) <= set(names):
             raise FileProblem(
-                "not weights of Inception v3 under torchvision's names: the layers "
-                f"{', '.join(missing)} are missing",
+                "not weights of Inception v3 under torchvision's names: "
+                f"{len(layers)} of its {_N_LAYERS} convolutions are there",
                 path,
             )
-        return used
+        return {name: name for name in used}
 
     tensors = read_tensors(path, select).tensors
     return Weights(name=path.stem, kind="inception", config={}, tensors=tensors)
@@ -85,17 +87,9 @@ def _run_block(tensors: Mapping[str, Tensor], block: str, x: Tensor, *, halves: 
 def _convolve(
     tensors: Mapping[str, Tensor], name: str, x: Tensor, is_padded: bool, stride: int
 ) -> Tensor:
-    filters = tensors[f"{name}.conv.weight"]
+    filters = tensors[name + _FILTERS]
     padding = [is_padded * (size // 2) for size in filters.shape[2:]]
-    mean, variance, factor, offset = (
-        tensors[f"{name}.bn.{part}"] for part in ("running_mean", "running_var", "weight", "bias")
-    )
-    normal = functional.batch_norm(
-        functional.conv2d(x, filters, stride=stride, padding=padding),
-        mean,
-        variance,
-        factor,
-        offset,
-        eps=_BATCH_NORM_EPS,
-    )
+    mean, variance, factor, offset = (tensors[name + part] for part in _NORMAL)
+    x = functional.conv2d(x, filters, stride=stride, padding=padding)
+    normal = functional.batch_norm(x, mean, variance, factor, offset, eps=_BATCH_NORM_EPS)
     return functional.relu(normal)
