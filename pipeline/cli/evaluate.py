@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from datetime import date
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -25,7 +26,7 @@ from pipeline.lab.evaluation.paper_tables import (
 from pipeline.lab.evaluation.published_results import MeanStd
 from pipeline.lab.evaluation.table_rows import TableRow
 from pipeline.lab.evaluation.touch_metrics import REGIONS, TOUCH_METRICS
-from pipeline.lab.evaluation.touch_scoring import PAPER_GRASP
+from pipeline.lab.evaluation.touch_scoring import INCEPTION, PAPER_GRASP
 from pipeline.lab.training.recorded_pairs import PairFolder
 from pipeline.sensors.spec import load_sensor
 from pipeline.translation.catalogue import BUILT_IN, with_method
@@ -61,6 +62,7 @@ def evaluate(
     only: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     stage_methods: Annotated[tuple[str, ...], Parameter(name="--method", negative="")] = (),
     settings: StageSettings = (),
+    inception: Path | None = None,
     poses: str = "signed_distances,network",
     figures: Path | None = None,
     folder: Path | None = None,
@@ -86,6 +88,9 @@ def evaluate(
             `depth=network`.
         settings: `stage.parameter=value`, repeatable; a touch parameter applies to the methods that
             have it.
+        inception: Weights of Inception v3 in torchvision's layout, such as
+            `inception_v3_google-0cc3c7bd.pth`, whose features give the Frechet distance (FID) in
+            place of our own encoder's.
         poses: Pose methods to judge touches by, comma-separated; `none` leaves poses out.
             `paper_grasp` is the paper's released protocol: both fingers of a recorded grasp
             together.
@@ -100,6 +105,8 @@ def evaluate(
     trained = (
         find_trained_hold_out(files) if recordings is not None and hold_out is None else hold_out
     )
+    if inception is not None:
+        files[INCEPTION] = inception
     # recorded pairs are always compared with the untouched image, mean and physics
     if only and recordings is not None:
         only = tuple(dict.fromkeys((*only, *BASELINES, "physics")))
@@ -236,6 +243,7 @@ def _as_json(
 ) -> dict[str, object]:
     return {
         "split": table.split,
+        "date": date.today().isoformat(),
         "notes": list(table.notes),
         "regions": dict(REGIONS),
         "metrics": {name: asdict(metric) for name, metric in TOUCH_METRICS.items()},

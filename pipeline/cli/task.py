@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -13,7 +14,7 @@ from pipeline.core.files import check_folder, check_folder_for, write_json
 from pipeline.lab.tasks.rerun import copy_case
 from pipeline.lab.tasks.rollout_file import CASE_SUFFIX
 from pipeline.lab.tasks.runner import Summary, make_jobs, run_jobs
-from pipeline.lab.tasks.task import ManipulationTask, load_task
+from pipeline.lab.tasks.task import ManipulationTask, load_task, parse_disturbance
 
 
 def task(
@@ -29,6 +30,7 @@ def task(
     seed: int = 0,
     vary: float = 1.0,
     attribute: Flag = False,
+    disturb: str = "",
     jobs: int = 2,
     json: Path | None = None,
     record: Path | None = None,
@@ -45,10 +47,14 @@ def task(
         vary: Variation between sensor instances, 1 = as between real ones.
         attribute: Attribute the error of every failed trial to stages, and run it again with the
             truth in place of each.
+        disturb: What goes wrong with the grasp, such as `slip=1,tilt=3,alignment=1`: mm that the
+            object slips after the touch, degrees that it is tilted out of the fingers' plane, mm
+            (and twice as many degrees) that the source sensor is off its described place.
         jobs: Number of processes.
         json: File for every trial with its decisions.
         record: Folder for one recording per rollout; the same command continues an interrupted run.
     """
+    disturbance = parse_disturbance(split_list(disturb))
     planned = make_jobs(
         name,
         cases=split_list(case),
@@ -58,6 +64,7 @@ def task(
         seed=seed,
         vary=vary,
         attribute=attribute,
+        disturbance=disturbance,
         folder=None if record is None else record.resolve(),
     )
     if json is not None:
@@ -73,7 +80,13 @@ def task(
     if json is not None:
         write_json(
             json,
-            {"task": chosen.name, "seed": seed, "vary": vary, "rollouts": summaries},
+            {
+                "task": chosen.name,
+                "seed": seed,
+                "vary": vary,
+                "disturbance": asdict(disturbance),
+                "rollouts": summaries,
+            },
             "the rollouts",
         )
     return 0

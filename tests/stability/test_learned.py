@@ -32,6 +32,7 @@ from pipeline.stages.touch.latent_diffusion import LatentParams
 from pipeline.stages.touch.residual_diffusion import DiffusionParams
 from pipeline.stages.touch.t2d2 import T2D2Params
 from tests.pipeline.stages.target_views import estimate_views
+from tests.pipeline.stages.test_latent_diffusion_touch import make_depth_weights
 from tests.stability.checks import outcome, sound
 from tests.stability.rows import SIZE, row
 from tests.stability.scenes import KINDS, aligned, indentation_mm, mesh, seeds, small, touch, view
@@ -220,7 +221,7 @@ def test_latent(picture, steps, guidance, sampler, seed):
         sampler=sampler,
         seed=seed % 2**31,
     )
-    network = shipped(f"latent_{GEL}_to_{BUBBLE}")
+    network = network_factory.load_network(make_depth_weights(condition="image"))
     network.trained_on_recordings = True  # its own answer, also where physics would replace it
     result, _ = outcome(
         translate,

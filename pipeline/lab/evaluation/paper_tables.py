@@ -23,6 +23,7 @@ from pipeline.lab.evaluation.held_out import (
 from pipeline.lab.evaluation.published_results import COMPARISON_NOTE, PAPER_DIRECTIONS, Split
 from pipeline.lab.evaluation.table_rows import TableRow, build_rows
 from pipeline.lab.evaluation.touch_scoring import (
+    INCEPTION,
     PAPER_GRASP,
     ScoredTouch,
     ScoringJob,
@@ -59,7 +60,8 @@ class EvaluationRequest:
     methods: Mapping[str, str] = field(default_factory=dict)
     settings: tuple[str, ...] = ()
     pose_methods: tuple[str, ...] = POSE_METHODS
-    weights: Mapping[str, Path] = field(default_factory=dict)  # touch method or stage -> file
+    # touch method, stage or `INCEPTION` -> file
+    weights: Mapping[str, Path] = field(default_factory=dict)
     # recorded pairs in place of simulated touches
     pairs: PairFolder = field(default_factory=PairFolder)
 
@@ -191,6 +193,10 @@ def _check_settings(request: EvaluationRequest) -> None:
     no touch method has.
     """
     check_candidate_names(request.candidates)
+    if INCEPTION in request.weights:
+        known = load_encoder_weights(load_sensor("gelslim"), request.weights)
+        if isinstance(known, NoWeights):
+            raise SettingProblem(f"--inception: {known.why}")
     if "touch" in request.methods:
         raise SettingProblem(
             "every touch method is evaluated; name those of interest with --only, not with --method"
@@ -249,7 +255,7 @@ def _describe_conditions(request: EvaluationRequest, touches: DirectionTouches) 
             f"instances vary by {request.held_out.sensor_variation:g}, targets are as described"
         ]
     for target in dict.fromkeys(target for _, target in touches):
-        encoder = load_encoder_weights(load_sensor(target))
+        encoder = load_encoder_weights(load_sensor(target), request.weights)
         if isinstance(encoder, Weights):
             notes.append(f"encoder of {target}: {encoder.name}, {encoder.content_digest[:12]}")
         else:

@@ -9,10 +9,9 @@ MeanStd = tuple[float, float]  # mean and standard deviation
 
 COMPARISON_NOTE = (
     "the paper's results are of real recordings, ours of simulated ones: they show what is hard, "
-    "not who is better; "
-    "its FID uses Inception, our Frechet distance our own encoder, with the distance of two "
-    "halves of the recorded "
-    "touches as floor"
+    "not who is better; its FID uses Inception, our Frechet distance our own encoder unless "
+    "--inception gives that network, "
+    "with the distance of two halves of the recorded touches as floor"
 )
 
 

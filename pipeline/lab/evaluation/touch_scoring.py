@@ -6,6 +6,7 @@ from collections.abc import Generator, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -185,7 +186,9 @@ class _TouchScorer:
             metrics=metrics,
             ms=sum(self._ms[r.method.key] for r in results.values() if r.method is not None),
             pose_errors=self._compute_pose_errors(candidate, given),
-            features=None if is_own else encode_change(self._translation.target, change),
+            features=None
+            if is_own
+            else encode_change(self._translation.target, change, self._job.weights),
             notes=tuple(dict.fromkeys(r.fallback for r in results.values() if r.fallback)),
             finger=self._find_finger(touch_depth) if judges_grasps else None,
         )
@@ -234,14 +237,28 @@ class _TouchScorer:
         )
 
     def _evaluate(
-        self, touch: str, given: Mapping[str, object], stage: str, pose: str = ""
+        self,
+        touch: str,
+        given: Mapping[str, object],
+        stage: str,
+        pose: str = "",
+        *,
+        is_own: bool = False,
     ) -> dict[str, StageResult]:
-        """Results up to a stage with one touch and pose method.
+        """Results up to a stage with one touch and pose method; of the source's own frame in place
+        of a touch.
 
         Remembers the times of computed stages.
         """
         methods = {**self._job.methods, **({"pose": pose} if pose else {})}
         like = choose_candidate(self._translation, touch, methods, self._job.weights)
+        if is_own:
+            source = like.source
+            frame = like.stream.frame(self._index)
+            assert frame.reference is not None  # its depth is known
+            change = source.sensor_kind.compute_relative_change(frame.image, frame.reference)
+            given = {**given, "touch": make_touch_from_change(source, change)}
+            like = replace(like, target=source)
         params = default_params(like.methods)
         for assignment in self._job.settings:
             if _has_setting(assignment, params):
@@ -288,14 +305,20 @@ class _TouchScorer:
         stage = self._translation.catalogue.stage("pose")
         is_own = candidate.name == OWN
         for name in self._job.pose_methods:
-            is_unfit = name == "network" and is_own
-            if candidate.name == NO_CONTACT or name == PAPER_GRASP or is_unfit:
+            if candidate.name == NO_CONTACT or name == PAPER_GRASP:
                 continue
-            pose = self._evaluate("physics", given, "pose", name)["pose"].output
+            found = self._evaluate("physics", given, "pose", name, is_own=is_own)["pose"]
+            if is_own and found.fallback:  # no network knows this source
+                continue
+            pose = found.output
             assert isinstance(pose, ObjectPose)
             if is_own and pose.sensor_from_object is not None:
-                in_target = self._translation.alignment.target_from_source @ pose.sensor_from_object
-                pose = replace(pose, sensor_from_object=in_target)
+                target_from_source = self._translation.alignment.target_from_source
+                pose = replace(
+                    pose,
+                    sensor_from_object=target_from_source @ pose.sensor_from_object,
+                    scene_mm=rigid.apply(target_from_source, pose.scene_mm),
+                )
             errors = stage.compute_metrics(pose, truth)
             if "se2_mm" in errors and "se2_deg" in errors:
                 pose_errors[name] = errors["se2_mm"], errors["se2_deg"]
@@ -325,8 +348,19 @@ def _has_setting(assignment: str, params: Mapping[str, object]) -> bool:
 _TASK = "touch_pose"
 
 
-def load_encoder_weights(target: SensorSpec) -> Weights | NoWeights:
-    """The encoder of a sensor's touches, or the reason that there is none."""
+INCEPTION = "inception"  # in place of a touch method of `ScoringJob.weights`
+
+
+def load_encoder_weights(
+    target: SensorSpec, weights: Mapping[str, Path] = MappingProxyType({})
+) -> Weights | NoWeights:
+    """The Inception network of `weights`, else the encoder of a sensor's touches, or the reason
+    that there is none.
+    """
+    if INCEPTION in weights:
+        from pipeline.stages.networks.inception import read_inception
+
+        return weights_registry.load_file(weights[INCEPTION], read_inception)
     own = weights_registry.load_for_task(_TASK, f"encoder_{target.name}", None)
     return (
         own
@@ -335,17 +369,25 @@ def load_encoder_weights(target: SensorSpec) -> Weights | NoWeights:
     )
 
 
-def encode_change(target: SensorSpec, change: Floats) -> Floats | None:
+def encode_change(
+    target: SensorSpec, change: Floats, weights: Mapping[str, Path] = MappingProxyType({})
+) -> Floats | None:
     """Features (n,) of a change (rows, cols, channels) of a sensor; None without encoder."""
-    known = load_encoder_weights(target)
+    known = load_encoder_weights(target, weights)
     if isinstance(known, NoWeights):
         return None
     import torch
 
+    from pipeline.stages.networks import inception
     from pipeline.stages.networks.network_factory import load_network
-    from pipeline.stages.networks.touch_formats import normalise, resize_to_square
+    from pipeline.stages.networks.touch_formats import encode_image, normalise, resize_to_square
 
-    encoder: Any = load_network(known)
     with torch.inference_mode():
-        image = torch.from_numpy(np.array(normalise(resize_to_square(change), target.kind))[None])
-        return freeze(encoder.compute_embedding(image)[0].numpy().astype(np.float32))
+        if INCEPTION in weights:
+            square = encode_image(resize_to_square(change, inception.SIDE), target.kind)
+            features = inception.compute_features(known, torch.from_numpy(square[None]))
+        else:
+            encoder: Any = load_network(known)
+            square = normalise(resize_to_square(change), target.kind)
+            features = encoder.compute_embedding(torch.from_numpy(np.array(square)[None]))
+        return freeze(features[0].numpy().astype(np.float32))

@@ -27,6 +27,7 @@ from pipeline.lab.tasks.touches import (
     NONE,
     OWN,
     TRUE,
+    CorrectedEstimate,
     Moment,
     correct_estimates,
     describe_decision,
@@ -44,6 +45,7 @@ from pipeline.stages.pose.signed_distances import PoseParams, prepare_search
 FINGERS = ("left", "right")
 # the right finger looks back at the left one
 _FLIP: Doubles = freeze(rigid.rotation((math.pi, 0.0, 0.0)))
+_DEG_PER_MM = 2.0  # rotation of a source that is off its described place
 GRIP_MM = 0.6  # indentation that the controller expects
 _OFFSETS_MM = (-5.0, -2.5, 0.0, 2.5, 5.0)  # starts over the grid of grasps
 _ANGLES_DEG = tuple(range(-60, 61, 10))
@@ -60,21 +62,23 @@ _AGREE_DEG = 10.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanarPose:
-    """hand_from_object in the fingers' plane."""
+    """hand_from_object in the fingers' plane; what is held may be tilted out of it."""
 
     x_mm: float = 0.0
     y_mm: float = 0.0
     angle_rad: float = 0.0
+    tilt_rad: tuple[float, float] = (0.0, 0.0)  # rotation vector in the fingers' plane
 
     @property
     def matrix(self) -> Doubles:
         """As (4, 4)."""
-        return rigid.translation(self.x_mm, self.y_mm, 0.0) @ rigid.rotation(
-            (0.0, 0.0, self.angle_rad)
+        tilted = rigid.translation(self.x_mm, self.y_mm, 0.0) @ rigid.rotation(
+            (*self.tilt_rad, 0.0)
         )
+        return tilted @ rigid.rotation((0.0, 0.0, self.angle_rad))
 
     def describe(self) -> dict[str, float]:
-        """Its values by name, the angle in degrees."""
+        """Its values in the plane by name, the angle in degrees."""
         return {"x_mm": self.x_mm, "y_mm": self.y_mm, "angle_deg": math.degrees(self.angle_rad)}
 
 
@@ -193,7 +197,8 @@ class HeldObject:
     """An object between two fingers, with its touches."""
 
     mesh: Mesh
-    held: PlanarPose  # hand_from_object, the truth
+    held: PlanarPose  # hand_from_object, the truth at the touch
+    acted: PlanarPose  # the truth when the hand acts: after a slip
     moments: tuple[Moment, ...]  # of the left and the right finger
     source: SensorSpec
     target: SensorSpec
@@ -226,14 +231,38 @@ class HeldObject:
         )
 
 
-def feel_grasp(
-    plan: TrialPlan, mesh: Mesh, rng: np.random.Generator, progress: Progress = SILENT
-) -> HeldObject:
+def _list_seeds(plan: TrialPlan, case: str) -> tuple[int, ...]:
+    return plan.seed, zlib.crc32(case.encode()), plan.index
+
+
+def feel_grasp(plan: TrialPlan, mesh: Mesh, case: str, progress: Progress = SILENT) -> HeldObject:
     """Record a random grasp with the sensors that the plan needs: the target only for truth."""
-    held = project_to_plane(sample_press_pose(mesh, rng, tilt_deg=0.0))
+    rng = np.random.default_rng(_list_seeds(plan, case))
+    draw = np.random.default_rng([*_list_seeds(plan, case), 1])
+    disturbed = plan.disturbance
+    heading_rad, axis_rad = draw.uniform(0.0, 2.0 * math.pi, 2)
+    tilt_rad = math.radians(disturbed.tilt)
+    held = replace(
+        project_to_plane(sample_press_pose(mesh, rng, tilt_deg=0.0)),
+        tilt_rad=(tilt_rad * math.cos(axis_rad), tilt_rad * math.sin(axis_rad)),
+    )
+    acted = replace(
+        held,
+        x_mm=held.x_mm + disturbed.slip * math.cos(heading_rad),
+        y_mm=held.y_mm + disturbed.slip * math.sin(heading_rad),
+    )
+    # the source is believed to be off its place by this
+    shift, axis = (v / np.linalg.norm(v) for v in draw.standard_normal((2, 3)))
+    moved = rigid.translation(*(disturbed.alignment * shift)) @ rigid.rotation(
+        math.radians(_DEG_PER_MM * disturbed.alignment) * axis
+    )
     indentation_mm = float(rng.uniform(*DEPTH_RANGE_MM))
     needs_target = plan.attribute or plan.record_frames or TRUE in plan.touches
     needs_source = plan.record_frames or any(touch not in (TRUE, NONE) for touch in plan.touches)
+    described = load_placed_sensor(SOURCE)
+    believed: Doubles = freeze(moved @ described.alignment_from_sensor)
+    source = replace(described, alignment_from_sensor=believed)
+    target = load_placed_sensor(TARGET)
     moments: list[Moment] = []
     frames: list[tuple[str, TactileFrame, Truth | None]] = []
     pairings: list[Pairing] = []
@@ -252,14 +281,15 @@ def feel_grasp(
             )
             recorded.append(place.record(mesh, pose, index=0, time_s=0.0))
         frames += [(f"{frame.sensor}_{finger}", frame, truth) for frame, truth in recorded]
-        pairings.append(make_pairing(finger, places[0].nominal, places[1].nominal))
-        moments.append(Moment(mesh, recorded, places[0].nominal, places[1].nominal))
+        pairings.append(make_pairing(finger, source, target))
+        moments.append(Moment(mesh, recorded, source, target))
     return HeldObject(
         mesh=mesh,
         held=held,
+        acted=acted,
         moments=tuple(moments),
-        source=load_placed_sensor(SOURCE),
-        target=load_placed_sensor(TARGET),
+        source=source,
+        target=target,
         frames=tuple(frames),
         pairings=tuple(pairings) if needs_source and needs_target else (),
     )
@@ -278,14 +308,13 @@ def run_through_touches(
     `attempt` acts on the held and the believed pose with a tolerance in mm, `measure_mm` is the
     belief's error.
     """
-    rng = np.random.default_rng([plan.seed, zlib.crc32(case.encode()), plan.index])
-    grasp = feel_grasp(plan, mesh, rng, SubProgress(progress, 0.0, 0.4, "touches"))
+    grasp = feel_grasp(plan, mesh, case, SubProgress(progress, 0.0, 0.4, "touches"))
 
     def run_one(touch: str, own: Progress) -> Iterator[Rollout]:
         believed = grasp.estimate(
             touch, progress=SubProgress(own, 0.0, 0.3, "estimate of the grasp")
         )
-        error_mm = measure_mm(grasp.held, believed)
+        error_mm = measure_mm(grasp.acted, believed)
         correct = cache(
             partial(
                 correct_estimates,
@@ -299,21 +328,21 @@ def run_through_touches(
 
         def judge(tolerance_mm: float, corrected: PlanarPose) -> tuple[float, bool]:
             own.step(0.9, "rollout with the truth")
-            return measure_mm(grasp.held, corrected), attempt(
-                grasp.held, corrected, tolerance_mm
+            return measure_mm(grasp.acted, corrected), attempt(
+                grasp.acted, corrected, tolerance_mm
             ).succeeds
 
         for tolerance_mm in plan.tolerances_mm:
             own.step(0.3, "rollout")
-            done = attempt(grasp.held, believed, tolerance_mm)
+            done = attempt(grasp.acted, believed, tolerance_mm)
             shares = ()
             if plan.attribute and not done.succeeds:
-                shares = share_error(error_mm, correct(), partial(judge, tolerance_mm))
+                shares = share_error(error_mm, (*correct(), *slips), partial(judge, tolerance_mm))
             decision = Decision(
                 tick=0,
                 error_mm=error_mm,
                 estimate=believed.describe(),
-                truth=grasp.held.describe(),
+                truth=grasp.acted.describe(),
                 shares=shares,
             )
             yield Rollout(
@@ -331,6 +360,9 @@ def run_through_touches(
                 mesh=grasp.mesh,
             )
 
+    slips: tuple[CorrectedEstimate, ...] = ()
+    if grasp.acted != grasp.held:
+        slips = (CorrectedEstimate(stage="slip", title="slip", estimate=grasp.acted),)
     part = 0.6 / len(plan.touches)
     return tuple(
         rollout

@@ -272,13 +272,11 @@ def run(plan: TrialPlan, progress: Progress = SILENT) -> tuple[Rollout, ...]:
 
 
 def measure_miss_mm(peg: Peg, held: PlanarPose, believed: PlanarPose) -> float:
-    """How far the inserted part lies off the hole's axis in the fingers' plane: the larger of
-    its two ends.
-    """
+    """How far the inserted part lies off the hole's axis: the larger of its two ends."""
     y, z = 0.5 * (peg.points_mm.min(axis=0) + peg.points_mm.max(axis=0))[1:]
     ends = np.array([(peg.tip_mm, y, z), (peg.tip_mm - peg.depth_mm, y, z)])
     off = rigid.apply(rigid.invert(believed.matrix) @ held.matrix, ends) - ends
-    return float(np.abs(off[:, 1]).max())
+    return float(np.linalg.norm(off[:, 1:], axis=1).max())
 
 
 def _lower(tool: Tool, held: PlanarPose, believed: PlanarPose, clearance_mm: float) -> Attempt:
@@ -314,6 +312,7 @@ TASK = ManipulationTask(
     tolerances_mm=TOLERANCES_MM,
     tolerance_title="clearance, mm",
     n_trials=30,
+    holds_object=True,
     error_title="off the hole's axis",
     run=run,
     build_scene=build_scene,

@@ -12,7 +12,7 @@ from pipeline.core.params import check_range
 from pipeline.core.processes import WorkerPool, limit_threads
 from pipeline.core.progress import SILENT, Progress
 from pipeline.lab.tasks.rollout_file import read_summary, summarise, write_rollout
-from pipeline.lab.tasks.task import TrialPlan, load_task
+from pipeline.lab.tasks.task import Disturbance, TrialPlan, load_task
 from pipeline.lab.tasks.touches import check_touch
 from pipeline.lab.workers import map_ahead
 
@@ -40,6 +40,7 @@ def make_jobs(
     seed: int = 0,
     vary: float = 1.0,
     attribute: bool = False,
+    disturbance: Disturbance | None = None,
     folder: Path | None = None,
 ) -> list[TrialJob]:
     """One job per case and trial.
@@ -62,6 +63,8 @@ def make_jobs(
     if any(not 0.0 < one <= 20.0 for one in tolerances_mm):
         raise SettingProblem("--tolerance-mm must lie above 0 and within 20 mm")
     check_range("--seed", seed, 0, (1 << 31) - 1)
+    if disturbance not in (None, Disturbance()) and not task.holds_object:
+        raise SettingProblem(f"--disturb changes a grasp, and {task.name} has none; leave it out")
     for touch in touches:
         if touch not in task.further_touches:
             check_touch(touch, task.source, task.target)
@@ -76,6 +79,7 @@ def make_jobs(
                 seed=seed,
                 vary=vary,
                 attribute=attribute,
+                disturbance=disturbance or Disturbance(),
                 record_frames=folder is not None,
             ),
             folder=folder,

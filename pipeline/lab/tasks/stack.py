@@ -233,6 +233,7 @@ TASK = ManipulationTask(
     tolerance_title="clearance in radius, mm",
     n_trials=30,
     run=run,
+    holds_object=True,
     error_title="off the cup's axis",
     build_scene=build_scene,
     published={("cup", "t2t"): "22/30", ("cup", "vqvae"): "21/30"},

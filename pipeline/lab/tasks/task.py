@@ -15,8 +15,41 @@ from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.entry_points import load_entry_points, load_reference
 from pipeline.core.errors import SettingProblem
 from pipeline.core.geometry.meshes import Mesh
+from pipeline.core.params import replace_value, setting
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import Pairing, TactileFrame, Truth
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Disturbance:
+    """What goes wrong with a grasp besides the touch; directions are drawn for every trial."""
+
+    slip: float = setting(
+        0.0, "Slip", unit="mm", low=0.0, high=10.0, help="in the hand, between touch and action"
+    )
+    tilt: float = setting(
+        0.0, "Tilt", unit="degrees", low=0.0, high=20.0, help="out of the fingers' plane"
+    )
+    alignment: float = setting(
+        0.0,
+        "Alignment error",
+        unit="mm",
+        low=0.0,
+        high=10.0,
+        help="of the source sensor, with a rotation of 2 degrees per mm",
+    )
+
+
+def parse_disturbance(assignments: Iterable[str]) -> Disturbance:
+    """A disturbance from `name=value` each; raises SettingProblem."""
+    disturbance = Disturbance()
+    for assignment in assignments:
+        name, _, value = (part.strip() for part in assignment.partition("="))
+        try:
+            disturbance = replace_value(disturbance, name, value)
+        except SettingProblem as error:
+            raise SettingProblem(f"--disturb {assignment}: {error}") from error
+    return disturbance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,6 +67,7 @@ class TrialPlan:
     vary: float = 0.0  # of sensor instances, as in `tactoscope simulate`
     attribute: bool = False
     record_frames: bool = False
+    disturbance: Disturbance = field(default_factory=Disturbance)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -183,6 +217,7 @@ class ManipulationTask:
     run: RunTrial  # one rollout for each touch and tolerance, in this order
     # of this task alone, besides "true", "none" and touch methods
     further_touches: tuple[str, ...] = ()
+    holds_object: bool = False  # in a grasp, which can be disturbed
     error_title: str = "error"  # what a decision's `error_mm` measures
     # (case, touch) -> the paper's result
     published: Mapping[tuple[str, str], str] = field(default_factory=dict)

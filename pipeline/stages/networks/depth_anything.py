@@ -13,8 +13,9 @@ from torch.nn import functional
 from pipeline.stages.networks.depth_anything_input import PATCH_PX, ImageContent
 from pipeline.stages.networks.dinov2 import ENCODER_SIZES, DinoV2Encoder
 
-DECODER_CHANNELS = {"vits": 64, "vitb": 128, "vitl": 256}
+DECODER_CHANNELS = {"vitt": 32, "vits": 64, "vitb": 128, "vitl": 256}
 PROJECTED_CHANNELS = {
+    "vitt": (24, 48, 96, 192),
     "vits": (48, 96, 192, 384),
     "vitb": (96, 192, 384, 768),
     "vitl": (256, 512, 1024, 1024),

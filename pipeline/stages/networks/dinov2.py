@@ -18,7 +18,7 @@ _OFFSET = 0.1  # patches, added when position embeddings are resized, as in the 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EncoderSize:
-    """One of the published model sizes."""
+    """One of the published model sizes, or the smaller "vitt" of ours."""
 
     width: int
     depth: int
@@ -27,6 +27,7 @@ class EncoderSize:
 
 
 ENCODER_SIZES = {
+    "vitt": EncoderSize(width=192, depth=12, heads=3, output_blocks=(2, 5, 8, 11)),
     "vits": EncoderSize(width=384, depth=12, heads=6, output_blocks=(2, 5, 8, 11)),
     "vitb": EncoderSize(width=768, depth=12, heads=12, output_blocks=(2, 5, 8, 11)),
     "vitl": EncoderSize(width=1024, depth=24, heads=16, output_blocks=(4, 11, 17, 23)),

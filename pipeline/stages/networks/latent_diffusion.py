@@ -52,8 +52,9 @@ class LatentDiffusion(nn.Module):
     `condition_inputs` channels, which `condition_encoder` brings to the latents' grid; only
     "resnet" has `condition_channels`. `raw_condition`: trained on changes of 0..255 normalised by
     statistics of 0..1, as the published weights were. `half_turn`: the output has to be rotated by
-    180 degrees for the target's camera. `trained_with_condition_dropout`: whether guidance can act.
-    `trained_on_recordings` (0 or 1): by recorded pairs, which know how the sensors lie.
+    180 degrees for the target's camera. `leading_times`: sampled at those of the published sampler.
+    `trained_with_condition_dropout`: whether guidance can act. `trained_on_recordings` (0 or 1): by
+    recorded pairs, which know how the sensors lie.
     `generated_*` and `true_*` are mean and standard deviation (mm) of generated and true imprints
     of training examples; they remove small biases of the output. A standard deviation of 0 disables
     this.
@@ -83,6 +84,7 @@ class LatentDiffusion(nn.Module):
         raw_condition: bool = False,
         trained_with_condition_dropout: bool = True,
         half_turn: bool = False,
+        leading_times: bool = False,
         generated_mean_mm: float = 0.0,
         generated_std_mm: float = 0.0,
         true_mean_mm: float = 0.0,
@@ -93,6 +95,7 @@ class LatentDiffusion(nn.Module):
         self.side = side
         self.condition = condition
         self.half_turn = bool(half_turn)
+        self.leading_times = bool(leading_times)
         self.raw_condition = bool(raw_condition)
         self.trained_on_recordings = bool(trained_on_recordings)
         self.trained_with_condition_dropout = bool(trained_with_condition_dropout)

@@ -305,6 +305,7 @@ def read_latent_diffusion(path: Path) -> Weights:
         "condition_channels": condition_channels,
         "raw_condition": True,
         "half_turn": True,
+        "leading_times": True,
         "trained_with_condition_dropout": False,
     }
     tensors["scale_factor"] = np.asarray(tensors.get("scale_factor", 1.0), np.float32).reshape(())

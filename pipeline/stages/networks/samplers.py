@@ -94,18 +94,24 @@ def make_sigma_schedule(
     return np.append((ends[0] + share * (ends[1] - ends[0])) ** rho, 0.0)
 
 
-def make_timestep_schedule(steps: int, alphas_cumprod: Doubles) -> tuple[Doubles, tuple[int, ...]]:
+def make_timestep_schedule(
+    steps: int, alphas_cumprod: Doubles, *, is_leading: bool = False
+) -> tuple[Doubles, tuple[int, ...]]:
     """Schedule of a network trained at integer times: (steps + 1,) sigmas and the falling times
     they belong to.
 
     `alphas_cumprod` (times,) is the share a of the signal's power that remains ("alpha bar"):
     sigma^2 = (1 - a) / a. The last time comes first and none twice ("trailing", Lin et al. 2024);
-    the number of steps is limited to that of times.
+    the number of steps is limited to that of times. "Leading" times, those of the published sampler
+    (901, 801 ... 1 for 10 steps), leave the last ones out and are at least as many as `steps`; a
+    single step, which would be at time 1 alone, is always trailing.
     """
     _check_steps(steps)
     count = len(alphas_cumprod)
     n_steps = min(steps, count)
     times = np.rint(count * (1.0 - np.arange(n_steps) / n_steps)).astype(int) - 1
+    if is_leading and n_steps > 1:
+        times = np.arange(1, count, count // n_steps)[::-1]
     alphas = alphas_cumprod[times]
     if not ((alphas > 0) & (alphas < 1)).all():
         raise SettingProblem(

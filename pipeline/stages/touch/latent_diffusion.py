@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -63,7 +63,12 @@ from pipeline.stages.touch.t2d2 import build_depth_square
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
+Times = Literal["as trained", "leading", "trailing"]
 _DRAFT_STEPS = 4
+NOT_SHIPPED = (
+    "no weights of latent diffusion are shipped: it runs the lab's checkpoints, or those of "
+    "`tactoscope train latent`, in commands with --weights"
+)
 OUTSIDE_VIEW = (
     "what a bubble feels outside the source's view is sampled: on small new objects its error "
     "over all is three times "
@@ -108,6 +113,14 @@ class LatentParams:
         source="DDIM: Song et al. 2021; DPM-Solver++ 2M: Lu et al. 2022; corrected: after Zhao et "
         "al. 2023",
     )
+    times: Times = setting(
+        "as trained",
+        "Times of the steps",
+        choices=Times,
+        help="leading is the published sampler's 901, 801 ... 1 for 10 steps and what the lab's "
+        "checkpoints get; trailing begins at pure noise, as ours do",
+        source="Lin et al. 2024",
+    )
     seed: int = setting(
         0,
         "Seed",
@@ -141,8 +154,8 @@ def make_draft_params(params: LatentParams) -> LatentParams:
 def select_weights(
     source: SensorSpec, target: SensorSpec, file: Path | None
 ) -> Weights | NoWeights:
-    """The weights of touch to touch for this pair of sensors in this direction."""
-    found = _load_weights(f"latent_{source.name}_to_{target.name}", target, file, is_t2d2=False)
+    """The weights of a file for touch to touch; see `NOT_SHIPPED`."""
+    found = _load_weights(target, file, is_t2d2=False)
     if isinstance(found, NoWeights) or found.config.get("condition") != "reprojected":
         return found
     if found.config.get("condition_inputs") != get_touch_format(source.kind).reprojected_channels:
@@ -158,16 +171,16 @@ def select_t2d2_weights(
     target: SensorSpec,
     file: Path | None,
 ) -> Weights | NoWeights:
-    """The weights of touch to depth to touch for this target, for any source."""
-    return _load_weights(f"latent_t2d2_{target.name}", target, file, is_t2d2=True)
+    """The weights of a file for touch to depth to touch, for any source; see `NOT_SHIPPED`."""
+    return _load_weights(target, file, is_t2d2=True)
 
 
-def _load_weights(
-    name: str, target: SensorSpec, file: Path | None, *, is_t2d2: bool
-) -> Weights | NoWeights:
+def _load_weights(target: SensorSpec, file: Path | None, *, is_t2d2: bool) -> Weights | NoWeights:
+    if file is None:
+        return NoWeights(why=NOT_SHIPPED)
     task = published_weights.LATENT
     read = published_weights.read_latent_diffusion
-    found = weights_registry.load_for_task(task, name, file, read, target.kind)
+    found = weights_registry.load_for_task(task, "", file, read, target.kind)
     if isinstance(found, NoWeights) or (found.config.get("condition") == "depth") == is_t2d2:
         return found
     given, wanted = (
@@ -293,7 +306,10 @@ def sample_image(
 
     from pipeline.stages.networks.latent_diffusion import LATENT_LIMIT, compute_alphas_cumprod
 
-    levels, times = make_timestep_schedule(params.steps, compute_alphas_cumprod())
+    is_leading = params.times == "leading" or (params.times == "as trained" and net.leading_times)
+    levels, times = make_timestep_schedule(
+        params.steps, compute_alphas_cumprod(), is_leading=is_leading
+    )
     time_of = {float(level): time for level, time in zip(levels, times, strict=False)}
     guidance_plan = plan_guidance(
         params.guidance,

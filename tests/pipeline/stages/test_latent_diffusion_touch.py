@@ -17,6 +17,7 @@ from pipeline.core.progress import Cancelled
 from pipeline.core.values.results import TargetDepth
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.networks.latent_diffusion import LatentDiffusion
+from pipeline.stages.networks.network_factory import load_network
 from pipeline.stages.networks.samplers import NO_CONDITION_DROPOUT
 from pipeline.stages.networks.touch_formats import BUBBLE as BUBBLE_FORMAT
 from pipeline.stages.networks.touch_formats import decode_image, encode_image, normalise
@@ -222,6 +223,17 @@ def make_depth_weights(**config):
     )
 
 
+@pytest.mark.parametrize("leading", [False, True])
+def test_the_times_are_those_of_the_weights_unless_chosen(leading):
+    network = load_network(make_depth_weights(leading_times=leading))
+    by_times = {
+        times: sample_image(network, SHOWN, LatentParams(steps=3, guidance=1.0, times=times))[0]
+        for times in ("as trained", "leading", "trailing")
+    }
+    assert np.array_equal(by_times["as trained"], by_times["leading"]) == leading
+    assert np.array_equal(by_times["as trained"], by_times["trailing"]) != leading
+
+
 def run_from_depth(view, weights, **params):
     graph = Graph(BUILT_IN.methods("t2d2", {"touch": "latent_t2d2"}))
     given = {"target_depth": view, "target": load_sensor("gelslim"), "touch_weights": weights}
@@ -259,8 +271,14 @@ def test_a_target_depth_without_contact_or_weights_is_left_to_physics(contact_vi
         contact_view, contact=freeze(empty), indentation_mm=freeze(empty.astype(np.float32))
     )
     assert run_from_depth(still, make_depth_weights()).state == "skipped"
-    found = run_from_depth(contact_view, NoWeights(why="none are shipped"))
-    assert "no network for this pair; none are shipped" in found.fallback
+    lacking = [
+        BUILT_IN.method("touch", name).weights(load_sensor("gelslim"), load_sensor(target), None)
+        for name in ("latent", "latent_t2d2")
+        for target in ("soft_bubble", "gelslim")
+    ]
+    assert {weights.why for weights in lacking} == {latent_diffusion.NOT_SHIPPED}
+    found = run_from_depth(contact_view, lacking[0])
+    assert f"no network for this pair; {latent_diffusion.NOT_SHIPPED}" in found.fallback
     assert found.output.membrane.contact.any()
 
 

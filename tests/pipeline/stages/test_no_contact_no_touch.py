@@ -18,11 +18,13 @@ from pipeline.physics import optics
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.photometric import DepthParams
-from pipeline.stages.networks.weights import NoWeights
+from pipeline.stages.networks.weights import NoWeights, save_weights
 from pipeline.stages.touch import latent_diffusion, physical_render, t2d2, t2t, vqvae
 from pipeline.stages.touch.frame_chain import guard_contact
+from pipeline.stages.touch.moved_touch import get_trained_alignment
 from pipeline.translation.catalogue import BUILT_IN
 from tests.pipeline.stages.target_views import estimate_views
+from tests.pipeline.stages.test_latent_diffusion_touch import make_depth_weights
 from tests.pipeline.stages.test_light_changes import add_spot
 
 GEL = load_sensor("gelslim")
@@ -36,7 +38,9 @@ SAMPLERS = (
 )
 
 
-def evaluate(name, frame, *, target=BUBBLE, target_too_far_mm=0.0, between=None, graph=None):
+def evaluate(
+    name, frame, *, target=BUBBLE, target_too_far_mm=0.0, between=None, graph=None, file=None
+):
     """All results up to the depth of the touch by a method with its shipped weights."""
     methods = BUILT_IN.methods("t2d2", {"touch": name}, {"source": GEL.kind, "target": target.kind})
     moved = between or alignment.correct_alignment(
@@ -50,7 +54,11 @@ def evaluate(name, frame, *, target=BUBBLE, target_too_far_mm=0.0, between=None,
         "mesh": None,
         "previous": None,
         "alignment": moved,
-        **{m.weights_name: m.weights(GEL, target, None) for m in methods if m.weights is not None},
+        **{
+            m.weights_name: m.weights(GEL, target, file if m.stage == "touch" else None)
+            for m in methods
+            if m.weights is not None
+        },
     }
     if graph is not None:
         return graph.with_methods(methods).evaluate(["touch"], inputs, {})
@@ -184,9 +192,16 @@ def test_nothing_is_invented_where_nothing_can_reach(touched_frame, sampled):
     assert not sampled
 
 
-def test_latent_touches_are_pressed_at_the_given_alignment(touched_frame):
-    """The shipped network knows grasps of one depth, which the sample's alignment is not."""
-    found = evaluate("latent", touched_frame)["touch"]
+def test_latent_touches_are_pressed_at_the_given_alignment(touched_frame, tmp_path, monkeypatch):
+    """A network knows grasps of one depth, which the described alignment is not."""
+    trained = get_trained_alignment(GEL)
+    deep = evaluate("physics", touched_frame, between=trained)["touch"].output
+    assert deep.membrane.indentation_mm.max() > 10.0
+    known = replace(deep, membrane=None)
+    monkeypatch.setattr(latent_diffusion, "_sample_touch", lambda *_: known)
+    file = tmp_path / "latent.safetensors"
+    save_weights(file, make_depth_weights(condition="image"))
+    found = evaluate("latent", touched_frame, file=file)["touch"]
     assert found.answered_by.startswith("T2T latent")
     membrane = found.output.membrane
     assert membrane.contact.any()

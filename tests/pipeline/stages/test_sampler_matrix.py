@@ -1,12 +1,10 @@
-"""Steps times guidance over all shipped networks that sample, and one without condition dropout:
-finite, and guided.
+"""Steps times guidance over all shipped networks that sample, and latent ones with and without
+condition dropout: finite, and guided.
 
 Guidance acts from four steps on, and only where a network was trained without its condition, too.
 """
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,31 +15,24 @@ from pipeline.stages.networks.samplers import MAX_STEPS, MAX_WEIGHT, NO_CONDITIO
 from pipeline.stages.networks.weights import load_weights
 from pipeline.stages.touch.latent_diffusion import LatentParams, sample_image
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual
+from tests.pipeline.stages.test_latent_diffusion_touch import make_depth_weights
 
 SAMPLING_KINDS = ("residual_denoiser", "latent")
 SHIPPED = [
     path.stem
     for path in sorted(weights_registry.WEIGHTS_FOLDER.glob("*.safetensors"))
-    if path.stem.startswith(("t2d2_", "t2t_", "latent_"))
+    if path.stem.startswith(("t2d2_", "t2t_"))
 ]
-WITHOUT_DROPOUT = "latent without condition dropout"
+LATENT = {"latent": True, "latent without condition dropout": False}  # as the lab's
 GUIDED_STEPS = 4
 
 
 def load(name):
-    weights = load_weights(
-        weights_registry.WEIGHTS_FOLDER
-        / f"{SHIPPED_LATENT if name == WITHOUT_DROPOUT else name}.safetensors"
-    )
+    if name in LATENT:
+        return make_depth_weights(trained_with_condition_dropout=LATENT[name])
+    weights = load_weights(weights_registry.WEIGHTS_FOLDER / f"{name}.safetensors")
     assert weights.kind in SAMPLING_KINDS
-    if name == WITHOUT_DROPOUT:  # as the released checkpoints
-        weights = replace(
-            weights, config={**weights.config, "trained_with_condition_dropout": False}
-        )
     return weights
-
-
-SHIPPED_LATENT = next(name for name in SHIPPED if name.startswith("latent_"))
 
 
 def sample_once(weights, steps, guidance):
@@ -85,13 +76,13 @@ def test_all_networks_that_sample_are_listed():
     assert sorted(name for name, kind in kinds.items() if kind in SAMPLING_KINDS) == SHIPPED
 
 
-@pytest.mark.parametrize("name", [*SHIPPED, WITHOUT_DROPOUT])
+@pytest.mark.parametrize("name", [*SHIPPED, *LATENT])
 def test_few_cells(name):
     check_cells(name, (1, 3, 4, 9), (0.0, 1.0, 4.0, MAX_WEIGHT))
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
-@pytest.mark.parametrize("name", [*SHIPPED, WITHOUT_DROPOUT])
+@pytest.mark.parametrize("name", [*SHIPPED, *LATENT])
 def test_the_whole_matrix(name):
     check_cells(name, (1, 2, 3, 4, 5, 8, 20, 200, MAX_STEPS), (0.0, 1.0, 4.0, MAX_WEIGHT))

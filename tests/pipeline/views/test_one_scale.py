@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pipeline.views.contrast import share_scale
 
 from pipeline.core.values.results import make_depth_map
 from pipeline.sensors.spec import load_sensor
 from pipeline.translation.truth_view import build_observation_view
+from pipeline.views.contrast import share_scale
 from pipeline.views.display_params import DisplayParams
 from pipeline.views.preview import make_indentation_preview
 

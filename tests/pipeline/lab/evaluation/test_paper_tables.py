@@ -73,13 +73,16 @@ def test_the_sources_own_depth_is_a_row_of_poses_and_the_object_one_of_touches(
 ):
     request = replace(
         build_request(cache_folder, candidates=("own", "object", "physics")),
-        pose_methods=("signed_distances",),
+        pose_methods=("signed_distances", "network"),
     )
     own, physics, by_object = evaluate_tables(request).rows
     assert [row.candidate for row in (own, physics, by_object)] == ["own", "physics", "object"]
     assert not own.metrics
     assert own.pose_errors["signed_distances"].n_poses == own.n_touches
-    assert own.pose_errors["signed_distances"].rotation_deg[0] < 2.0
+    errors = own.pose_errors["signed_distances"]
+    assert errors.rotation_deg[0] < 2.0
+    assert errors.translation_mm[0] < 0.2, "at the contact, which lies in the target's frame too"
+    assert own.pose_errors["network"].translation_mm[0] < 3.0, "by the network of the source"
     assert by_object.metrics["error_mm"]["contact"] < physics.metrics["error_mm"]["contact"]
 
 
@@ -185,6 +188,7 @@ def test_the_command_prints_both_tables_and_writes_every_metric(
         (("--method", "touch=physics"), "name those of interest with --only"),
         (("--set", "touch.wish=3"), "'wish'"),
         (("--grasps", "0"), "--grasps must lie within"),
+        (("--inception", __file__), "--inception: "),
     ],
 )
 def test_mistakes_are_one_sentence(tokens, said, capsys, cache_folder, few_objects):

@@ -3,11 +3,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.values.frames import TactileFrame
 from pipeline.io import open_recording
-from pipeline.lab.tasks.grasp import FINGERS, PlanarPose, press_between_fingers, project_to_plane
+from pipeline.lab.tasks.grasp import (
+    FINGERS,
+    PlanarPose,
+    feel_grasp,
+    press_between_fingers,
+    project_to_plane,
+)
 from pipeline.lab.tasks.insertion import (
     FORCE_LIMIT_N,
     SHORT_MM,
@@ -19,7 +27,7 @@ from pipeline.lab.tasks.insertion import (
 )
 from pipeline.lab.tasks.rollout_file import read_summary, summarise, write_rollout
 from pipeline.lab.tasks.runner import make_jobs, run_job, run_jobs
-from pipeline.lab.tasks.task import Rollout, TrialPlan
+from pipeline.lab.tasks.task import Disturbance, Rollout, TrialPlan, parse_disturbance
 
 # the first grasp compiles kernels where `tactoscope prepare` has not
 pytestmark = pytest.mark.timeout(600)
@@ -92,6 +100,45 @@ def test_both_fingers_press_the_same_grasp(finger):
     mirrored = 1.0 if finger == "left" else -1.0
     seen = project_to_plane(pose)
     assert (seen.x_mm, mirrored * seen.y_mm) == pytest.approx((2.0, -1.0))
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.floats(0.0, 5.0), st.floats(0.0, 15.0), st.floats(0.0, 5.0), st.integers(0, 99))
+def test_a_disturbance_is_as_large_as_asked_and_leaves_the_start(slip, tilt, alignment, index):
+    plan = replace(PLAN, touches=("none",), attribute=False, index=index)
+    disturbance = Disturbance(slip=slip, tilt=tilt, alignment=alignment)
+    mesh = make_tool("pencil").mesh
+    calm = feel_grasp(plan, mesh, "pencil")
+    grasp = feel_grasp(replace(plan, disturbance=disturbance), mesh, "pencil")
+    assert calm.acted == calm.held
+    assert calm.held == replace(grasp.held, tilt_rad=calm.held.tilt_rad)
+    moved = np.subtract(grasp.acted.matrix, grasp.held.matrix)
+    assert np.linalg.norm(moved) == pytest.approx(slip, abs=1e-9)
+    assert math.hypot(*grasp.held.tilt_rad) == pytest.approx(math.radians(tilt))
+    off = grasp.source.alignment_from_sensor @ np.linalg.inv(calm.source.alignment_from_sensor)
+    assert np.linalg.norm(off[:3, 3]) == pytest.approx(alignment, abs=1e-9)
+    cosine = 0.5 * float(np.trace(off[:3, :3])) - 0.5
+    assert math.degrees(math.acos(min(1.0, cosine))) == pytest.approx(2.0 * alignment, abs=1e-4)
+
+
+def test_a_slip_is_an_error_of_its_own():
+    """The bubble feels the grasp before the slip: what it adds is attributed to it alone."""
+    plan = replace(PLAN, touches=("true",), disturbance=Disturbance(slip=3.0))
+    (rollout,) = run(plan)
+    decision = rollout.decisions[0]
+    assert not rollout.succeeds
+    assert decision.error_mm > 1.0
+    assert sum(part.share_mm for part in decision.shares) == pytest.approx(decision.error_mm)
+    assert decision.shares[-1].title == "slip"
+    assert decision.shares[-1].share_mm == pytest.approx(decision.error_mm, abs=0.5)
+
+
+def test_an_alignment_error_misleads_the_source_and_not_the_target():
+    plan = replace(PLAN, touches=("own", "true"), attribute=False)
+    calm = run(plan)
+    moved = run(replace(plan, disturbance=Disturbance(alignment=2.0)))
+    assert moved[0].decisions[0].error_mm > calm[0].decisions[0].error_mm + 0.2
+    assert moved[1].decisions == calm[1].decisions
 
 
 def test_miss_is_the_lateral_offset_of_the_worse_end():
@@ -181,6 +228,26 @@ def test_tool_of_a_toml_file_is_inserted(tmp_path):
 def test_wrong_options_are_named(options, word):
     with pytest.raises(SettingProblem, match=word):
         make_jobs(TASK.name, **options)
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("slip", "--disturb slip: slip must be a number"),
+        ("slip=-1", "--disturb slip=-1: slip must lie within 0 and 10 mm"),
+        ("fall=1", "there are slip, tilt, alignment"),
+    ],
+)
+def test_wrong_disturbances_are_named(text, word):
+    with pytest.raises(SettingProblem, match=word):
+        parse_disturbance([text])
+
+
+def test_a_task_without_a_grasp_is_not_disturbed():
+    with pytest.raises(SettingProblem, match="marble has none"):
+        make_jobs("marble", disturbance=parse_disturbance(["slip=1"]))
+    (job,) = make_jobs("stack", n_trials=1, disturbance=parse_disturbance(["slip=1", "tilt=2"]))
+    assert job.plan.disturbance == Disturbance(slip=1.0, tilt=2.0)
 
 
 @pytest.mark.parametrize(

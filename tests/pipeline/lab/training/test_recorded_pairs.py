@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.core.errors import SettingProblem
+from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.values.frames import Truth
 from pipeline.io import open_recording
 from pipeline.io.hdf5_writer import RecordingWriter
@@ -234,8 +234,13 @@ def test_depth_of_a_gelslim_is_adapted_to_a_digit_by_a_tenth_of_its_touches(tmp_
 
 @pytest.mark.parametrize("name", [name for name in list_shipped_recipes() if "_pairs" in name])
 def test_recipes_of_pairs_start_from_shipped_weights(name):
-    recipe = load_recipe(name, name.partition("_")[0])
-    assert recipe.network["kind"] in ("residual_denoiser", "vqvae", "latent")
+    what = name.partition("_")[0]
+    if what == "latent":  # of which none is shipped
+        with pytest.raises(FileProblem, match=r"train them first, or give --from"):
+            load_recipe(name, what)
+        return
+    recipe = load_recipe(name, what)
+    assert recipe.network["kind"] in ("residual_denoiser", "vqvae")
     assert recipe.training.initial_weights
     assert hasattr(recipe.settings, "make_pair_example")
 

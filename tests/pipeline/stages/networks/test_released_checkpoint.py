@@ -105,6 +105,7 @@ def test_a_checkpoint_computes_what_its_definition_says(
     with reading_reported_to(said):
         weights = published_weights.read_latent_diffusion(path)
     assert not weights.trained_with_condition_dropout
+    assert weights.config["leading_times"]
     assert said[-1] == (1.0, "reading checkpoint.ckpt")
     assert [fraction for fraction, _ in said] == sorted(fraction for fraction, _ in said)
     # not both denoisers

@@ -16,6 +16,7 @@ from pipeline.stages.networks.network_factory import load_network, reproducible_
 from pipeline.stages.networks.weights_registry import load_shipped
 from pipeline.stages.touch.latent_diffusion import LatentParams, sample_image
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual
+from tests.pipeline.stages.test_latent_diffusion_touch import make_depth_weights
 
 ROOT = Path(__file__).resolve().parents[4]
 
@@ -23,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[4]
 def compute_sample_digests() -> str:
     rng = np.random.default_rng(3)
     compact, latent = (
-        load_network(load_shipped(name)) for name in ("t2d2_gelslim", "latent_t2d2_gelslim")
+        load_network(weights) for weights in (load_shipped("t2d2_gelslim"), make_depth_weights())
     )
     residual = sample_residual(
         compact, rng.normal(size=(6, 160, 214)).astype(np.float32), DiffusionParams(steps=2)

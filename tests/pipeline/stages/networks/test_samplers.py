@@ -142,6 +142,23 @@ def test_timesteps_are_unique_and_start_at_the_last(steps, count):
     assert (np.diff(levels) < 0).all()
 
 
+@given(st.integers(2, 1000))
+def test_leading_times_are_those_of_the_published_sampler(steps):
+    cumulative = np.cumprod(1 - np.linspace(math.sqrt(0.0015), math.sqrt(0.0155), 1000) ** 2)
+    _, times = make_timestep_schedule(steps, cumulative, is_leading=True)
+    published = [time + 1 for time in range(0, 1000, 1000 // steps)]  # make_ddim_timesteps
+    assert list(times) == [time for time in reversed(published) if time < 1000]
+    assert len(times) >= steps - 1
+    if steps == 10:
+        assert times[:2] == (901, 801)
+
+
+def test_a_single_step_starts_at_pure_noise():
+    cumulative = np.linspace(0.99, 0.01, 1000)
+    alike = [make_timestep_schedule(1, cumulative, is_leading=x)[1] for x in (True, False)]
+    assert alike == [(999,), (999,)]
+
+
 def test_a_signal_share_of_zero_is_refused():
     with pytest.raises(SettingProblem, match="between 0 and 1"):
         make_timestep_schedule(5, np.linspace(0.9, 0.0, 10))
