@@ -18,7 +18,7 @@ from pipeline.core.shared_memory import SharedBlock
 from pipeline.io.live.reader import LiveReader
 from pipeline.io.live.source import LiveFrame
 from pipeline.io.mounts import mount, unmount
-from pipeline.translation.live_rate import FrameCost, RatePlan, plan_rate
+from pipeline.translation.live_rate import RatePlan
 from pipeline.translation.live_translation import LiveTranslation
 from pipeline.translation.translate import Request, open_translation
 from sample_data.make_samples import RECORDINGS_FOLDER
@@ -113,33 +113,6 @@ def test_a_block_holds_one_value_and_one_that_is_too_large_goes_through_the_pipe
     finally:
         other.close()
         block.close()
-
-
-@pytest.mark.parametrize(
-    ("rate_hz", "cost", "plan"),
-    [
-        (0.0, (900.0, None, 300.0), (1, False)),  # best quality leaves nothing out
-        (10.0, (50.0, None, 50.0), (1, False)),
-        (25.0, (50.0, None, 50.0), (3, False)),
-        (30.0, (100.0, 40.0, 30.0), (2, True)),
-        (30.0, (90.0, None, 30.0), (3, True)),  # a draft not measured yet counts half
-        (30.0, (400.0, 400.0, 30.0), (5, False)),  # without a draft, frames are left out
-    ],
-)
-def test_the_rate_decides_what_is_left_out(rate_hz, cost, plan):
-    stages_ms, draft_ms, pose_ms = cost
-    made = plan_rate(
-        rate_hz, FrameCost(stages_ms=stages_ms, draft_ms=draft_ms, pose_ms=pose_ms), n_workers=2
-    )
-    assert (made.pose_every, made.draft) == plan
-    assert made.rate_hz == rate_hz
-
-
-def test_what_is_left_out_is_said():
-    assert plan_rate(25.0, None, 2) == RatePlan(rate_hz=25.0)
-    assert RatePlan().describe() == ""
-    assert RatePlan(pose_every=2).describe() == "pose in every 2nd frame"
-    assert RatePlan(pose_every=5, draft=True).describe() == "pose in every 5th frame, drafts"
 
 
 def test_the_status_of_a_live_translation_says_rate_age_and_what_is_left_out():
