@@ -177,9 +177,10 @@ class LiveTranslation:
             return None  # the next frame that is offered says so
         self.problem = ""
         self._follow(one.frame, results)
-        if not any(result.state == "skipped" for result in results.values()):
+        stages = [result for name, result in results.items() if name != _POSE]
+        if not any(result.state == "skipped" for result in stages):
             pose_ms = results[_POSE].ms if _POSE in results else None
-            stages_ms = sum(result.ms for name, result in results.items() if name != _POSE)
+            stages_ms = sum(result.ms for result in stages)
             self._rule.add_cost(one.plan, one.frame.time_s, stages_ms, pose_ms)
             self._keep_touch(one.frame)
         frame = one.frame if context is None else replace(one.frame, context_frames=context.images)

@@ -4,7 +4,7 @@ import multiprocessing
 import os
 import signal
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,6 +18,7 @@ from pipeline.core.shared_memory import SharedBlock
 from pipeline.io.live.reader import LiveReader
 from pipeline.io.live.source import LiveFrame
 from pipeline.io.mounts import mount, unmount
+from pipeline.translation import live_translation
 from pipeline.translation.live_rate import RatePlan
 from pipeline.translation.live_translation import LiveTranslation
 from pipeline.translation.translate import Request, open_translation
@@ -60,7 +61,9 @@ def poll_for(live, seconds):
 
 
 @pytest.mark.timeout(300)
-def test_a_live_sensor_is_translated_in_order_with_the_values_of_one_process():
+def test_a_live_sensor_is_translated_in_order_with_the_values_of_one_process(monkeypatch):
+    """In the light of the touches so far, once there are enough, which the frame tells."""
+    monkeypatch.setattr(live_translation, "_KEPT_TOUCHES", 3)
     reader = LiveReader(RecordedSource(RECORDINGS_FOLDER / "digit_gelslim.h5", "digit"))
     mount(LIVE, lambda: reader.make_recording(LIVE))
     reader.start()
@@ -71,7 +74,9 @@ def test_a_live_sensor_is_translated_in_order_with_the_values_of_one_process():
     shown = []
     started_s = time.monotonic()
     try:
-        while not (shown and shown[-1].results["depth"].output.contact.any()) or len(shown) < 6:
+        while len(shown) < 6 or not (
+            shown[-1].frame.context_frames and shown[-1].results["depth"].output.contact.any()
+        ):
             shown += live.poll(0.2)
             assert not live.problem
             assert time.monotonic() - started_s < 200.0
@@ -92,6 +97,9 @@ def test_a_live_sensor_is_translated_in_order_with_the_values_of_one_process():
         assert last.results[name].method is result.method
         if name != "pose":
             assert last.results[name].digest == result.digest
+    assert 2 <= len(last.frame.context_frames) <= 3
+    alone = translation.evaluate(replace(last.frame, context_frames=()), ["depth"])
+    assert alone["depth"].nodes[2].digest != here["depth"].nodes[2].digest, "another light"
     depth_mm = last.results["depth"].output.depth_mm
     assert depth_mm.tobytes() == here["depth"].output.depth_mm.tobytes()
     assert not depth_mm.flags.writeable
