@@ -6,10 +6,8 @@ from collections.abc import Generator, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Annotated
-from uuid import uuid4
 
 from cyclopts import Parameter
 from rich.console import Console
@@ -33,6 +31,12 @@ from pipeline.core.processes import WorkerPool
 from pipeline.core.progress import SILENT, Progress, SubProgress
 from pipeline.core.values.results import ObjectPose
 from pipeline.translation.force import list_force_metrics, measure_force
+from pipeline.translation.frame_workers import (
+    CACHE_BYTES,
+    Opening,
+    describe_opening,
+    open_once,
+)
 from pipeline.translation.object_identification import take_likeliest_mesh
 from pipeline.translation.reports.report import (
     FinishedFrame,
@@ -41,11 +45,10 @@ from pipeline.translation.reports.report import (
     write_frame,
     write_report,
 )
-from pipeline.translation.translate import Request, Translation, open_translation
+from pipeline.translation.translate import Translation, open_translation
 from pipeline.translation.translated_frame import FrameReport
 from pipeline.translation.truth_view import add_truth_warnings
 
-CACHE_BYTES = 32 * 1024 * 1024  # a few frames: a run does not return to earlier ones
 _FORCE_SKIPPED = (
     "force: skipped; give --force, or a --calibration that 'tactoscope calibrate force' wrote"
 )
@@ -65,9 +68,7 @@ class _Run:
 
     indices: tuple[int, ...]
     out: Path
-    request: Request
-    settings: tuple[str, ...]
-    token: str  # of the command: a worker opens its recording once for all runs of one
+    opening: Opening
     follow: bool  # each pose from that of the frame before
     force: bool
     sheets: bool
@@ -125,9 +126,7 @@ def translate(
     whole = _Run(
         indices=tuple(indices),
         out=out.resolve(),
-        request=request,
-        settings=tuple(settings),
-        token=uuid4().hex,
+        opening=describe_opening(translation),
         follow=follow,
         force=force,
         sheets=sheets,
@@ -348,16 +347,11 @@ def _run_elsewhere(run: _Run) -> list[tuple[bool, FinishedFrame]]:
 
     Returns them without the poses, which only the next frame of a run needs.
     """
-    opened = _open_once(run.request, run.settings, run.token)
+    opened = open_once(run.opening)
     return [
         (is_resumed, replace(one, pose=None))
         for is_resumed, one in _translate_run(run, opened, SILENT)
     ]
-
-
-@lru_cache(maxsize=1)
-def _open_once(request: Request, settings: tuple[str, ...], _token: str) -> Translation:
-    return open_translation(request, settings=settings, cache_bytes=CACHE_BYTES)
 
 
 def _translate_run(

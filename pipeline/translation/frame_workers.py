@@ -10,10 +10,11 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Future
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from uuid import uuid4
 
 from pipeline.core.errors import FileProblem, NotConverged
 from pipeline.core.graph import StageResult
@@ -21,29 +22,66 @@ from pipeline.core.processes import WorkerPool
 from pipeline.core.shared_memory import Parcel, SharedBlock
 from pipeline.core.values.frames import Recording, Stream, TactileFrame
 from pipeline.io.mounts import mount
+from pipeline.translation.catalogue import default_params
 from pipeline.translation.translate import Request, Translation, open_translation
 
 if TYPE_CHECKING:
     from pipeline.core.geometry.meshes import Mesh
     from pipeline.core.geometry.symmetry import Symmetry
-    from pipeline.core.values.results import ObjectPose
+    from pipeline.core.values.results import ObjectPose, SealedMembrane
     from pipeline.sensors.alignment import Alignment
 
 Results = Mapping[str, StageResult]
 _BLOCK_BYTES = 32 << 20  # of a frame's results; those of a gel to a bubble take 4 MB
-_CACHE_BYTES = 32 << 20  # of a worker's graph: what follows from the last frames
+CACHE_BYTES = 32 << 20  # of a graph whose frames do not return: what follows from the last ones
+
+
+Shared = tuple[str, Parcel]  # a value in a block, which a worker takes once
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Opening:
-    """What a worker opens."""
+class Opening:
+    """What a worker opens once for all that it is asked."""
 
-    request: Request
-    alignment: Alignment
-    params: Mapping[str, object]
-    live_sensor: str  # that makes the recording, which a worker cannot open; "" = it is a file
-    mesh: Mesh | None
-    symmetry: Symmetry | None
+    token: str  # of this opening, by which alone it is known
+    request: Request = field(compare=False)
+    params: Mapping[str, object] = field(compare=False)
+    alignment: Alignment = field(compare=False)
+    # that makes the recording, which a worker cannot open; "" = it is a file
+    live_sensor: str = field(compare=False)
+    # that the request does not name; None = the one that it opens
+    mesh: Mesh | None = field(compare=False)
+    symmetry: Symmetry | None = field(compare=False)
+
+
+def describe_opening(translation: Translation) -> Opening:
+    """Return how a worker opens a translation again, which `open_once` does."""
+    request = translation.request
+    recording = translation.recording
+    is_live = recording.refresh is not None
+    is_named = request.mesh is not None or translation.mesh is recording.object_mesh
+    return Opening(
+        token=uuid4().hex,
+        request=request,
+        params=dict(translation.params),
+        alignment=translation.alignment,
+        live_sensor=translation.stream.sensor if is_live else "",
+        mesh=None if is_named and not is_live else translation.mesh,
+        symmetry=translation.symmetry,
+    )
+
+
+@lru_cache(maxsize=1)
+def open_once(opening: Opening) -> Translation:
+    """Open a translation in a worker, which keeps it open until it is asked for another one."""
+    path = opening.request.recording
+    if opening.live_sensor:
+        mount(path, lambda: _make_recording(path, opening))
+    opened = open_translation(opening.request, cache_bytes=CACHE_BYTES)
+    opened = replace(opened, alignment=opening.alignment, params=opening.params)
+    if opening.mesh is None:
+        return opened
+    return replace(opened, mesh=opening.mesh, symmetry=opening.symmetry)
 
 
 class FrameWorkers:
@@ -52,21 +90,19 @@ class FrameWorkers:
     def __init__(self, translation: Translation, n_workers: int = 0) -> None:
         """Start nothing yet; 0 = one worker a core."""
         self.n_workers = n_workers or os.cpu_count() or 1
-        is_live = translation.recording.refresh is not None
-        opening = _Opening(
-            request=translation.request,
-            alignment=translation.alignment,
-            params=dict(translation.params),
-            live_sensor=translation.stream.sensor if is_live else "",
-            mesh=translation.mesh,
-            symmetry=translation.symmetry,
-        )
+        # whether a draft differs from what the methods compute
+        self.has_draft = _make_draft_params(translation) != _make_full_params(translation)
         self._methods = {method.stage: method for method in translation.methods}
         self._pool = WorkerPool(self.n_workers)
-        self._opening = SharedBlock(_BLOCK_BYTES)
-        self._opened = self._opening.name, self._opening.put(opening)
         self._free = [SharedBlock(_BLOCK_BYTES) for _ in range(self.n_workers)]
-        self._blocks = tuple(self._free)
+        self._blocks = list(self._free)
+        self._opened = self.share(describe_opening(translation))
+
+    def share(self, value: object) -> Shared:
+        """Hand over a value that many frames are computed with, until `close`."""
+        block = SharedBlock(_BLOCK_BYTES)
+        self._blocks.append(block)
+        return block.name, block.put(value)
 
     @property
     def has_room(self) -> bool:
@@ -79,18 +115,23 @@ class FrameWorkers:
         stages: Sequence[str] | None = None,
         *,
         previous: ObjectPose | None = None,
+        membrane: SealedMembrane | None = None,
+        context: Shared | None = None,
         draft: bool = False,
     ) -> Future[Results]:
         """Have an idle worker compute stages of a frame, as `Translation.evaluate` does.
 
-        `draft`: methods that have cheaper parameters for dragging use them. Raises NotConverged
-        where a worker has died.
+        `previous` and `membrane` are the pose and the generated touch's membrane of the frame
+        before, `context` the shared context images. `draft`: methods that have cheaper parameters
+        for dragging use them. Raises NotConverged where a worker has died.
         """
         block = self._free.pop()
         answer: Future[Results] = Future()
-        parcel = block.put((frame, previous))
+        parcel = block.put((frame, previous, membrane))
         try:
-            task = self._pool.submit(_evaluate, self._opened, block.name, parcel, stages, draft)
+            task = self._pool.submit(
+                _evaluate, self._opened, block.name, parcel, stages, context, draft
+            )
         except BrokenExecutor as error:
             raise NotConverged(
                 "a worker process died, perhaps out of memory; start the translation again"
@@ -117,24 +158,29 @@ class FrameWorkers:
     def close(self) -> None:
         """End the workers, whatever they are doing."""
         self._pool.__exit__(KeyboardInterrupt, None, None)
-        for block in (self._opening, *self._blocks):
+        for block in self._blocks:
             block.close()
 
 
 def _evaluate(
-    opened: tuple[str, Parcel],
+    opened: Shared,
     block_name: str,
     parcel: Parcel,
     stages: Sequence[str] | None,
+    context: Shared | None,
     draft: bool,
 ) -> Parcel:
     """Compute stages of the frame in a block, and leave the results there."""
-    translation = _open_once(*opened)
+    translation = open_once(_take_once(*opened))
     block = _attach(block_name)
-    frame, previous = block.take(parcel)
+    frame, previous, membrane = block.take(parcel)
+    if context is not None:
+        frame = replace(frame, context_frames=_take_once(*context))
     if draft:
         translation = replace(translation, params=_make_draft_params(translation))
-    results = translation.evaluate(frame, stages, previous=previous)
+    results = translation.evaluate(
+        frame, stages, previous=previous, given={"previous_membrane": membrane}
+    )
     return block.put([replace(one, method=None, nodes=()) for one in results.values()])
 
 
@@ -143,23 +189,12 @@ def _attach(name: str) -> SharedBlock:
     return SharedBlock(name=name)
 
 
-@lru_cache(maxsize=1)
-def _open_once(name: str, parcel: Parcel) -> Translation:
-    opening: _Opening = _attach(name).take(parcel)
-    if opening.live_sensor:
-        path = opening.request.recording
-        mount(path, lambda: _make_recording(path, opening))
-    translation = open_translation(opening.request, cache_bytes=_CACHE_BYTES)
-    return replace(
-        translation,
-        alignment=opening.alignment,
-        params=opening.params,
-        mesh=opening.mesh,
-        symmetry=opening.symmetry,
-    )
+@lru_cache(maxsize=4)
+def _take_once(name: str, parcel: Parcel) -> Any:
+    return _attach(name).take(parcel)
 
 
-def _make_recording(path: Path, opening: _Opening) -> Recording:
+def _make_recording(path: Path, opening: Opening) -> Recording:
     """A recording that grows elsewhere: its frames are handed over one by one."""
 
     def refuse(index: int) -> Any:
@@ -177,11 +212,19 @@ def _make_recording(path: Path, opening: _Opening) -> Recording:
     )
 
 
+def _make_full_params(translation: Translation) -> dict[str, object]:
+    """The parameters, with the defaults where none are given."""
+    params = default_params(translation.methods)
+    for method in translation.methods:
+        own = translation.params.get(method.stage)
+        params[method.stage] = own if isinstance(own, method.params) else params[method.stage]
+    return params
+
+
 def _make_draft_params(translation: Translation) -> dict[str, object]:
     """The parameters with those for dragging where a method has them."""
-    params = dict(translation.params)
+    params = _make_full_params(translation)
     for method in translation.methods:
-        own = params.get(method.stage)
-        own = own if isinstance(own, method.params) else method.params()
-        params[method.stage] = own if method.draft is None else method.draft(own)
+        if method.draft is not None:
+            params[method.stage] = method.draft(params[method.stage])
     return params

@@ -2,41 +2,51 @@
 invented.
 
 A frame that a newer one has overtaken before a worker was idle is left out, and so is a result that
-comes after a newer one's. Each pose starts at the last one that came.
+comes long after a newer one's. Pose and membrane start at the last ones that came; the light of a
+gel is that of the touches so far, as a recording's is that of all.
 """
 
 from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterable
 from concurrent.futures import BrokenExecutor, Future, wait
-from dataclasses import dataclass
-from statistics import median
+from dataclasses import dataclass, replace
+from typing import cast
 
+from pipeline.core.arrays import Floats, Image
 from pipeline.core.errors import TouchError
-from pipeline.core.values.frames import TactileFrame
-from pipeline.core.values.results import ObjectPose
+from pipeline.core.values.frames import Stream, TactileFrame
+from pipeline.core.values.results import GeneratedTouch, ObjectPose, SealedMembrane
 from pipeline.io.live.reader import LiveReader
-from pipeline.translation.frame_workers import FrameWorkers, Results
-from pipeline.translation.live_rate import FrameCost, RatePlan, plan_rate
+from pipeline.translation.frame_selection import select_context_frames
+from pipeline.translation.frame_workers import FrameWorkers, Results, Shared
+from pipeline.translation.live_rate import RatePlan, RateRule, pop_in_order
 from pipeline.translation.translate import Translation
 
 _POSE = "pose"
-_MEASURED_FRAMES = 30  # with contact, whose times the plan follows
-_EARLY_SHARE = 0.8  # of a period of the rate after which the next frame is due: sources jitter
-_POLL_S = 0.005  # between looks for a newer frame while the workers are idle
+_POLL_S = 0.005  # between looks for a newer frame while a worker is idle
 _MAX_GAP_S = 0.5  # after which a pose is searched anew
+_KEPT_TOUCHES = 24  # from which those are chosen that determine the light
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveResult:
     """A translated frame of a live sensor."""
 
-    frame: TactileFrame
+    frame: TactileFrame  # with the context images by which it was translated
     results: Results
     age_s: float  # of the frame when its results came
     plan: RatePlan  # by which they were computed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Context:
+    """Touches that determine the light, as the workers share them."""
+
+    reference: Image | Floats | None
+    images: tuple[Image, ...]
+    shared: Shared
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,6 +54,17 @@ class _Offered:
     frame: TactileFrame
     answer: Future[Results]
     plan: RatePlan
+    context: _Context | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Last:
+    """Where the next frame starts."""
+
+    time_s: float = -1e9
+    membrane: SealedMembrane | None = None
+    pose: ObjectPose | None = None
+    pose_time_s: float = -1e9
 
 
 class LiveTranslation:
@@ -60,19 +81,32 @@ class LiveTranslation:
         """Start nothing yet: `translation` is of the reader's recording, a rate of 0 is best
         quality, and 0 workers are one a core.
         """
-        self.plan = RatePlan(rate_hz=rate_hz)
         self.problem = ""  # of the last frame that could not be translated
         self._stages = translation.stages
         self._reader = reader
         self._workers = FrameWorkers(translation, n_workers)
+        self._rule = RateRule(
+            rate_hz=rate_hz,
+            n_workers=self._workers.n_workers,
+            has_draft=self._workers.has_draft,
+        )
         self._offered: deque[_Offered] = deque()
-        self._last_offered: TactileFrame | None = None
-        self._last_shown = -1
+        self._newest_seen = -1
         self._n_offered = 0
-        self._pose: tuple[float, ObjectPose] | None = None  # the last one, and its frame's time
-        self._times_ms: dict[str, deque[float]] = {
-            name: deque(maxlen=_MEASURED_FRAMES) for name in ("stages", "draft", _POSE)
-        }
+        self._last = _Last()
+        # a calibration table contains the light, and a depth camera needs none
+        self._fits_light = translation.source.optics is not None and translation.calibration is None
+        self._touches: list[TactileFrame] = []
+        self._n_touches = 0
+        self._stride = 1  # every n-th touch is kept
+        self._context: _Context | None = None
+        # to whose touches one worker fits the light, while others go on with the last one
+        self._new_context: _Context | None = None
+
+    @property
+    def plan(self) -> RatePlan:
+        """What is left out of the next frames."""
+        return self._rule.plan
 
     def poll(self, timeout_s: float = 0.0) -> list[LiveResult]:
         """Return the results that have come, after at most `timeout_s` if there are none, and give
@@ -81,46 +115,59 @@ class LiveTranslation:
         Raises NotConverged where a worker has died, and whatever nobody foresaw; a frame that
         cannot be translated is the `problem` until the next one.
         """
-        self._offer_newest()
-        if self._offered:
-            wait([one.answer for one in self._offered], timeout_s, "FIRST_COMPLETED")
-        else:
-            time.sleep(min(timeout_s, _POLL_S))
-        come = [one for one in self._offered if one.answer.done()]
-        self._offered = deque(one for one in self._offered if not one.answer.done())
-        self._offer_newest()
-        return [result for one in come if (result := self._collect(one)) is not None]
+        ends_s = time.monotonic() + timeout_s
+        while True:
+            self._offer_newest()
+            done = pop_in_order(
+                self._offered, lambda one: one.answer.done(), self._workers.n_workers - 1
+            )
+            left_s = max(ends_s - time.monotonic(), 0.0)
+            if done or not left_s:
+                return [result for one in done if (result := self._collect(one)) is not None]
+            waited = [one.answer for one in self._offered if not one.answer.done()]
+            rest_s = min(left_s, _POLL_S) if self._workers.has_room else left_s
+            if waited:
+                wait(waited, rest_s, "FIRST_COMPLETED")
+            else:
+                time.sleep(rest_s)
 
     def _offer_newest(self) -> None:
         reader = self._reader
         newest = reader.n_frames - 1
-        last = self._last_offered
-        if newest < 0 or not reader.has_reference or not self._workers.has_room:
-            return
-        if last is not None and newest <= last.index:
+        if newest <= self._newest_seen or not reader.has_reference or not self._workers.has_room:
             return
         frame = reader.frame(newest)
-        rate_hz = self.plan.rate_hz
-        if last is not None and rate_hz and (frame.time_s - last.time_s) * rate_hz < _EARLY_SHARE:
+        self._newest_seen = newest
+        if not self._rule.take(frame.time_s):
             return
-        with_pose = self._n_offered % self.plan.pose_every == 0
+        plan = self.plan
+        with_pose = self._n_offered % plan.pose_every == 0
+        context = self._select_context(frame)
+        last = self._last
         answer = self._workers.submit(
             frame,
             [name for name in self._stages if name != _POSE or with_pose],
-            previous=self._get_previous(frame),
-            draft=self.plan.draft,
+            previous=last.pose if frame.time_s - last.pose_time_s <= _MAX_GAP_S else None,
+            membrane=last.membrane if frame.time_s - last.time_s <= _MAX_GAP_S else None,
+            context=None if context is None else context.shared,
+            draft=plan.draft,
         )
-        self._offered.append(_Offered(frame=frame, answer=answer, plan=self.plan))
-        self._last_offered = frame
+        self._offered.append(_Offered(frame=frame, answer=answer, plan=plan, context=context))
         self._n_offered += 1
 
-    def _get_previous(self, frame: TactileFrame) -> ObjectPose | None:
-        if self._pose is None or frame.time_s - self._pose[0] > _MAX_GAP_S:
-            return None
-        return self._pose[1]
+    def _select_context(self, frame: TactileFrame) -> _Context | None:
+        new = self._new_context
+        is_tried = any(one.context is new for one in self._offered)
+        for context in (self._context if is_tried else new, self._context):
+            if context is not None and context.reference is frame.reference:
+                return context
+        return None
 
     def _collect(self, one: _Offered) -> LiveResult | None:
-        """Return the result of a frame; None for one that is late or could not be translated."""
+        """Return the result of a frame; None for one that could not be translated."""
+        context = one.context
+        if context is not None and context is self._new_context:
+            self._context, self._new_context = context, None
         try:
             results = one.answer.result()
         except TouchError as error:
@@ -129,36 +176,62 @@ class LiveTranslation:
         except BrokenExecutor:
             return None  # the next frame that is offered says so
         self.problem = ""
-        if one.frame.index < self._last_shown:
-            return None
-        self._last_shown = one.frame.index
-        pose = results[_POSE].output if _POSE in results else None
-        if isinstance(pose, ObjectPose):
-            is_known = pose.sensor_from_object is not None
-            self._pose = (one.frame.time_s, pose) if is_known else None
-        self._measure(results, is_draft=one.plan.draft)
-        age_s = self._reader.measure_age_s(one.frame)
-        return LiveResult(frame=one.frame, results=results, age_s=age_s, plan=one.plan)
+        self._follow(one.frame, results)
+        stages = [result for name, result in results.items() if name != _POSE]
+        if not any(result.state == "skipped" for result in stages):
+            pose_ms = results[_POSE].ms if _POSE in results else None
+            stages_ms = sum(result.ms for result in stages)
+            self._rule.add_cost(one.plan, one.frame.time_s, stages_ms, pose_ms)
+            self._keep_touch(one.frame)
+        frame = one.frame if context is None else replace(one.frame, context_frames=context.images)
+        age_s = self._reader.measure_age_s(frame)
+        return LiveResult(frame=frame, results=results, age_s=age_s, plan=one.plan)
 
-    def _measure(self, results: Results, *, is_draft: bool) -> None:
-        """Add the times of a frame with contact, and plan what its successors leave out."""
-        if any(result.state == "skipped" for result in results.values()):
-            return
-        stages_ms = sum(result.ms for name, result in results.items() if name != _POSE)
-        self._times_ms["draft" if is_draft else "stages"].append(stages_ms)
+    def _follow(self, frame: TactileFrame, results: Results) -> None:
+        """Start the next frame at these results."""
+        touch = results["touch"].output if "touch" in results else None
+        self._last = replace(
+            self._last,
+            time_s=frame.time_s,
+            membrane=touch.pressed if isinstance(touch, GeneratedTouch) else None,
+        )
         if _POSE in results:
-            self._times_ms[_POSE].append(results[_POSE].ms)
-        stages, draft, pose = (_get_median(times) for times in self._times_ms.values())
-        cost = None
-        if stages is not None:
-            cost = FrameCost(stages_ms=stages, draft_ms=draft, pose_ms=pose or 0.0)
-        self.plan = plan_rate(self.plan.rate_hz, cost, self._workers.n_workers)
+            pose = results[_POSE].output
+            is_known = isinstance(pose, ObjectPose) and pose.sensor_from_object is not None
+            self._last = replace(
+                self._last, pose=pose if is_known else None, pose_time_s=frame.time_s
+            )
+
+    def _keep_touch(self, frame: TactileFrame) -> None:
+        """Keep touches spread over the time so far, and choose those that determine the light each
+        time that there are twice as many.
+        """
+        if not self._fits_light:
+            return
+        if self._touches and self._touches[0].reference is not frame.reference:
+            self._touches, self._stride = [], 1
+        self._n_touches += 1
+        if self._n_touches % self._stride:
+            return
+        self._touches.append(frame)
+        if len(self._touches) < _KEPT_TOUCHES:
+            return
+        chosen = select_context_frames(
+            Stream(
+                name=frame.sensor,
+                sensor=frame.sensor,
+                n_frames=len(self._touches),
+                frame=self._touches.__getitem__,
+                truth=lambda _: None,
+            )
+        )
+        images = tuple(cast("Image", one.image) for one in chosen)
+        self._new_context = _Context(
+            reference=frame.reference, images=images, shared=self._workers.share(images)
+        )
+        del self._touches[::2]
+        self._stride *= 2
 
     def close(self) -> None:
         """End the workers."""
         self._workers.close()
-
-
-def _get_median(values: Iterable[float]) -> float | None:
-    known = list(values)
-    return median(known) if known else None

@@ -375,7 +375,10 @@ class Translation:
         with reading_reported_to(progress):
             weights = self.weights
         return {
-            "frame": replace(frame, context_frames=self.load_context_images(frame.reference)),
+            "frame": replace(
+                frame,
+                context_frames=frame.context_frames or self.load_context_images(frame.reference),
+            ),
             "source": self.source,
             "target": self.target,
             "calibration": self.calibration,
@@ -386,6 +389,7 @@ class Translation:
             ),
             "mesh": self.mesh,
             "previous": previous,
+            "previous_membrane": None,
             **weights,
             **self._read_truth_inputs(frame.index),
         }

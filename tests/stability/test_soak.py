@@ -77,6 +77,7 @@ def random_inputs(rng: np.random.Generator) -> dict[str, object]:
         "alignment": way,
         "mesh": mesh("ball"),
         "previous": None,
+        "previous_membrane": None,
         "depth_weights": bubble_network.select_weights(source, target, None),
         "touch_weights": t2d2.select_weights(source, target, None),
     }

@@ -106,6 +106,16 @@ class TouchStep:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SealedMembrane:
+    """Shape of a bubble's membrane and pressure of its air, from which a search can start."""
+
+    deviation_mm: Doubles  # (ny, nx) of the lattice, from the rest dome
+    over_kpa: float = 0.0  # rise of the pressure
+    slope: float = math.nan  # of the missing pressure over the pressure; NaN = unknown
+    converged: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GeneratedTouch:
     """The generated tactile image of the target, and its membrane where the method computes it."""
 
@@ -122,6 +132,8 @@ class GeneratedTouch:
     steps: tuple[TouchStep, ...] = field(default=(), metadata=UNDIGESTED)
     # (rows, cols) mm, recorded reference of a bubble; None = described rest
     reference: Floats | None = None
+    # a bubble's by physics, where the next touch of a sequence may start; None = none
+    pressed: SealedMembrane | None = field(default=None, metadata=UNDIGESTED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -27,6 +27,7 @@ from pipeline.core.params import setting
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.results import (
     GeneratedTouch,
+    SealedMembrane,
     TargetDepth,
     make_depth_map,
     make_pixel_index,
@@ -97,9 +98,14 @@ class PhysicalRenderParams:
 
 
 def render_touch(
-    view: TargetDepth, target: SensorSpec, params: PhysicalRenderParams, progress: Progress = SILENT
+    view: TargetDepth,
+    target: SensorSpec,
+    params: PhysicalRenderParams,
+    progress: Progress = SILENT,
+    *,
+    start: SealedMembrane | None = None,
 ) -> GeneratedTouch:
-    """Simulate what `target` would record of `view`.
+    """Simulate what `target` would record of `view`, a bubble's membrane from a `start` near by.
 
     Raises ShapeError for a view of another image size.
     """
@@ -118,7 +124,7 @@ def render_touch(
             f"the physical render has no model of sensors of kind {target.kind!r} such as "
             f"{target.name}"
         )
-    touch = render(view, depth_limited, target, params, [*gap_notes, *limit_notes])
+    touch = render(view, depth_limited, target, start, params, [*gap_notes, *limit_notes])
     progress.step(1.0, "pressed")
     return touch
 
@@ -212,6 +218,7 @@ def render_gel_touch(
     view: TargetDepth,
     indentation_mm: Floats,
     target: SensorSpec,
+    _start: SealedMembrane | None,
     params: PhysicalRenderParams,
     notes: list[str],
 ) -> GeneratedTouch:
@@ -255,6 +262,7 @@ def render_bubble_touch(
     view: TargetDepth,
     indentation_mm: Floats,
     target: SensorSpec,
+    start: SealedMembrane | None,
     params: PhysicalRenderParams,
     notes: list[str],
 ) -> GeneratedTouch:
@@ -265,8 +273,10 @@ def render_bubble_touch(
     surface_depth = np.where(view.contact, target.rest_depth_mm - indentation_mm, view.depth_mm)
     ceiling = bubble.compute_ceiling_from_depth(target, surface_depth, on)
     solution = bubble.press_bubble(
-        target.bubble, ceiling, on, tolerance_mm=1e-3 * params.tolerance_um
+        target.bubble, ceiling, on, tolerance_mm=1e-3 * params.tolerance_um, start=start
     )
+    if solution.is_followed:
+        notes.append("the membrane is followed from the previous touch's")
     if not solution.converged:
         notes.append(
             StageWarning(
@@ -288,9 +298,9 @@ def render_bubble_touch(
     )
     notes.extend(warn_of_unseen_object(view, target))
     image = bubble.simulate_depth_frame(target, depth, params.seed if params.add_noise else None)
-    return _make_touch(
-        view, target, image, (target.rest_depth_mm - depth).astype(np.float32), contact, notes
-    )
+    surface = (target.rest_depth_mm - depth).astype(np.float32)
+    touch = _make_touch(view, target, image, surface, contact, notes)
+    return replace(touch, pressed=solution.sealed)
 
 
 def warn_of_unseen_object(view: TargetDepth, target: SensorSpec) -> tuple[UnseenObjectWarning, ...]:
@@ -355,10 +365,11 @@ def _make_touch(
     )
 
 
-# (target depth, its indentation_mm within the sensor's limit, target, parameters, notes so far) ->
-# touch
+# (target depth, its indentation_mm within the sensor's limit, target, start, parameters, notes so
+# far) -> touch
 RenderTouch = Callable[
-    [TargetDepth, Floats, SensorSpec, PhysicalRenderParams, list[str]], GeneratedTouch
+    [TargetDepth, Floats, SensorSpec, SealedMembrane | None, PhysicalRenderParams, list[str]],
+    GeneratedTouch,
 ]
 TOUCH_RENDERERS: KindTable[RenderTouch] = KindTable(
     {GelSensor: render_gel_touch, BubbleSensor: render_bubble_touch}

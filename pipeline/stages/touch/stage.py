@@ -4,18 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.graph import Fallback, Method, Skipped, skip_if_exact
 from pipeline.core.params import NoParams
 from pipeline.core.progress import SILENT, Progress
-from pipeline.core.values.results import DepthMap, GeneratedTouch, ObjectPose, TargetDepth
+from pipeline.core.values.results import (
+    DepthMap,
+    GeneratedTouch,
+    ObjectPose,
+    SealedMembrane,
+    TargetDepth,
+)
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages import ground_truth
 from pipeline.stages.metrics.stage_metrics import compute_image_metrics
 from pipeline.stages.networks.network_factory import fall_back_without_weights
+from pipeline.stages.networks.onnx_predictor import ResidualNetwork
 from pipeline.stages.stage import GroundTruth, Stage
 from pipeline.stages.touch import latent_diffusion, object_touch, physical_render, t2d2, t2t, vqvae
 from pipeline.stages.touch.frame_chain import DEFAULTS, READS, RENDER, guard_contact
@@ -23,14 +30,52 @@ from pipeline.stages.touch.latent_diffusion import LatentParams
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, make_draft_params
 from pipeline.stages.touch.t2d2 import T2D2Params
 
+if TYPE_CHECKING:
+    from torch import nn
+
+_VIEW = ("target_depth", "target")
+
+
+def _render(
+    view: TargetDepth,
+    target: SensorSpec,
+    start: SealedMembrane | None,
+    params: physical_render.PhysicalRenderParams,
+    progress: Progress = SILENT,
+) -> GeneratedTouch:
+    return physical_render.render_touch(view, target, params, progress, start=start)
+
+
+def _generate_by_t2d2(
+    view: TargetDepth,
+    target: SensorSpec,
+    start: SealedMembrane | None,
+    network: ResidualNetwork,
+    params: T2D2Params,
+    progress: Progress = SILENT,
+) -> GeneratedTouch | Fallback[GeneratedTouch]:
+    return t2d2.generate_touch(view, target, network, params, progress, start=start)
+
+
+def _generate_by_latent_t2d2(
+    view: TargetDepth,
+    target: SensorSpec,
+    _start: SealedMembrane | None,
+    network: nn.Module,
+    params: LatentParams,
+    progress: Progress = SILENT,
+) -> GeneratedTouch:
+    return latent_diffusion.generate_touch_from_depth(view, target, network, params, progress)
+
+
 PHYSICS = Method(
     stage="touch",
     name="physics",
     title="Physical render",
     help="simulation of the target's gel or membrane and its optics",
-    run=skip_if_exact(physical_render.skip_without_contact, physical_render.render_touch),
+    run=skip_if_exact(physical_render.skip_without_contact, _render),
     params=physical_render.PhysicalRenderParams,
-    reads=("target_depth", "target"),
+    reads=(*_VIEW, "previous_membrane"),
     version=5,
 )
 T2D2 = Method(
@@ -40,7 +85,7 @@ T2D2 = Method(
     help="physical render plus a residual from a network trained on the target sensor",
     run=skip_if_exact(
         physical_render.skip_without_contact,
-        fall_back_without_weights(t2d2.generate_touch, fallback=PHYSICS),
+        fall_back_without_weights(_generate_by_t2d2, fallback=PHYSICS),
     ),
     params=T2D2Params,
     reads=(*PHYSICS.reads, "touch_weights"),
@@ -71,7 +116,7 @@ def _press_object_or_fall_back(
         return replace(touch, source_index=physical_render.trace_source_pixels(view))
     by_t2d2: Callable[..., Any] = T2D2.run
     answer = by_t2d2(
-        view, target, t2d2.select_weights(target, target, None), T2D2.params(), progress
+        view, target, None, t2d2.select_weights(target, target, None), T2D2.params(), progress
     )
     if isinstance(answer, Fallback):
         return Fallback(result=answer.result, reason=f"physics: {touch}")
@@ -85,7 +130,7 @@ OBJECT = Method(
     help="the object's mesh, registered on the source and pressed into the target; needs a mesh",
     run=skip_if_exact(physical_render.skip_without_contact, _press_object_or_fall_back),
     params=object_touch.ObjectParams,
-    reads=(*PHYSICS.reads, "depth", "source", "alignment", "mesh", "previous"),
+    reads=(*_VIEW, "depth", "source", "alignment", "mesh", "previous"),
 )
 T2T = Method(
     stage="touch",
@@ -107,7 +152,7 @@ LATENT_T2D2 = Method(
     help="200 steps from noise, conditioned on the target depth and its mask",
     run=skip_if_exact(
         physical_render.skip_without_contact,
-        fall_back_without_weights(latent_diffusion.generate_touch_from_depth, fallback=PHYSICS),
+        fall_back_without_weights(_generate_by_latent_t2d2, fallback=PHYSICS),
     ),
     params=LatentParams,
     reads=(*PHYSICS.reads, "touch_weights"),

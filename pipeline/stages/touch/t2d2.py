@@ -24,7 +24,7 @@ from pipeline.core.graph import Fallback
 from pipeline.core.memo import Memo
 from pipeline.core.params import setting
 from pipeline.core.progress import SILENT, Progress, SubProgress
-from pipeline.core.values.results import DepthMap, GeneratedTouch, TargetDepth
+from pipeline.core.values.results import DepthMap, GeneratedTouch, SealedMembrane, TargetDepth
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.networks import weights_registry
 from pipeline.stages.networks.onnx_predictor import ResidualNetwork
@@ -106,14 +106,20 @@ def generate_touch(
     network: ResidualNetwork,
     params: T2D2Params,
     progress: Progress = SILENT,
+    *,
+    start: SealedMembrane | None = None,
 ) -> GeneratedTouch | Fallback[GeneratedTouch]:
-    """Generate what `target` would record of `view`.
+    """Generate what `target` would record of `view`, a bubble's membrane from a `start` near by.
 
     Raises ShapeError for a view of another image size.
     """
     rendering = SubProgress(progress, 0.0, 0.3) if params.steps else progress
     physical = _render(
-        view, target, PhysicalRenderParams(add_noise=params.add_noise, seed=params.seed), rendering
+        view,
+        target,
+        start,
+        PhysicalRenderParams(add_noise=params.add_noise, seed=params.seed),
+        rendering,
     )
     prior = physical.membrane
     if not params.steps:
@@ -163,16 +169,20 @@ def generate_touch(
 
 
 def _render(
-    view: TargetDepth, target: SensorSpec, params: PhysicalRenderParams, progress: Progress
+    view: TargetDepth,
+    target: SensorSpec,
+    start: SealedMembrane | None,
+    params: PhysicalRenderParams,
+    progress: Progress,
 ) -> GeneratedTouch:
     """The physical render, cached: a dragged slider then costs network passes only."""
-    key = compute_cached_digest(view), compute_cached_digest(target), params
+    key = (*(compute_cached_digest(value) for value in (view, target, start)), params)
     return _rendered.get_or_make(
-        key, lambda: physical_render.render_touch(view, target, params, progress)
+        key, lambda: physical_render.render_touch(view, target, params, progress, start=start)
     )
 
 
-_rendered: Memo[tuple[str, str, PhysicalRenderParams], GeneratedTouch] = Memo(1)
+_rendered: Memo[tuple[object, ...], GeneratedTouch] = Memo(1)
 
 
 def build_condition(view: TargetDepth, physical: DepthMap, target: SensorSpec) -> Floats:

@@ -52,6 +52,29 @@ def test_the_dome_solves_the_membrane_equation():
     assert np.abs(pressure_kpa[inner] - BUBBLE.pressure_kpa).max() < 1e-9
 
 
+@settings(max_examples=20, deadline=None)
+@given(
+    st.floats(14.0, 19.0),
+    st.floats(-4.0, 4.0),
+    st.floats(14.0, 20.0),
+    st.floats(-4.0, 4.0),
+)
+def test_a_membrane_from_another_touch_is_that_from_rest(before_mm, x_before, height_mm, x_mm):
+    """Within what the pressure's tolerance leaves, however far the touches are apart."""
+    last = bubble.press_bubble(BUBBLE, ball(before_mm, x_mm=x_before), ON).sealed
+    ceiling = ball(height_mm, x_mm=x_mm)
+    cold = bubble.press_bubble(BUBBLE, ceiling, ON)
+    followed = bubble.press_bubble(BUBBLE, ceiling, ON, start=last)
+    assert followed.converged == cold.converged
+    assert np.abs(followed.deviation_mm - cold.deviation_mm).max() < 5 * SURFACE_MM
+    assert followed.pressure_kpa == pytest.approx(cold.pressure_kpa, rel=5e-4)
+    assert followed.is_followed == (ceiling < bubble.compute_rest_height_mm(BUBBLE, ON)).any()
+    of_another_lattice = replace(last, deviation_mm=last.deviation_mm[1:])
+    other = bubble.press_bubble(BUBBLE, ceiling, ON, start=of_another_lattice)
+    assert other.deviation_mm.tobytes() == cold.deviation_mm.tobytes()
+    assert not other.is_followed
+
+
 def test_a_plate_on_a_round_bubble_follows_the_closed_form():
     """Annulus between contact radius c and rim a: w = A + B ln r - p r^2 / 4T with w(c) = g,
     w'(c) = 0, w(a) = 0.

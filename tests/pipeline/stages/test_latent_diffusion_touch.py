@@ -236,7 +236,12 @@ def test_the_times_are_those_of_the_weights_unless_chosen(leading):
 
 def run_from_depth(view, weights, **params):
     graph = Graph(BUILT_IN.methods("t2d2", {"touch": "latent_t2d2"}))
-    given = {"target_depth": view, "target": load_sensor("gelslim"), "touch_weights": weights}
+    given = {
+        "target_depth": view,
+        "target": load_sensor("gelslim"),
+        "touch_weights": weights,
+        "previous_membrane": None,
+    }
     return graph.evaluate(["touch"], given, {"touch": LatentParams(steps=5, **params)})["touch"]
 
 

@@ -246,6 +246,7 @@ def test_methods_and_parameters_of_depth_reach_touches_from_images(name, touched
             "calibration": None,
             "alignment": alignment.resolve_alignment(GEL, BUBBLE),
             "touch_weights": NoWeights(why="none"),
+            "previous_membrane": None,
             "depth_weights": NoWeights(why="none"),
             "true_depth": replace(depth, contact=np.zeros_like(depth.contact)),
         }

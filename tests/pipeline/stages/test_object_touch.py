@@ -53,6 +53,7 @@ def translate(graph, frame, mesh, **params):
         "calibration": None,
         "mesh": mesh,
         "previous": None,
+        "previous_membrane": None,
         "alignment": resolve_alignment(GEL, BUBBLE),
         "touch_weights": t2d2.select_weights(GEL, BUBBLE, None),
     }

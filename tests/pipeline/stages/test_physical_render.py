@@ -43,6 +43,18 @@ def corner(spec, share=0.5):
     return upright | lying
 
 
+def test_a_membrane_that_is_followed_is_said_and_that_of_the_search_from_rest():
+    spec = load_sensor("soft_bubble")
+    last = render_touch(view_of(spec, corner(spec), 4.0), spec, PhysicalRenderParams()).pressed
+    view = view_of(spec, corner(spec), 4.5)
+    cold = render_touch(view, spec, PhysicalRenderParams())
+    near = render_touch(view, spec, PhysicalRenderParams(), start=last)
+    assert any("followed" in note for note in near.notes)
+    assert not any("followed" in note for note in cold.notes)
+    assert np.abs(near.membrane.depth_mm - cold.membrane.depth_mm).max() < 5 * SURFACE_MM
+    assert np.array_equal(near.membrane.contact, cold.membrane.contact)
+
+
 @pytest.mark.parametrize("name", SENSORS)
 def test_no_contact_gives_the_reference_image(name):
     spec = load_sensor(name)

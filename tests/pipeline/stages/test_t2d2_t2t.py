@@ -174,7 +174,7 @@ def test_indentation_is_limited_to_the_sensor_maximum():
 
 def test_no_contact_needs_neither_weights_nor_network():
     answer = T2D2.run(
-        view_of(BUBBLE, 0.0), BUBBLE, NoWeights(why="none"), unweighted(steps=200), SILENT
+        view_of(BUBBLE, 0.0), BUBBLE, None, NoWeights(why="none"), unweighted(steps=200), SILENT
     )
     assert isinstance(answer, Skipped)
     assert not answer.output.membrane.contact.any()
@@ -182,10 +182,10 @@ def test_no_contact_needs_neither_weights_nor_network():
 
 def test_missing_weights_fall_back_to_physics_with_the_reason():
     view = view_of(BUBBLE)
-    answer = T2D2.run(view, BUBBLE, NoWeights(why="none at hand"), unweighted(), SILENT)
+    answer = T2D2.run(view, BUBBLE, None, NoWeights(why="none at hand"), unweighted(), SILENT)
     assert isinstance(answer, Fallback)
     assert "none at hand" in answer.reason
-    physics = PHYSICS.run(view, BUBBLE, physical_render.PhysicalRenderParams(), SILENT)
+    physics = PHYSICS.run(view, BUBBLE, None, physical_render.PhysicalRenderParams(), SILENT)
     assert answer.result.image.tobytes() == physics.image.tobytes()
 
 
@@ -426,6 +426,7 @@ def test_a_route_without_depth_evaluates_the_default_depth_method_unseen(ball_fr
         "calibration": None,
         "alignment": between,
         "touch_weights": NoWeights(why="none"),
+        "previous_membrane": None,
     }
     by_network = bubble_network.estimate_frame(
         frame,

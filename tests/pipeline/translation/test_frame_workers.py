@@ -4,7 +4,7 @@ import multiprocessing
 import os
 import signal
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,7 +18,8 @@ from pipeline.core.shared_memory import SharedBlock
 from pipeline.io.live.reader import LiveReader
 from pipeline.io.live.source import LiveFrame
 from pipeline.io.mounts import mount, unmount
-from pipeline.translation.live_rate import FrameCost, RatePlan, plan_rate
+from pipeline.translation import live_translation
+from pipeline.translation.live_rate import RatePlan
 from pipeline.translation.live_translation import LiveTranslation
 from pipeline.translation.translate import Request, open_translation
 from sample_data.make_samples import RECORDINGS_FOLDER
@@ -60,7 +61,9 @@ def poll_for(live, seconds):
 
 
 @pytest.mark.timeout(300)
-def test_a_live_sensor_is_translated_in_order_with_the_values_of_one_process():
+def test_a_live_sensor_is_translated_in_order_with_the_values_of_one_process(monkeypatch):
+    """In the light of the touches so far, once there are enough, which the frame tells."""
+    monkeypatch.setattr(live_translation, "_KEPT_TOUCHES", 3)
     reader = LiveReader(RecordedSource(RECORDINGS_FOLDER / "digit_gelslim.h5", "digit"))
     mount(LIVE, lambda: reader.make_recording(LIVE))
     reader.start()
@@ -71,7 +74,9 @@ def test_a_live_sensor_is_translated_in_order_with_the_values_of_one_process():
     shown = []
     started_s = time.monotonic()
     try:
-        while not (shown and shown[-1].results["depth"].output.contact.any()) or len(shown) < 6:
+        while len(shown) < 6 or not (
+            shown[-1].frame.context_frames and shown[-1].results["depth"].output.contact.any()
+        ):
             shown += live.poll(0.2)
             assert not live.problem
             assert time.monotonic() - started_s < 200.0
@@ -92,6 +97,9 @@ def test_a_live_sensor_is_translated_in_order_with_the_values_of_one_process():
         assert last.results[name].method is result.method
         if name != "pose":
             assert last.results[name].digest == result.digest
+    assert 2 <= len(last.frame.context_frames) <= 3
+    alone = translation.evaluate(replace(last.frame, context_frames=()), ["depth"])
+    assert alone["depth"].nodes[2].digest != here["depth"].nodes[2].digest, "another light"
     depth_mm = last.results["depth"].output.depth_mm
     assert depth_mm.tobytes() == here["depth"].output.depth_mm.tobytes()
     assert not depth_mm.flags.writeable
@@ -113,33 +121,6 @@ def test_a_block_holds_one_value_and_one_that_is_too_large_goes_through_the_pipe
     finally:
         other.close()
         block.close()
-
-
-@pytest.mark.parametrize(
-    ("rate_hz", "cost", "plan"),
-    [
-        (0.0, (900.0, None, 300.0), (1, False)),  # best quality leaves nothing out
-        (10.0, (50.0, None, 50.0), (1, False)),
-        (25.0, (50.0, None, 50.0), (3, False)),
-        (30.0, (100.0, 40.0, 30.0), (2, True)),
-        (30.0, (90.0, None, 30.0), (3, True)),  # a draft not measured yet counts half
-        (30.0, (400.0, 400.0, 30.0), (5, False)),  # without a draft, frames are left out
-    ],
-)
-def test_the_rate_decides_what_is_left_out(rate_hz, cost, plan):
-    stages_ms, draft_ms, pose_ms = cost
-    made = plan_rate(
-        rate_hz, FrameCost(stages_ms=stages_ms, draft_ms=draft_ms, pose_ms=pose_ms), n_workers=2
-    )
-    assert (made.pose_every, made.draft) == plan
-    assert made.rate_hz == rate_hz
-
-
-def test_what_is_left_out_is_said():
-    assert plan_rate(25.0, None, 2) == RatePlan(rate_hz=25.0)
-    assert RatePlan().describe() == ""
-    assert RatePlan(pose_every=2).describe() == "pose in every 2nd frame"
-    assert RatePlan(pose_every=5, draft=True).describe() == "pose in every 5th frame, drafts"
 
 
 def test_the_status_of_a_live_translation_says_rate_age_and_what_is_left_out():
