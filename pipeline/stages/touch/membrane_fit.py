@@ -22,6 +22,7 @@ from pipeline.physics.simulation.press import press_membrane
 from pipeline.sensors.spec import SensorSpec
 
 _BLOCK = 4.0  # pixels along a block: wider than the grain of the noise, finer than a membrane bends
+_FINE = 2.0  # pixels along a block of the press that corrects those on coarser lattices
 _TRIED_MM = 0.3  # motion for a derivative
 _LOOSE_MM = 3.0  # standard deviation of a motion before the fit
 _MAX_STEP_MM = 1.5
@@ -70,9 +71,8 @@ def fit_membrane(
 
     Motions are taken about a point and scaled by a radius.
     """
-    small = source.with_camera(source.camera.scale(1.0 / _BLOCK))
+    small, fine = (source.with_camera(source.camera.scale(1.0 / n)) for n in (_BLOCK, _FINE))
     measured, known = _average_blocks(_measure_displacement(depth), small)
-
     measured = measured[known]
 
     def predict(pose: Doubles, sensor: SensorSpec = small) -> Floats:
@@ -86,16 +86,18 @@ def fit_membrane(
 
     to_mm = np.array([radius_mm] * 3 + [1.0] * 3)
     pose = start
+    coarse = predict(pose)
+    residual = measured
+    noise_mm = 0.0
     information = np.zeros((6, 6))
     for _ in range(_N_ROUNDS):
-        coarse = predict(pose)
-        rest = measured - predict(pose, source) + coarse  # what the coarser lattice should predict
-        noise_mm = max(1.4826 * float(np.median(np.abs(rest - coarse))), _LEAST_NOISE_MM)
-        pose, information, moved_mm = _minimise(rest, predict, move, pose, coarse, noise_mm)
+        rest = measured - predict(pose, fine) + coarse  # what the coarser lattice should predict
+        noise_mm = _measure_noise_mm(rest - coarse)
+        pose, information, moved_mm, coarse = _minimise(rest, predict, move, pose, coarse, noise_mm)
+        residual = rest - coarse
         if moved_mm < _TRIED_MM:
             break
-    residual = measured - predict(pose, source)
-    noise_mm = max(1.4826 * float(np.median(np.abs(residual))), _LEAST_NOISE_MM)
+    noise_mm = _measure_noise_mm(residual)
     covariance = np.linalg.inv(information + np.eye(6) / _LOOSE_MM**2) / np.outer(to_mm, to_mm)
     field = np.zeros(known.shape, np.float32)
     field[known] = np.clip(residual, -_OUTLIER_STDS * noise_mm, _OUTLIER_STDS * noise_mm)
@@ -106,6 +108,11 @@ def fit_membrane(
     )
 
 
+def _measure_noise_mm(residual: Floats) -> float:
+    """Robust standard deviation of blocks; not below the least."""
+    return max(1.4826 * float(np.median(np.abs(residual))), _LEAST_NOISE_MM)
+
+
 def _minimise(
     wanted: Floats,
     predict: Callable[[Doubles], Floats],
@@ -113,8 +120,10 @@ def _minimise(
     pose: Doubles,
     predicted: Floats,
     noise_mm: float,
-) -> tuple[Doubles, Doubles, float]:
-    """(pose, its information (6, 6) per mm^2, how far it moved in mm) of the least robust cost."""
+) -> tuple[Doubles, Doubles, float, Floats]:
+    """(pose, its information (6, 6) per mm^2, how far it moved in mm, its prediction) of the
+    least robust cost.
+    """
     slopes = np.zeros((0, 6))
     information = np.eye(6)
     damping = 1.0
@@ -145,7 +154,7 @@ def _minimise(
             slopes = slopes[:0] if largest_mm > _TRIED_MM else slopes
         else:
             damping *= 30.0
-    return pose, information, far_mm
+    return pose, information, far_mm, predicted
 
 
 def _measure_displacement(depth: DepthMap) -> Floats:

@@ -16,6 +16,7 @@ import numpy as np
 from pipeline.core.arrays import Doubles, Floats, freeze
 from pipeline.core.errors import StageWarning, select_warnings
 from pipeline.core.geometry import rigid
+from pipeline.core.geometry.camera import Camera
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.params import setting
 from pipeline.core.progress import SILENT, Progress, SubProgress
@@ -23,6 +24,7 @@ from pipeline.core.values.results import (
     DepthMap,
     GeneratedTouch,
     ObjectPose,
+    PressedMembrane,
     TouchStep,
     make_depth_map,
 )
@@ -32,7 +34,7 @@ from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.pose.registration.scene import list_starts
 from pipeline.stages.pose.registration.search import PoseSearch
-from pipeline.stages.pose.signed_distances import PoseParams, estimate_or_track_pose, prepare_search
+from pipeline.stages.pose.signed_distances import PoseParams, find_pose, prepare_search
 from pipeline.stages.touch.membrane_fit import MembraneFit, fit_membrane, measure_residuals_mm
 from pipeline.stages.touch.object_posterior import PosePosterior, sample_poses
 
@@ -112,8 +114,10 @@ def press_object(
     if isinstance(prepared, ObjectPose):
         return prepared.notes[0]
     search, mesh = prepared
-    before = _move_pose(previous, rigid.invert(alignment.target_from_source))
-    pose = estimate_or_track_pose(depth, mesh, before, how, SubProgress(progress, 0.2, 0.3))
+    target_from_source = alignment.target_from_source
+    if previous is not None and previous.sensor_from_object is not None:
+        previous = _move_pose(previous, rigid.invert(target_from_source), source.camera)
+    pose = find_pose(search, mesh, previous, how, SubProgress(progress, 0.2, 0.3))
     if pose.sensor_from_object is None:
         return pose.notes[0]
     # of a gel: the object's depth is off by as much
@@ -122,7 +126,13 @@ def press_object(
     if depth.measured_depth_mm is not None:
         progress.step(0.5, "fitting the object to the whole membrane")
         fit = _fit_membrane(depth, source, search, mesh, pose)
-        pose = replace(pose, sensor_from_object=fit.sensor_from_object, covariance=fit.covariance)
+        moved = fit.sensor_from_object @ rigid.invert(pose.sensor_from_object)
+        pose = replace(
+            pose,
+            sensor_from_object=fit.sensor_from_object,
+            covariance=fit.covariance,
+            alternatives=tuple(freeze(moved @ other) for other in pose.alternatives),
+        )
         misfit = ""
         bias_mm = 0.0
         if fit.misfit > _REFUSED:
@@ -143,13 +153,14 @@ def press_object(
     if misfit:
         return f"the mesh does not fit: {misfit}; check the mesh and its unit"
     posterior = sample_poses(search, pose, params.samples, params.seed)
-    touch = _press_poses(
-        posterior, alignment.target_from_source, target, mesh, bias_mm, params, progress
-    )
+    touch = _press_poses(posterior, target_from_source, target, mesh, bias_mm, params, progress)
     assert touch.membrane is not None
+    membrane = replace(touch.membrane, error=depth.error)
+    fields = {name: getattr(membrane, name) for name in DepthMap.__dataclass_fields__}
+    object_pose = _move_pose(pose, target_from_source, target.camera)
     return replace(
         touch,
-        membrane=replace(touch.membrane, error=depth.error),
+        membrane=PressedMembrane(**fields, object_pose=object_pose),
         notes=(*touch.notes, *select_warnings(pose.notes)),
     )
 
@@ -268,12 +279,23 @@ def _render(target: SensorSpec, membrane: DepthMap) -> np.ndarray:
     )
 
 
-def _move_pose(pose: ObjectPose | None, by: Doubles) -> ObjectPose | None:
-    """A pose and its alternatives in another frame."""
-    if pose is None or pose.sensor_from_object is None:
-        return None
+def _move_pose(pose: ObjectPose, by: Doubles, camera: Camera) -> ObjectPose:
+    """A known pose and its alternatives in the frame of another sensor's camera."""
+    assert pose.sensor_from_object is not None
+    turn = np.kron(np.eye(2), by[:3, :3])  # of motions (rotation, translation)
+    covariance, observable = (
+        None if matrix is None else freeze(turn @ matrix @ turn.T)
+        for matrix in (pose.covariance, pose.observable)
+    )
+    scene_mm = rigid.apply(by, pose.scene_mm)
+    x_px, y_px, in_image = camera.project(scene_mm)
+    pixel = np.rint(y_px) * camera.cols + np.rint(x_px)
     return replace(
         pose,
         sensor_from_object=freeze(by @ pose.sensor_from_object),
+        covariance=covariance,
+        observable=observable,
+        scene_mm=freeze(scene_mm.astype(np.float32)),
+        source_index=freeze(np.where(in_image, pixel, -1).astype(np.int32)),
         alternatives=tuple(freeze(by @ other) for other in pose.alternatives),
     )
