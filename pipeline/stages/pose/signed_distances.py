@@ -166,7 +166,7 @@ def estimate_or_track_pose(
     """The pose at which the object was pressed into the touch, else as `find_pose`."""
     if isinstance(touch_depth, PressedMembrane) and params == PoseParams():
         pose = touch_depth.object_pose
-        return replace(pose, notes=(*pose.notes, PRESSED))
+        return replace(pose, notes=tuple(dict.fromkeys((*pose.notes, PRESSED))))
     prepared = prepare_search(touch_depth, mesh, params, progress)
     if isinstance(prepared, ObjectPose):
         return prepared

@@ -9,6 +9,7 @@ lattice.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -30,6 +31,10 @@ _CONVERGED_MM = 0.03
 _N_ROUNDS = 2
 _MAX_STEPS = 4
 _LEAST_NOISE_MM = 0.03  # of a block
+# Of a surface measured by light, where it states less: a press on a coarse lattice, and what the
+# light of a contact at the image border or of an unlike sensor instance hides.
+_LEAST_STD_MM = 0.01
+_LEAST_STD_SHARE = 0.12  # of the largest indentation
 _OUTLIER_STDS = 3.0
 _SMOOTH = 3  # blocks over which independent noise averages out and a misfit does not
 
@@ -44,19 +49,40 @@ class MembraneFit:
     misfit: float
 
 
-def measure_residuals_mm(
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PressResidual:
+    """What a press of a mesh leaves unexplained of the membrane that a source measured."""
+
+    rms_mm: float  # over the image
+    misfit: float  # where either touches, over what the depth can be off by; about 1 = all of it
+
+
+def measure_residuals(
     depth: DepthMap, mesh: Mesh, source: SensorSpec, poses: Sequence[Doubles]
-) -> tuple[float, ...]:
-    """Rms (mm) over blocks of what a press of the mesh at each pose (4, 4) leaves of the whole
-    membrane unexplained.
+) -> tuple[PressResidual, ...]:
+    """The residual over blocks of the mesh pressed into the source at each pose (4, 4).
+
+    The sum of squares of a misfit is over the blocks that the depth says touch. A depth that is
+    wrong, and says so, blames no mesh.
     """
     small = source.with_camera(source.camera.scale(1.0 / _BLOCK))
     measured, known = _average_blocks(_measure_displacement(depth), small)
-    residuals = [
-        measured - small.rest_depth_mm + press_membrane(mesh, pose, small).depth_mm
-        for pose in poses
-    ]
-    return tuple(float(np.sqrt(np.mean(residual[known] ** 2))) for residual in residuals)
+    touched = _average_blocks(depth.contact.astype(np.float32), small)[0] > 0.5
+    stated_mm = 0.0 if depth.error is None else depth.error.rms_mm
+    deepest_mm = float(np.nanmax(depth.indentation_mm))
+    std_mm = math.hypot(stated_mm, _LEAST_STD_MM, _LEAST_STD_SHARE * deepest_mm)
+    residuals: list[PressResidual] = []
+    for pose in poses:
+        pressed = press_membrane(mesh, pose, small)
+        square = (measured - small.rest_depth_mm + pressed.depth_mm) ** 2
+        in_zone = square[known & (touched | pressed.contact)].sum()
+        residuals.append(
+            PressResidual(
+                rms_mm=math.sqrt(square[known].mean()),
+                misfit=math.sqrt(in_zone / max(1, int(touched.sum()))) / std_mm,
+            )
+        )
+    return tuple(residuals)
 
 
 def fit_membrane(
