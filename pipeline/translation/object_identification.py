@@ -14,7 +14,7 @@ from pipeline.core.values.results import DepthMap
 from pipeline.physics.simulation.datasets import MESH_SUFFIXES
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose
-from pipeline.stages.touch.membrane_fit import measure_residuals_mm
+from pipeline.stages.touch.membrane_fit import measure_residuals
 from pipeline.translation.frame_selection import find_contact_frame
 from pipeline.translation.translate import Translation
 
@@ -58,7 +58,8 @@ def identify_object(
             continue
         if pose.sensor_from_object is not None:
             poses = (pose.sensor_from_object, *pose.alternatives)
-            residuals_mm[path] = min(measure_residuals_mm(depth, mesh, source, poses))
+            residuals = measure_residuals(depth, mesh, source, poses)
+            residuals_mm[path] = min(residual.rms_mm for residual in residuals)
     if not residuals_mm:
         why = f": {problems[0]}" if problems else "; choose another frame or --meshes folder"
         raise SettingProblem(f"none of the {len(files)} meshes fits the touch{why}")

@@ -177,6 +177,13 @@ class ObjectPose:
         return self.sensor_from_object
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PressedMembrane(DepthMap):
+    """Membrane into which an object was pressed at a known pose."""
+
+    object_pose: ObjectPose
+
+
 def make_depth_map(
     rest_mm: NDArray[np.floating],
     indentation_mm: Floats,

@@ -18,7 +18,7 @@ from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.params import setting
 from pipeline.core.progress import SILENT, Progress, SubProgress
-from pipeline.core.values.results import DepthMap, ObjectPose
+from pipeline.core.values.results import DepthMap, ObjectPose, PressedMembrane
 from pipeline.stages.pose.icp import register_icp
 from pipeline.stages.pose.registration.gauss_newton import CentredPoints, NotDetermined
 from pipeline.stages.pose.registration.model import prepare_object
@@ -40,6 +40,7 @@ from pipeline.stages.pose.warm_start import FOLLOWED, follow_pose
 
 _NO_POSE = "there is no pose"
 NO_MESH = "no object mesh is given; a pose needs one"
+PRESSED = "the pose at which the object was pressed into the target"
 _MIN_POINTS = 20  # contact points, about three per unknown
 _MIN_FITNESS = 0.05  # inlier share below which there is no pose
 _MAX_SIZE_RATIO = 100.0  # object size over contact radius; a larger object would appear as a plane
@@ -152,24 +153,7 @@ def track_pose(
     prepared = prepare_search(touch_depth, mesh, params, progress)
     if isinstance(prepared, ObjectPose):
         return prepared
-    search, checked = prepared
-    minima = search.track_previous_poses(
-        [rigid.validate_rigid(start, "the previous pose") for start in (previous, *alternatives)]
-    )
-    if minima:
-        pose = _select_answer(
-            search,
-            checked,
-            minima,
-            0,
-            ("tracked from the pose of the previous touch",),
-            previous,
-            progress,
-        )
-        return replace(
-            pose, steps=search.prepend_history(np.array([previous, *alternatives]), pose.steps)
-        )
-    return _search_pose(search, checked, params, progress, previous)
+    return _track_pose(*prepared, params, (previous, *alternatives), progress)
 
 
 def estimate_or_track_pose(
@@ -179,25 +163,50 @@ def estimate_or_track_pose(
     params: PoseParams,
     progress: Progress = SILENT,
 ) -> ObjectPose:
-    """The pose followed from that of the previous touch where it has one and that fits, else
-    `track_pose`, else `estimate_pose`.
-    """
-    if previous is None or previous.sensor_from_object is None:
-        return estimate_pose(touch_depth, mesh, params, progress)
+    """The pose at which the object was pressed into the touch, else as `find_pose`."""
+    if isinstance(touch_depth, PressedMembrane) and params == PoseParams():
+        pose = touch_depth.object_pose
+        return replace(pose, notes=tuple(dict.fromkeys((*pose.notes, PRESSED))))
     prepared = prepare_search(touch_depth, mesh, params, progress)
     if isinstance(prepared, ObjectPose):
         return prepared
-    followed = follow_pose(prepared[0], previous, progress)
+    return find_pose(*prepared, previous, params, progress)
+
+
+def find_pose(
+    search: PoseSearch,
+    mesh: Mesh,
+    previous: ObjectPose | None,
+    params: PoseParams,
+    progress: Progress = SILENT,
+) -> ObjectPose:
+    """The pose followed from that of the previous touch where it has one and that fits, else
+    tracked from it, else searched.
+    """
+    if previous is None or previous.sensor_from_object is None:
+        return _search_pose(search, mesh, params, progress, None)
+    followed = follow_pose(search, previous, progress)
     if followed is not None:
-        return _make_pose(prepared[0], followed, 0, (FOLLOWED,))
-    return track_pose(
-        touch_depth,
-        mesh,
-        params,
-        previous.sensor_from_object,
-        progress,
-        alternatives=previous.alternatives,
-    )
+        return _make_pose(search, followed, 0, (FOLLOWED,))
+    before = (previous.sensor_from_object, *previous.alternatives)
+    return _track_pose(search, mesh, params, before, progress)
+
+
+def _track_pose(
+    search: PoseSearch,
+    mesh: Mesh,
+    params: PoseParams,
+    before: Sequence[Doubles],
+    progress: Progress,
+) -> ObjectPose:
+    """Pose tracked from the first of the poses `before`, or from one that fitted as well."""
+    starts = [rigid.validate_rigid(start, "the previous pose") for start in before]
+    minima = search.track_previous_poses(starts)
+    if not minima:
+        return _search_pose(search, mesh, params, progress, starts[0])
+    notes = ("tracked from the pose of the previous touch",)
+    pose = _select_answer(search, mesh, minima, 0, notes, starts[0], progress)
+    return replace(pose, steps=search.prepend_history(np.array(starts), pose.steps))
 
 
 def estimate_pose_planar(

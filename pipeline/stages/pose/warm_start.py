@@ -43,7 +43,7 @@ def follow_pose(
     ):
         return None
     pose = minimum.fit.sensor_from_object
-    equal = _move_along(search, previous.alternatives, before, pose)
+    equal = move_along(search, previous.alternatives, before, pose)
     return None if equal is None else select_pose(search, [minimum], progress, equal=equal)
 
 
@@ -74,7 +74,7 @@ def _settle(search: PoseSearch, pose: Doubles) -> PoseMinimum | None:
     return minimum
 
 
-def _move_along(
+def move_along(
     search: PoseSearch, others: Sequence[Doubles], before: Doubles, pose: Doubles
 ) -> list[Doubles] | None:
     """Return the other poses after the same motion, as far as they still fit as well.

@@ -9,6 +9,7 @@ lattice.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -22,6 +23,7 @@ from pipeline.physics.simulation.press import press_membrane
 from pipeline.sensors.spec import SensorSpec
 
 _BLOCK = 4.0  # pixels along a block: wider than the grain of the noise, finer than a membrane bends
+_FINE = 2.0  # pixels along a block of the press that corrects those on coarser lattices
 _TRIED_MM = 0.3  # motion for a derivative
 _LOOSE_MM = 3.0  # standard deviation of a motion before the fit
 _MAX_STEP_MM = 1.5
@@ -29,6 +31,10 @@ _CONVERGED_MM = 0.03
 _N_ROUNDS = 2
 _MAX_STEPS = 4
 _LEAST_NOISE_MM = 0.03  # of a block
+# Of a surface measured by light, where it states less: a press on a coarse lattice, and what the
+# light of a contact at the image border or of an unlike sensor instance hides.
+_LEAST_STD_MM = 0.01
+_LEAST_STD_SHARE = 0.12  # of the largest indentation
 _OUTLIER_STDS = 3.0
 _SMOOTH = 3  # blocks over which independent noise averages out and a misfit does not
 
@@ -43,19 +49,40 @@ class MembraneFit:
     misfit: float
 
 
-def measure_residuals_mm(
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PressResidual:
+    """What a press of a mesh leaves unexplained of the membrane that a source measured."""
+
+    rms_mm: float  # over the image
+    misfit: float  # where either touches, over what the depth can be off by; about 1 = all of it
+
+
+def measure_residuals(
     depth: DepthMap, mesh: Mesh, source: SensorSpec, poses: Sequence[Doubles]
-) -> tuple[float, ...]:
-    """Rms (mm) over blocks of what a press of the mesh at each pose (4, 4) leaves of the whole
-    membrane unexplained.
+) -> tuple[PressResidual, ...]:
+    """The residual over blocks of the mesh pressed into the source at each pose (4, 4).
+
+    The sum of squares of a misfit is over the blocks that the depth says touch. A depth that is
+    wrong, and says so, blames no mesh.
     """
     small = source.with_camera(source.camera.scale(1.0 / _BLOCK))
     measured, known = _average_blocks(_measure_displacement(depth), small)
-    residuals = [
-        measured - small.rest_depth_mm + press_membrane(mesh, pose, small).depth_mm
-        for pose in poses
-    ]
-    return tuple(float(np.sqrt(np.mean(residual[known] ** 2))) for residual in residuals)
+    touched = _average_blocks(depth.contact.astype(np.float32), small)[0] > 0.5
+    stated_mm = 0.0 if depth.error is None else depth.error.rms_mm
+    deepest_mm = float(np.nanmax(depth.indentation_mm))
+    std_mm = math.hypot(stated_mm, _LEAST_STD_MM, _LEAST_STD_SHARE * deepest_mm)
+    residuals: list[PressResidual] = []
+    for pose in poses:
+        pressed = press_membrane(mesh, pose, small)
+        square = (measured - small.rest_depth_mm + pressed.depth_mm) ** 2
+        in_zone = square[known & (touched | pressed.contact)].sum()
+        residuals.append(
+            PressResidual(
+                rms_mm=math.sqrt(square[known].mean()),
+                misfit=math.sqrt(in_zone / max(1, int(touched.sum()))) / std_mm,
+            )
+        )
+    return tuple(residuals)
 
 
 def fit_membrane(
@@ -70,9 +97,8 @@ def fit_membrane(
 
     Motions are taken about a point and scaled by a radius.
     """
-    small = source.with_camera(source.camera.scale(1.0 / _BLOCK))
+    small, fine = (source.with_camera(source.camera.scale(1.0 / n)) for n in (_BLOCK, _FINE))
     measured, known = _average_blocks(_measure_displacement(depth), small)
-
     measured = measured[known]
 
     def predict(pose: Doubles, sensor: SensorSpec = small) -> Floats:
@@ -86,16 +112,18 @@ def fit_membrane(
 
     to_mm = np.array([radius_mm] * 3 + [1.0] * 3)
     pose = start
+    coarse = predict(pose)
+    residual = measured
+    noise_mm = 0.0
     information = np.zeros((6, 6))
     for _ in range(_N_ROUNDS):
-        coarse = predict(pose)
-        rest = measured - predict(pose, source) + coarse  # what the coarser lattice should predict
-        noise_mm = max(1.4826 * float(np.median(np.abs(rest - coarse))), _LEAST_NOISE_MM)
-        pose, information, moved_mm = _minimise(rest, predict, move, pose, coarse, noise_mm)
+        rest = measured - predict(pose, fine) + coarse  # what the coarser lattice should predict
+        noise_mm = _measure_noise_mm(rest - coarse)
+        pose, information, moved_mm, coarse = _minimise(rest, predict, move, pose, coarse, noise_mm)
+        residual = rest - coarse
         if moved_mm < _TRIED_MM:
             break
-    residual = measured - predict(pose, source)
-    noise_mm = max(1.4826 * float(np.median(np.abs(residual))), _LEAST_NOISE_MM)
+    noise_mm = _measure_noise_mm(residual)
     covariance = np.linalg.inv(information + np.eye(6) / _LOOSE_MM**2) / np.outer(to_mm, to_mm)
     field = np.zeros(known.shape, np.float32)
     field[known] = np.clip(residual, -_OUTLIER_STDS * noise_mm, _OUTLIER_STDS * noise_mm)
@@ -106,6 +134,11 @@ def fit_membrane(
     )
 
 
+def _measure_noise_mm(residual: Floats) -> float:
+    """Robust standard deviation of blocks; not below the least."""
+    return max(1.4826 * float(np.median(np.abs(residual))), _LEAST_NOISE_MM)
+
+
 def _minimise(
     wanted: Floats,
     predict: Callable[[Doubles], Floats],
@@ -113,8 +146,10 @@ def _minimise(
     pose: Doubles,
     predicted: Floats,
     noise_mm: float,
-) -> tuple[Doubles, Doubles, float]:
-    """(pose, its information (6, 6) per mm^2, how far it moved in mm) of the least robust cost."""
+) -> tuple[Doubles, Doubles, float, Floats]:
+    """(pose, its information (6, 6) per mm^2, how far it moved in mm, its prediction) of the
+    least robust cost.
+    """
     slopes = np.zeros((0, 6))
     information = np.eye(6)
     damping = 1.0
@@ -145,7 +180,7 @@ def _minimise(
             slopes = slopes[:0] if largest_mm > _TRIED_MM else slopes
         else:
             damping *= 30.0
-    return pose, information, far_mm
+    return pose, information, far_mm, predicted
 
 
 def _measure_displacement(depth: DepthMap) -> Floats:

@@ -239,6 +239,17 @@ class PoseSearch:
             fit=fit, misfit_mm=float(self.fine.misfit_mm([fit.sensor_from_object])[0])
         )
 
+    def measure_fit(self, pose: Doubles) -> tuple[float, float]:
+        """Return the share of the contact on the object at `pose`, and its rms distance (mm)."""
+        reach_mm = self.max_distance_mm / _POLISHED_SHARE
+        fit = fit_pose(
+            self.points,
+            self.object.grid,
+            pose,
+            FitOptions(max_distance_mm=reach_mm, n_iterations=0),
+        )
+        return (0.0, math.nan) if isinstance(fit, NotDetermined) else (fit.fitness, fit.rmse_mm)
+
     def explains(self, minimum: PoseMinimum) -> bool:
         """Return whether the residual is within the depth's error and most of the contact is on
         the object.
