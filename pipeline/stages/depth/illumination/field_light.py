@@ -89,7 +89,7 @@ class FieldFit(NamedTuple):
 
 def determines_field(patch: ImagePatch) -> bool:
     """Whether enough of a patch has changed to determine a shading field."""
-    return np.count_nonzero(_find_clear_cells(patch)[1]) >= LIGHT.min_field_samples
+    return int(np.count_nonzero(_find_clear_cells(patch)[1])) >= LIGHT.min_field_samples
 
 
 def fit_field(
@@ -119,7 +119,7 @@ def fit_field(
         if iteration == iterations:
             break
         depths = [
-            estimate_likeliest_depth(prior, functools.partial(_sample_surface, z, light))
+            estimate_likeliest_depth(prior, _sample_surface(z, light).scale_depth)
             for (z, _), light in zip(refined, lights, strict=True)
         ]
         coefficients, precision = compute_posterior(prior, [sums for _, sums in depths])
@@ -168,6 +168,13 @@ class DentSamples(NamedTuple):
     indentation_mm: Floats
     change: Floats  # (rows, cols, 3) q
     seen: Mask  # (rows, cols) the cells that count
+
+    def scale_depth(self, factor: float) -> "DentSamples":
+        """The same colours of a dent that is deeper by this factor."""
+        by = np.float32(factor)
+        return self._replace(
+            gx=self.gx * by, gy=self.gy * by, indentation_mm=self.indentation_mm * by
+        )
 
 
 class FieldSums(NamedTuple):
@@ -280,24 +287,19 @@ def _compute_unlikeliness(prior: ShadingFieldPrior, touch: FieldSums) -> float:
     return float(root[m] ** 2 + 2.0 * np.log(root[:m]).sum())
 
 
-def _sample_surface(surface_mm: Floats, light: FieldLight, factor: float) -> DentSamples:
-    """A surface whose depth is scaled by a factor, blurred as the recorded change is."""
+def _sample_surface(surface_mm: Floats, light: FieldLight) -> DentSamples:
+    """A surface, blurred as the recorded change is."""
     import cv2
 
     patch = light.patch
     width = max(
         SURFACE.no_blur_px, math.hypot(light.blur_px, patch.smoothing_px) / patch.downsampling
     )
-    z = np.asarray(
-        cv2.GaussianBlur(
-            clip_surface(surface_mm * np.float32(factor), patch, light, SURFACE.bulge_mm),
-            (0, 0),
-            width,
-        ),
-        np.float32,
-    )
+    clipped = clip_surface(surface_mm, patch, light, SURFACE.bulge_mm)
+    z = np.asarray(cv2.GaussianBlur(clipped, (0, 0), width), np.float32)
     u, v = _compute_positions(patch.x_px, patch.y_px, light.source.camera.shape)
-    return DentSamples(u, v, *compute_slopes(z, patch.pixel_mm), z, *_find_clear_cells(patch))
+    slopes = compute_slopes(z, patch.pixel_mm)
+    return DentSamples(u, v, *slopes, z, *_find_clear_cells(patch))
 
 
 def _find_clear_cells(patch: ImagePatch) -> tuple[Floats, Mask]:
