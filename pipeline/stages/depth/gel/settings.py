@@ -50,6 +50,9 @@ class ChangeSettings:
     unmarked_min: float = 0.2  # share of a block that markers must leave visible
     # of the non-negative fit: the misfit changes by less than 1 % beyond
     pressure_iterations: int = 150
+    # largest step over the largest pressure of an iteration that is the last: within 0.7 % of the
+    # pressures, after 50 to 80
+    pressure_settled: float = 3e-4
     # share of the largest pull: with less, pressure spreads where it moves nothing
     pressure_cost: float = 0.0007
     # blocks' worth of the mean squared change that an unlikely drift costs, beside a dent

@@ -119,7 +119,9 @@ def fit_field(
         if iteration == iterations:
             break
         depths = [
-            estimate_likeliest_depth(prior, _sample_surface(z, light).scale_depth)
+            estimate_likeliest_depth(
+                prior, functools.partial(_sample_surface, z, light, *_find_clear_cells(light.patch))
+            )
             for (z, _), light in zip(refined, lights, strict=True)
         ]
         coefficients, precision = compute_posterior(prior, [sums for _, sums in depths])
@@ -168,13 +170,6 @@ class DentSamples(NamedTuple):
     indentation_mm: Floats
     change: Floats  # (rows, cols, 3) q
     seen: Mask  # (rows, cols) the cells that count
-
-    def scale_depth(self, factor: float) -> "DentSamples":
-        """The same colours of a dent that is deeper by this factor."""
-        by = np.float32(factor)
-        return self._replace(
-            gx=self.gx * by, gy=self.gy * by, indentation_mm=self.indentation_mm * by
-        )
 
 
 class FieldSums(NamedTuple):
@@ -287,19 +282,20 @@ def _compute_unlikeliness(prior: ShadingFieldPrior, touch: FieldSums) -> float:
     return float(root[m] ** 2 + 2.0 * np.log(root[:m]).sum())
 
 
-def _sample_surface(surface_mm: Floats, light: FieldLight) -> DentSamples:
-    """A surface, blurred as the recorded change is."""
+def _sample_surface(
+    surface_mm: Floats, light: FieldLight, q: Floats, seen: Mask, factor: float
+) -> DentSamples:
+    """A surface whose depth is scaled by a factor, blurred as the recorded change is."""
     import cv2
 
     patch = light.patch
     width = max(
         SURFACE.no_blur_px, math.hypot(light.blur_px, patch.smoothing_px) / patch.downsampling
     )
-    clipped = clip_surface(surface_mm, patch, light, SURFACE.bulge_mm)
+    clipped = clip_surface(surface_mm * np.float32(factor), patch, light, SURFACE.bulge_mm)
     z = np.asarray(cv2.GaussianBlur(clipped, (0, 0), width), np.float32)
     u, v = _compute_positions(patch.x_px, patch.y_px, light.source.camera.shape)
-    slopes = compute_slopes(z, patch.pixel_mm)
-    return DentSamples(u, v, *slopes, z, *_find_clear_cells(patch))
+    return DentSamples(u, v, *compute_slopes(z, patch.pixel_mm), z, q, seen)
 
 
 def _find_clear_cells(patch: ImagePatch) -> tuple[Floats, Mask]:
