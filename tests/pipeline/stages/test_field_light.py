@@ -59,8 +59,9 @@ def estimate_from(prior, coefficients, depth):
 @pytest.mark.parametrize("depth", WRONG_DEPTHS)
 def test_a_wrong_depth_comes_nearer_to_the_true_one(prior, depth):
     for field in (prior.mean, *(draw_field(k) for k in range(6))):
-        factor, coefficients = estimate_from(prior, field, depth)
+        factor, sums = estimate_from(prior, field, depth)
         assert abs(np.log(depth * factor)) < abs(np.log(depth)) - 0.1
+        coefficients, _ = field_light.compute_posterior(prior, [sums])
         dent = render_samples(field, depth * factor)
         rendered = shading_field.predict_colours(coefficients, *describe_cells(*dent[:5]))
         assert np.sqrt(np.mean((rendered - dent.change.reshape(-1, 3)) ** 2)) < 0.02

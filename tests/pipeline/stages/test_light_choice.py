@@ -23,7 +23,11 @@ from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.gel import light as light_node
 from pipeline.stages.depth.gel import rest
 from pipeline.stages.depth.illumination import field_light, selection
-from pipeline.stages.depth.illumination.light import ImagePatch, simulate_recorded_change
+from pipeline.stages.depth.illumination.light import (
+    Illumination,
+    ImagePatch,
+    simulate_recorded_change,
+)
 from pipeline.stages.depth.photometric import DepthParams, estimate_gel_depth
 
 PLACES_MM = (0.6, -0.8), (-1.0, 1.0), (2.0, 1.5)
@@ -83,55 +87,75 @@ def find_touches(source, frames):
     return [light_node.find_touch(f.image, f.reference, state, SILENT) for f in frames]
 
 
-def test_a_recording_is_read_in_one_kind_of_light_and_each_touch_in_a_field_of_its_own(monkeypatch):
-    source, frames = draw_touches()
-    context = tuple(frame.image for frame in frames[:2])
-    _, first = estimate_gel_depth(
-        replace(frames[0], context_frames=context), source, None, DepthParams()
+def read(frame, source, context=()):
+    return estimate_gel_depth(
+        replace(frame, context_frames=tuple(context)), source, None, DepthParams()
     )
-    monkeypatch.setattr(selection, "fit_leds", None)  # the choice stands for all frames
-    monkeypatch.setattr(selection, "choose_illumination", None)
-    _, third = estimate_gel_depth(
-        replace(frames[2], context_frames=context), source, None, DepthParams()
-    )
-    assert first.model == third.model == "field"
-    assert first.is_complete
-    assert first.parameters != third.parameters
 
 
-def test_a_field_is_the_same_alone_and_in_its_recording():
+def test_a_touch_fits_nothing_where_the_field_of_its_recording_is_known():
     source, frames = draw_touches()
-    context = tuple(frame.image for frame in frames[:2])
-    _, alone = estimate_gel_depth(frames[2], source, None, DepthParams())
-    _, among = estimate_gel_depth(
-        replace(frames[2], context_frames=context), source, None, DepthParams()
-    )
+    touch = find_touches(source, frames[2:])[0]
+    prior = near_led_prior.compute_prior(source, source.pixel_mm, source.camera.shape)
+    dent_mm = np.zeros((24, 32), np.float32)
+    dent_mm[10:16, 12:20] = 0.3
+    shares, depths = [], []
+    for certainty in (1.0, 30.0, 100.0, 1e4):
+        field = Illumination(
+            model="field",
+            parameters=tuple(prior.mean),
+            covariance=tuple(field_light.sum_covariance(certainty * prior.precision).ravel()),
+        )
+        place = (dent_mm, source, source.pixel_mm)
+        shares.append(field_light.compute_known_share(field, *place))
+        known = shares[-1] == 1.0
+        found = selection.adapt_field(field, *place, None if known else lambda: touch)
+        assert not found.covariance
+        depths.append(found.parameters)
+    assert shares[0] == 0.0
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    assert depths[0] == selection.choose_illumination([touch]).parameters
+    assert depths[-1] == tuple(prior.mean)
+
+
+def test_a_touch_far_from_those_of_its_recording_has_the_same_field_alone_and_among_them():
+    source, frames = draw_touches()
+    _, alone = read(frames[2], source)
+    _, among = read(frames[2], source, [frame.image for frame in frames[:2]])
     assert alone == among
+    assert not alone.from_context
 
 
-def test_several_touches_leave_the_field_of_each_open():
+def test_a_field_is_known_better_by_more_touches():
     source, frames = draw_touches()
     touches = find_touches(source, frames)
-    assert not selection.choose_illumination(touches).is_complete
-    assert selection.choose_illumination(touches[:1]) == selection.fit_touch(touches[0])
+    dent_mm = np.zeros((24, 32), np.float32)
+    dent_mm[13:20, 18:25] = 0.3  # between the second and the third touch
+    known = [
+        field_light.compute_known_share(
+            selection.choose_illumination(touches[:n]), dent_mm, source, source.pixel_mm
+        )
+        for n in (2, 3)
+    ]
+    assert known[0] < known[1]
 
 
 def read_image(path):
     return np.ascontiguousarray(cv2.imread(str(path))[..., ::-1])
 
 
-def test_a_real_digit_fits_a_field_to_each_touch_and_asks_it_near_the_dent_alone(real_data):
+def test_a_real_digit_takes_the_field_of_its_recording_and_asks_it_near_the_dent_alone(real_data):
     source = load_sensor("digit")
     folder = real_data / "digit_balls"
     reference = read_image(folder / "background.png")
     images = [read_image(folder / f"{index:04d}.png") for index in DIGIT_PRESSES]
     frame = TactileFrame(sensor="digit", image=images[2], reference=reference)
-    depth, alone = estimate_gel_depth(frame, source, None, DepthParams())
-    _, among = estimate_gel_depth(
-        replace(frame, context_frames=tuple(images[:2])), source, None, DepthParams()
-    )
-    assert alone.model == "field"
-    assert alone == among
+    _, alone = read(frame, source)
+    depth, among = read(frame, source, images)
+    _, other = read(replace(frame, image=images[0]), source, images)
+    assert alone.model == among.model == "field"
+    assert among == other != alone
     y, x = np.nonzero(depth.contact)
     assert len(y) > 1000
     far = (

@@ -227,8 +227,11 @@ def compare_explanations(
     energy = float(change @ change)
     drift = prior.projection @ pull
     misfit = energy - float(pull @ drift)
-    evidence = _compute_evidence(change, model.dent, drift, misfit, CHANGE.pressure_stds)
-    light = _compute_evidence(change, model.light, drift, misfit, CHANGE.light_scales)
+    of_dent = model.dent.columns.T @ change
+    of_light = model.light.columns.T @ change
+    n = change.size
+    evidence = _compute_evidence(n, of_dent, model.dent, drift, misfit, CHANGE.pressure_stds)
+    light = _compute_evidence(n, of_light, model.light, drift, misfit, CHANGE.light_scales)
     shape = model.basis.heights.shape[:2]
     alone = replace(
         make_unexplained_change("none", shape), dent_evidence=evidence, light_evidence=light
@@ -236,7 +239,7 @@ def compare_explanations(
     cost = float(drift @ prior.precision @ drift) / 2
     if evidence + cost < CHANGE.none_evidence:
         return alone
-    fit = _fit_dent(change, pull, model, CHANGE.stiffness)
+    fit = _fit_dent(change, of_dent, pull, model, CHANGE.stiffness)
     unlikely = max(0.0, cost - float(fit.drift @ prior.precision @ fit.drift) / 2)
     evidence += unlikely
     verdict = decide(evidence, light)
@@ -252,14 +255,15 @@ def compare_explanations(
     if is_smooth:
         rests = [change] if compare_with_rest is None else [compare_with_rest(), change]
         for left in rests:  # no drift at all is the likeliest
-            held = _fit_dent(left, prior.columns.T @ left, model, CHANGE.still_stiffness)
+            pulls = model.dent.columns.T @ left, prior.columns.T @ left
+            held = _fit_dent(left, *pulls, model, CHANGE.still_stiffness)
             fit = _hold_drift(fit, held)
     return Change(
         verdict=verdict,
         dent_evidence=evidence,
         light_evidence=light,
         dent_mm=freeze(model.basis.heights @ fit.pressures),
-        dent_grey=freeze((model.dent.columns @ fit.pressures).reshape(*shape, 3)),
+        dent_grey=freeze(fit.dent_grey.reshape(*shape, 3)),
         load=freeze(model.basis.loads @ fit.pressures),
         is_smooth=is_smooth,
     )
@@ -267,24 +271,31 @@ def compare_explanations(
 
 class _DentFit(NamedTuple):
     pressures: Floats  # (m,)
+    dent_grey: Floats  # (n,) the change that they explain
     drift: Doubles  # (14,)
     mean_square: float  # grey^2 of the change without the drift
     residual: float  # the same without the dent as well
 
 
-def _fit_dent(change: Floats, pull: Floats, model: ChangeModel, stiffness: float) -> _DentFit:
-    cost = stiffness * float(change @ change) / change.size
-    of_dent = model.dent.columns.T @ change
+def _fit_dent(
+    change: Floats, of_dent: Floats, pull: Floats, model: ChangeModel, stiffness: float
+) -> _DentFit:
+    n = change.size
+    cost = stiffness * float(change @ change) / n
     pressures, drift = coarse_light.fit_dent(
         of_dent, pull, cost, model.drift, model.dent.by_drift, model.dent_curvature
     )
     left = change - model.drift.columns @ drift
-    residual = left - model.dent.columns @ pressures
-    n = change.size
-    return _DentFit(pressures, drift, float(left @ left) / n, float(residual @ residual) / n)
+    dent_grey = model.dent.columns @ pressures
+    residual = left - dent_grey
+    return _DentFit(
+        pressures, dent_grey, drift, float(left @ left) / n, float(residual @ residual) / n
+    )
 
 
 def _is_smooth(fit: _DentFit, basis: DentBasis) -> bool:
+    if fit.residual >= CHANGE.smooth_residual * fit.mean_square:
+        return False
     dent_mm = basis.heights @ fit.pressures
     slopes = basis.slopes @ fit.pressures
     deepest_mm = float(dent_mm.max())
@@ -296,7 +307,6 @@ def _is_smooth(fit: _DentFit, basis: DentBasis) -> bool:
         radius_mm > CHANGE.smooth_knots * basis.knot_mm
         and slope < CHANGE.smooth_slope
         and slope * radius_mm < (least + by_share * share) * deepest_mm
-        and fit.residual < CHANGE.smooth_residual * fit.mean_square
     )
 
 
@@ -305,8 +315,11 @@ def _hold_drift(fit: _DentFit, still: _DentFit) -> _DentFit:
     floor, (low, high) = CHANGE.floor_grey**2, CHANGE.still_residuals
     ratio = (still.residual + floor) / (fit.residual + floor)
     share = min(max((high - ratio) / (high - low), 0.0), 1.0)
-    pressures = share * still.pressures + (1 - share) * fit.pressures
-    return fit._replace(pressures=np.asarray(pressures, np.float32))
+    pressures, dent_grey = (
+        np.asarray(share * one + (1 - share) * other, np.float32)
+        for one, other in zip(still[:2], fit[:2], strict=True)
+    )
+    return fit._replace(pressures=pressures, dent_grey=dent_grey)
 
 
 def decide(dent_evidence: float, light_evidence: float) -> Verdict:
@@ -325,17 +338,20 @@ def decide(dent_evidence: float, light_evidence: float) -> Verdict:
 
 
 def _compute_evidence(
-    change: Floats, waves: Waves, drift: Doubles, misfit: float, scales: tuple[float, ...]
+    n: int,
+    of_waves: Floats,
+    waves: Waves,
+    drift: Doubles,
+    misfit: float,
+    scales: tuple[float, ...],
 ) -> float:
     """How much more likely a change (n,) is by waves of the likeliest scale than by drift alone,
     with noise it leaves.
 
-    `misfit` is the squared change that the `drift` (14,) alone leaves.
+    `of_waves` (m,) is columns^T change; `misfit` is the squared change that the `drift` (14,)
+    alone leaves.
     """
-    n = change.size
-    own = waves.vectors.T @ (
-        waves.columns.T @ change - (waves.by_drift.T @ drift).astype(np.float32)
-    )
+    own = waves.vectors.T @ (of_waves - (waves.by_drift.T @ drift).astype(np.float32))
     power = own.astype(np.float64) ** 2
     floor = CHANGE.floor_grey**2
     scale2 = np.square(scales)[:, None]

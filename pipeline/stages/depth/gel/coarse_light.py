@@ -192,19 +192,13 @@ def solve_pressures(curvature: Floats, pull: Floats, iterations: int) -> Floats:
     `curvature` G (m, m) is positive definite, with a largest eigenvalue of at most 1. (Beck and
     Teboulle 2009; O'Donoghue and Candes 2015.)
     """
-    pressures = ahead = np.zeros_like(pull)
-    momentum = 1.0
-    for _ in range(iterations):
-        stepped = np.maximum(ahead - curvature @ ahead + pull, 0)
-        moved = stepped - pressures
-        if float((ahead - stepped) @ moved) > 0:
-            momentum = 1.0
-            ahead = stepped
-        else:
-            following = (1 + np.sqrt(1 + 4 * momentum * momentum)) / 2
-            ahead = stepped + np.float32((momentum - 1) / following) * moved
-            momentum = following
-        pressures = stepped
+    from pipeline.stages.depth.gel.change_kernels import descend_pressures
+
+    pressures = np.zeros_like(pull)
+    scratch = np.empty((2, len(pull)), np.float32)
+    descend_pressures(
+        curvature, pull, iterations, CHANGE.pressure_settled, pressures, scratch[0], scratch[1]
+    )
     return pressures
 
 

@@ -122,29 +122,15 @@ class _ReferenceSums:
         """The blocks of the image moved by a shift (right, down) of at most the margin, times a
         gain.
         """
-        (n, m), x = self.shape, float(shift_px[0])
-        y = float(shift_px[1])
-        rows = {dy: self._take(self.sums, n, y + dy, axis=0) for dy in (-1.0, 0.0, 1.0)}
-        scale = gain / self.block**2
-        before, after = (self._take(rows[0.0], m, x + dx, axis=1) for dx in (-1.0, 1.0))
-        above, here, below = (self._take(rows[dy], m, x, axis=1) for dy in (-1.0, 0.0, 1.0))
-        mean, by_x, by_y = (
-            freeze((scale * a).astype(np.float32).reshape(-1, 3))
-            for a in (here, 0.5 * (before - after), 0.5 * (above - below))
-        )
-        return _Blocks(mean=mean, by_x=by_x, by_y=by_y)
+        from pipeline.stages.depth.gel.change_kernels import measure_moved_blocks
 
-    def _take(self, sums: Doubles, n: int, shift_px: float, axis: int) -> Doubles:
-        """Sums over n blocks along an axis, for an image moved along it."""
-        at = (
-            self.margin
-            - min(max(shift_px, -self.margin + 2.0), self.margin - 3.0)
-            + self.block * np.arange(n + 1)
-        )
-        low = at.astype(np.intp)
-        share = (at - low).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
-        ends = sums.take(low, axis) * (1.0 - share) + sums.take(low + 1, axis) * share
-        return np.diff(ends, axis=axis)
+        margin = self.margin
+        first = margin - np.clip(shift_px[::-1], -margin + 2.0, margin - 3.0)
+        images = np.empty((3, *self.shape, 3), np.float32)
+        scale = gain / self.block**2
+        measure_moved_blocks(self.sums, first, self.block, scale, images[0], images[1], images[2])
+        mean, by_x, by_y = (freeze(image.reshape(-1, 3)) for image in images)
+        return _Blocks(mean=mean, by_x=by_x, by_y=by_y)
 
 
 def estimate_rest_image(

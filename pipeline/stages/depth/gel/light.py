@@ -57,11 +57,15 @@ def estimate_light(
         notes = (_NOT_COVERED,)
     reference = cast("Image", frame.reference)
     model = choose_for_recording(frame.context_frames, reference, rest, progress)
-    if model is None or not model.is_complete:
-        touch = make_touch(make_changed_image(image, rest, change, rest.calibration), progress)
-        model = (
-            selection.choose_illumination([touch]) if model is None else selection.fit_touch(touch)
-        )
+
+    def observe() -> selection.Touch:
+        return make_touch(make_changed_image(image, rest, change, rest.calibration), progress)
+
+    if model is None:
+        model = selection.choose_illumination([observe()])
+    elif model.model == "field":
+        dent_mm = change.press.dent_mm
+        model = selection.adapt_field(model, dent_mm, rest.source, rest.pixel_mm, observe)
     if model.is_fitted_leds:
         n = len(frame.context_frames)
         to = f"{n} touches of the recording" if model.from_context else "this touch"

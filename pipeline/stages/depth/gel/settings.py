@@ -50,6 +50,9 @@ class ChangeSettings:
     unmarked_min: float = 0.2  # share of a block that markers must leave visible
     # of the non-negative fit: the misfit changes by less than 1 % beyond
     pressure_iterations: int = 150
+    # largest step over the largest pressure of an iteration that is the last: within 0.7 % of the
+    # pressures, after 50 to 80
+    pressure_settled: float = 3e-4
     # share of the largest pull: with less, pressure spreads where it moves nothing
     pressure_cost: float = 0.0007
     # blocks' worth of the mean squared change that an unlikely drift costs, beside a dent
@@ -208,6 +211,8 @@ class LightSettings:
 
     # Field fit, see `field_light`
     field_iterations: int = 3
+    # of several touches together: a third deepens all by 4 %, and rounds them
+    joint_field_iterations: int = 2
     first_field_refinements: int = 3
     # depths of the surface that the parabola goes through
     field_depth_factors: tuple[float, ...] = (0.8, 1.0, 1.25)
@@ -225,6 +230,9 @@ class LightSettings:
     field_gain: float = 2.57
     # of a recording, that decide on a field: one real Mini touch in 67 misses the gain alone
     field_touches: int = 2
+    # Standard deviation of a recording's field over the colours of a dent in it: with the first, no
+    # frame fits its own, from the second each does (`docs/experiments.md`).
+    field_known: tuple[float, float] = (0.03, 0.05)
     hopeless_field_gain: float = 1.5  # after any iteration: two more gain a factor of 1.4 at most
 
 

@@ -20,7 +20,7 @@ weight.
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -38,10 +38,16 @@ from pipeline.core.arrays import Doubles, Floats, Mask
 from pipeline.physics import optics
 from pipeline.physics.optics import compute_slopes
 from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.depth.gel.coarse_light import compute_block_px
 from pipeline.stages.depth.gel.settings import LIGHT, SURFACE
-from pipeline.stages.depth.illumination.light import ImagePatch, Light, RenderedChange
+from pipeline.stages.depth.illumination.light import (
+    Illumination,
+    ImagePatch,
+    Light,
+    RenderedChange,
+    TouchObservation,
+)
 from pipeline.stages.depth.illumination.surface_refinement import clip_surface, refine_surface
-from pipeline.stages.depth.poisson import Integrator
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +67,8 @@ class FieldLight(Light):
 
 def make_field_light(coefficients: Doubles, patch: ImagePatch, source: SensorSpec) -> FieldLight:
     """The shading field of `coefficients` (m,) over a patch."""
-    field = expand_field(coefficients, *_compute_positions(patch, source))
+    places = _compute_positions(patch.x_px, patch.y_px, source.camera.shape)
+    field = expand_field(coefficients, *places)
     field /= slope_model.compute_gain(patch.reference)[..., None]
     return FieldLight(
         source=source,
@@ -72,38 +79,85 @@ def make_field_light(coefficients: Doubles, patch: ImagePatch, source: SensorSpe
     )
 
 
-def fit_field(
-    surface_mm: Floats,
-    patch: ImagePatch,
-    source: SensorSpec,
-    integrate: Integrator,
-    described_misfit: float = math.inf,
-) -> tuple[Doubles, float] | None:
-    """Coefficients (m,) of the shading field that a touch determines, from a first guess of its
-    surface; the misfit.
+class FieldFit(NamedTuple):
+    """A shading field by some touches."""
 
-    None where too few pixels have changed, and where the field will not explain far more than
-    described light does.
+    coefficients: Doubles  # (m,) posterior mean
+    precision: Doubles  # (m, m) of the posterior
+    misfit: float  # grey levels, summed over the touches
+
+
+def determines_field(patch: ImagePatch) -> bool:
+    """Whether enough of a patch has changed to determine a shading field."""
+    return int(np.count_nonzero(_find_clear_cells(patch)[1])) >= LIGHT.min_field_samples
+
+
+def fit_field(
+    source: SensorSpec, touches: Sequence[TouchObservation], described_misfit: float = math.inf
+) -> FieldFit | None:
+    """The one shading field that some touches determine together, from first guesses of their
+    surfaces.
+
+    None where the field will not explain far more than described light, which leaves
+    `described_misfit`.
     """
-    q = patch.change * slope_model.compute_gain(patch.reference)
-    seen = patch.changed & (np.abs(q).max(axis=2) > LIGHT.min_relative_change)
-    if np.count_nonzero(seen) < LIGHT.min_field_samples:
-        return None
     prior = near_led_prior.compute_prior(source, source.pixel_mm, source.camera.shape)
-    light = make_field_light(prior.mean, patch, source)
-    iterations = LIGHT.first_field_refinements
-    surface_mm, misfit = refine_surface(surface_mm, patch, light, integrate, iterations, SURFACE)
-    coefficients = prior.mean
-    for _ in range(LIGHT.field_iterations):
-        touch = functools.partial(_sample_surface, surface_mm, light, q, seen)
-        factor, coefficients = estimate_likeliest_depth(prior, touch)
-        light = make_field_light(coefficients, patch, source)
-        surface_mm, misfit = refine_surface(
-            surface_mm * np.float32(factor), patch, light, integrate, LIGHT.fit_refinements, SURFACE
-        )
-        if described_misfit <= LIGHT.hopeless_field_gain * misfit:
+    coefficients, precision = prior.mean, prior.precision
+    surfaces = [touch.surface_mm for touch in touches]
+    refinements = LIGHT.first_field_refinements
+    misfit = 0.0
+    iterations = LIGHT.field_iterations if len(touches) == 1 else LIGHT.joint_field_iterations
+    for iteration in range(iterations + 1):
+        lights = [make_field_light(coefficients, touch.patch, source) for touch in touches]
+        refined = [
+            refine_surface(z, touch.patch, light, touch.integrate, refinements, SURFACE)
+            for z, touch, light in zip(surfaces, touches, lights, strict=True)
+        ]
+        misfit = sum(left for _, left in refined)
+        if iteration and described_misfit <= LIGHT.hopeless_field_gain * misfit:
             return None
-    return coefficients, misfit
+        if iteration == iterations:
+            break
+        depths = [
+            estimate_likeliest_depth(
+                prior, functools.partial(_sample_surface, z, light, *_find_clear_cells(light.patch))
+            )
+            for (z, _), light in zip(refined, lights, strict=True)
+        ]
+        coefficients, precision = compute_posterior(prior, [sums for _, sums in depths])
+        surfaces = [z * np.float32(f) for (z, _), (f, _) in zip(refined, depths, strict=True)]
+        refinements = LIGHT.fit_refinements
+    return FieldFit(coefficients, precision, misfit)
+
+
+def sum_covariance(precision: Doubles) -> Doubles:
+    """Covariance of the terms of a field (n, n), summed over the colours, by its precision."""
+    block = N_POSITION_TERMS * N_SHADING_TERMS
+    covariance = np.linalg.inv(precision).reshape(3, block, 3, block)
+    return np.asarray(np.einsum("kikj->ij", covariance), np.float64)
+
+
+def compute_known_share(
+    field: Illumination, dent_mm: Floats, source: SensorSpec, pixel_mm: float
+) -> float:
+    """How well a recording's field is known where a coarse dent (rows, cols) is: from 0 to 1 =
+    needs no fit of its own.
+
+    By the standard deviation of the colours that the dent has in it, over these colours.
+    """
+    shape = source.camera.shape
+    block = compute_block_px(shape)
+    x, y = ((np.arange(n) + 0.5) * block - 0.5 for n in dent_mm.shape[::-1])
+    u, v = _compute_positions(x, y, shape)
+    dent = np.array(dent_mm, np.float32)
+    nothing = np.zeros((*dent.shape, 3), np.float32)
+    slopes = compute_slopes(dent, block * pixel_mm)
+    normal = _sum_products(DentSamples(u, v, *slopes, dent, nothing, dent > 0.0)).normal
+    mean = np.array(field.parameters).reshape(3, -1)
+    variance = float((np.array(field.covariance).reshape(normal.shape) * normal).sum())
+    relative = math.sqrt(variance / max(float(((mean @ normal) * mean).sum()), 1e-12))
+    known, unknown = LIGHT.field_known
+    return min(max((unknown - relative) / (unknown - known), 0.0), 1.0)
 
 
 class DentSamples(NamedTuple):
@@ -118,22 +172,30 @@ class DentSamples(NamedTuple):
     seen: Mask  # (rows, cols) the cells that count
 
 
+class FieldSums(NamedTuple):
+    """A dent's part of the normal equations of a field."""
+
+    normal: Doubles  # (n, n) alike for each colour
+    pull: Doubles  # (3 n,)
+    energy: float  # weighted squared colours
+
+
 def estimate_likeliest_depth(
     prior: ShadingFieldPrior, sample: Callable[[float], DentSamples]
-) -> tuple[float, Doubles]:
-    """The factor of a surface's depth under which its colours are likeliest, and the field's
-    coefficients (m,) there.
+) -> tuple[float, FieldSums]:
+    """The factor of a surface's depth under which its colours are likeliest, and its sums there.
 
     `sample` returns the same cells and colours with the depth times a factor.
     """
     logs = np.log(LIGHT.field_depth_factors)
     unlikeliness = [
-        _compute_posterior(prior, sample(factor))[0] for factor in LIGHT.field_depth_factors
+        _compute_unlikeliness(prior, _sum_products(sample(factor)))
+        for factor in LIGHT.field_depth_factors
     ]
     bend, slope, _ = np.polyfit(logs, unlikeliness, 2)
     at = -0.5 * slope / bend if bend > 0.0 else logs[int(np.argmin(unlikeliness))]
     factor = math.exp(min(max(float(at), float(logs[0])), float(logs[-1])))
-    return factor, _compute_posterior(prior, sample(factor))[1]
+    return factor, _sum_products(sample(factor))
 
 
 def expand_field(coefficients: Doubles, u: Floats, v: Floats) -> Floats:
@@ -159,10 +221,8 @@ def _list_powers() -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return powers[:, 0], powers[:, 1]
 
 
-def _compute_posterior(prior: ShadingFieldPrior, dent: DentSamples) -> tuple[float, Doubles]:
-    """(-2 ln p of the colours up to a constant, posterior mean of the coefficients).
-
-    The normal equations are sums over cells of products of two position terms and two shading
+def _sum_products(dent: DentSamples) -> FieldSums:
+    """The normal equations are sums over cells of products of two position terms and two shading
     terms: products of positions are monomials again.
     """
     from pipeline.stages.depth.illumination.illumination_kernels import sum_field_products
@@ -175,17 +235,51 @@ def _compute_posterior(prior: ShadingFieldPrior, dent: DentSamples) -> tuple[flo
     along_u, along_v = _list_powers()
     block = N_POSITION_TERMS * N_SHADING_TERMS
     pairs = sums[along_v + along_v[:, None], along_u + along_u[:, None], :N_SHADING_TERMS]
-    normal = pairs.transpose(0, 2, 1, 3).reshape(block, block)
     seen = sums[along_v, along_u, N_SHADING_TERMS:]  # (positions, 3, shading)
-    pull = prior.precision @ prior.mean
-    right = pull + weight * seen.transpose(1, 0, 2).ravel()
+    return FieldSums(
+        normal=weight * pairs.transpose(0, 2, 1, 3).reshape(block, block),
+        pull=weight * seen.transpose(1, 0, 2).ravel(),
+        energy=weight * energy,
+    )
+
+
+def _add_sums(
+    prior: ShadingFieldPrior, touches: Sequence[FieldSums]
+) -> tuple[Doubles, Doubles, float]:
+    """(precision (m, m), right side (m,), squared length) of the posterior's normal equations."""
+    block = N_POSITION_TERMS * N_SHADING_TERMS
     precision = prior.precision.copy()
+    right = prior.precision @ prior.mean
+    energy = float(prior.mean @ right)
     colour = np.arange(3)
-    precision.reshape(3, block, 3, block)[colour, :, colour] += weight * normal
-    coefficients = np.asarray(np.linalg.solve(precision, right), np.float64)
-    log_root = np.log(np.diag(np.linalg.cholesky(precision)))
-    unlikeliness = float(prior.mean @ pull) + weight * energy
-    return unlikeliness - float(right @ coefficients) + 2.0 * float(log_root.sum()), coefficients
+    for touch in touches:
+        precision.reshape(3, block, 3, block)[colour, :, colour] += touch.normal
+        right = right + touch.pull
+        energy += touch.energy
+    return precision, right, energy
+
+
+def compute_posterior(
+    prior: ShadingFieldPrior, touches: Sequence[FieldSums]
+) -> tuple[Doubles, Doubles]:
+    """(mean (m,), precision (m, m)) of the coefficients."""
+    precision, right, _ = _add_sums(prior, touches)
+    return np.asarray(np.linalg.solve(precision, right), np.float64), precision
+
+
+def _compute_unlikeliness(prior: ShadingFieldPrior, touch: FieldSums) -> float:
+    """-2 ln p of the colours up to a constant.
+
+    One root of the bordered matrix [P', r; r', e] holds det P' and, in its corner, e - r' P'^-1 r.
+    """
+    precision, right, energy = _add_sums(prior, [touch])
+    m = len(right)
+    bordered = np.empty((m + 1, m + 1))
+    bordered[:m, :m] = precision
+    bordered[m, :m] = bordered[:m, m] = right
+    bordered[m, m] = energy + 1.0  # positive by rounding as well
+    root = np.diag(np.linalg.cholesky(bordered))
+    return float(root[m] ** 2 + 2.0 * np.log(root[:m]).sum())
 
 
 def _sample_surface(
@@ -198,22 +292,24 @@ def _sample_surface(
     width = max(
         SURFACE.no_blur_px, math.hypot(light.blur_px, patch.smoothing_px) / patch.downsampling
     )
-    z = np.asarray(
-        cv2.GaussianBlur(
-            clip_surface(surface_mm * np.float32(factor), patch, light, SURFACE.bulge_mm),
-            (0, 0),
-            width,
-        ),
-        np.float32,
-    )
-    u, v = _compute_positions(patch, light.source)
+    clipped = clip_surface(surface_mm * np.float32(factor), patch, light, SURFACE.bulge_mm)
+    z = np.asarray(cv2.GaussianBlur(clipped, (0, 0), width), np.float32)
+    u, v = _compute_positions(patch.x_px, patch.y_px, light.source.camera.shape)
     return DentSamples(u, v, *compute_slopes(z, patch.pixel_mm), z, q, seen)
 
 
-def _compute_positions(patch: ImagePatch, source: SensorSpec) -> tuple[Floats, Floats]:
-    """Positions (u, v) of the columns and rows, as `slope_model.compute_positions` has them."""
-    rows, cols = source.camera.shape
+def _find_clear_cells(patch: ImagePatch) -> tuple[Floats, Mask]:
+    """Relative change q (rows, cols, 3), and the cells (rows, cols) in which it is no noise."""
+    q = patch.change * slope_model.compute_gain(patch.reference)
+    return q, patch.changed & (np.abs(q).max(axis=2) > LIGHT.min_relative_change)
+
+
+def _compute_positions(
+    x_px: Floats | Doubles, y_px: Floats | Doubles, shape: tuple[int, int]
+) -> tuple[Floats, Floats]:
+    """Positions (u, v) of columns and rows, as `slope_model.compute_positions` has them."""
+    rows, cols = shape
     half = np.float32(0.5 * max(rows, cols))
-    u = (patch.x_px - np.float32(0.5 * (cols - 1))) / half
-    v = (patch.y_px - np.float32(0.5 * (rows - 1))) / half
+    u = (x_px - np.float32(0.5 * (cols - 1))) / half
+    v = (y_px - np.float32(0.5 * (rows - 1))) / half
     return u.astype(np.float32), v.astype(np.float32)

@@ -15,6 +15,7 @@ from pipeline.core.arrays import Floats, Image, Mask
 from pipeline.sensors.spec import Markers, SensorSpec
 from pipeline.stages.depth.change_detection import ImageWindow
 from pipeline.stages.depth.gel.settings import SURFACE, StepRule
+from pipeline.stages.depth.poisson import Integrator
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,6 +32,17 @@ class ImagePatch:
     smoothing_px: float  # standard deviation of the change's smoothing, image pixels
     # (rows, cols, 3) share of a cell that no printed marker hides, now or in the reference
     unmarked_share: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TouchObservation:
+    """A touch that light is fitted to: its image, a first guess of its surface, and the
+    integrator of its patch.
+    """
+
+    patch: ImagePatch
+    surface_mm: Floats  # (rows, cols)
+    integrate: Integrator
 
 
 def extract_patch(
@@ -184,11 +196,14 @@ class Illumination:
     model: IlluminationModel = "described"
     # of fitted models: deviations (`led_light`), or coefficients
     parameters: tuple[float, ...] = ()
+    # (n * n,) of a recording's field, whose frames differ in how far it holds: `sum_covariance`
+    covariance: tuple[float, ...] = ()
     from_context: bool = False  # chosen by the context frames, not by the frame itself
 
     def __post_init__(self) -> None:
-        """Accept the parameters as an array, as a file holds them."""
-        object.__setattr__(self, "parameters", tuple(float(value) for value in self.parameters))
+        """Accept numbers as an array, as a file holds them."""
+        for name in ("parameters", "covariance"):
+            object.__setattr__(self, name, tuple(float(value) for value in getattr(self, name)))
 
     @property
     def is_trusted(self) -> bool:
@@ -203,11 +218,6 @@ class Illumination:
         by LEDs alone.
         """
         return self.model in {"described", "trusted", "near"}
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether nothing is left to be fitted to each touch: no field holds for all places."""
-        return self.model != "field" or bool(self.parameters)
 
     @property
     def is_fitted_leds(self) -> bool:

@@ -37,23 +37,13 @@ from pipeline.stages.depth.illumination.light import (
     ImagePatch,
     Light,
     RenderedChange,
+    TouchObservation,
     blur_change,
     simulate_recorded_change,
     sum_change_grey,
 )
 from pipeline.stages.depth.illumination.surface_refinement import clip_surface, refine_surface
 from pipeline.stages.depth.poisson import Integrator, solve_weighted_slopes
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LedObservation:
-    """One touch for the fit: its image, a first guess of its surface, and the integrator of its
-    patch.
-    """
-
-    patch: ImagePatch
-    surface_mm: Floats  # (rows, cols)
-    integrate: Integrator
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +60,7 @@ class _LedModel:
         return shift_optics(optics.require_optics(self.source), deviations)
 
 
-def fit_leds(source: SensorSpec, touches: Sequence[LedObservation]) -> Doubles | None:
+def fit_leds(source: SensorSpec, touches: Sequence[TouchObservation]) -> Doubles | None:
     """Deviations (m,) of the instance's LEDs (`led_light.shift_optics`).
 
     None where no usual instance explains them.
@@ -112,10 +102,10 @@ def fit_leds(source: SensorSpec, touches: Sequence[LedObservation]) -> Doubles |
 
 
 def _refine_surfaces(
-    model: _LedModel, deviations: Doubles, touches: Sequence[LedObservation]
-) -> tuple[list[LedObservation], float]:
+    model: _LedModel, deviations: Doubles, touches: Sequence[TouchObservation]
+) -> tuple[list[TouchObservation], float]:
     """The touches with their surfaces refined in this light, and the sum of their misfits."""
-    refined = list[LedObservation]()
+    refined = list[TouchObservation]()
     total = 0.0
     for touch in touches:
         surface, misfit = refine_surface(
@@ -132,7 +122,7 @@ def _refine_surfaces(
 
 
 def _linearise(
-    model: _LedModel, deviations: Doubles, touch: LedObservation
+    model: _LedModel, deviations: Doubles, touch: TouchObservation
 ) -> tuple[Doubles, Doubles]:
     """The normal equations (m, m), (m,) of the deviations, from what no change of the surface
     explains.

@@ -17,17 +17,24 @@ from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.gel.settings import LIGHT, SURFACE
 from pipeline.stages.depth.illumination import led_light
-from pipeline.stages.depth.illumination.field_light import fit_field, make_field_light
+from pipeline.stages.depth.illumination.field_light import (
+    compute_known_share,
+    determines_field,
+    fit_field,
+    make_field_light,
+    sum_covariance,
+)
 from pipeline.stages.depth.illumination.light import (
     Illumination,
     IlluminationModel,
     ImagePatch,
     Light,
+    TouchObservation,
     compute_cell_means,
     downsample_patch,
     sum_change_grey,
 )
-from pipeline.stages.depth.illumination.parameter_fit import LedObservation, fit_leds
+from pipeline.stages.depth.illumination.parameter_fit import fit_leds
 from pipeline.stages.depth.illumination.surface_refinement import refine_surface
 from pipeline.stages.depth.poisson import Integrator
 
@@ -59,7 +66,7 @@ class Touch:
         integrate = self.make_integrator(self.patch)
         return refine_surface(start_mm, self.patch, light, integrate, iterations, SURFACE)
 
-    def observe(self, surface_mm: Floats) -> LedObservation:
+    def observe(self, surface_mm: Floats) -> TouchObservation:
         """The touch with a surface (rows, cols), on the coarser grid of the LED fit."""
         # half the refinement grid determines the LEDs as well
         cells = downsample_patch(self.patch, self.source.camera.shape, SURFACE.grid_cells // 2)
@@ -67,7 +74,7 @@ class Touch:
             surface_mm = compute_cell_means(
                 surface_mm, cells.downsampling // self.patch.downsampling
             )
-        return LedObservation(
+        return TouchObservation(
             patch=cells, surface_mm=surface_mm, integrate=self.make_integrator(cells)
         )
 
@@ -77,8 +84,7 @@ def choose_illumination(touches: Sequence[Touch]) -> Illumination:
 
     The described light where none does.
 
-    A model whose parameters differ from place to place has none for several touches: `fit_touch`
-    finds those of each.
+    A shading field of several touches says how far it is known: `adapt_field`.
     """
     source = touches[0].source
     leds = _fit_leds(touches)
@@ -115,38 +121,57 @@ def choose_for_recording(touches: Sequence[Touch]) -> Illumination | None:
     return replace(light, from_context=True) if holds else None
 
 
-def fit_touch(touch: Touch) -> Illumination:
-    """The shading field of one touch of a recording.
+def adapt_field(
+    field: Illumination,
+    dent_mm: Floats,
+    source: SensorSpec,
+    pixel_mm: float,
+    observe: Callable[[], Touch],
+) -> Illumination:
+    """The shading field of one touch of a recording whose own field is given.
 
-    The described light where the touch determines none.
+    That of the recording where it is known around the touch's coarse dent (rows, cols), else that
+    of the touch, which `observe` makes; gradually.
     """
-    return pack_leds("field", _fit_field(touch)[0]) or DESCRIBED
+    share = compute_known_share(field, dent_mm, source, pixel_mm)
+    known = replace(field, covariance=())
+    if share == 1.0:
+        return known
+    own = _try_field([observe()], is_chosen=True)
+    if own is None or share == 0.0:
+        return own or known
+    blend = share * np.array(known.parameters) + (1.0 - share) * np.array(own.parameters)
+    return replace(own, parameters=tuple(blend.tolist()))
 
 
-def _try_field(touches: Sequence[Touch]) -> Illumination | None:
-    """A shading field for each touch, if it explains far more than the described light: a real
+def _try_field(touches: Sequence[Touch], *, is_chosen: bool = False) -> Illumination | None:
+    """The shading field of touches, if it explains far more than the described light: a real
     GelSight Mini.
 
-    Where LEDs cast shadows, which no field explains, more is enough: a real DIGIT.
+    Where LEDs cast shadows, which no field explains, more is enough: a real DIGIT. None where no
+    touch determines one.
     """
-    decisive = touches[: LIGHT.field_touches]
-    described = sum(touch.described[1] for touch in decisive)
-    alone = len(touches) == 1
-    fits = [_fit_field(touch, touch.described[1] if alone else math.inf) for touch in decisive]
-    gain = 1.0 if casts_shadows(touches[0].source) else LIGHT.field_gain
-    if described <= gain * sum(fit[1] for fit in fits):
+    fitted = [touch for touch in touches if determines_field(touch.patch)]
+    if not fitted:
         return None
-    return pack_leds("field", fits[0][0]) if alone else Illumination(model="field")
-
-
-def _fit_field(touch: Touch, described_misfit: float = math.inf) -> tuple[Doubles | None, float]:
-    """Coefficients (m,) of the shading field of one touch and its misfit.
-
-    None and infinity where it has none.
-    """
-    integrate = touch.make_integrator(touch.patch)
-    fit = fit_field(touch.guess_mm, touch.patch, touch.source, integrate, described_misfit)
-    return (None, math.inf) if fit is None else fit
+    source = touches[0].source
+    described = math.inf if is_chosen else sum(touch.described[1] for touch in fitted)
+    guesses = [
+        TouchObservation(
+            patch=touch.patch,
+            surface_mm=touch.guess_mm,
+            integrate=touch.make_integrator(touch.patch),
+        )
+        for touch in fitted
+    ]
+    fit = fit_field(source, guesses, described)
+    gain = 1.0 if casts_shadows(source) else LIGHT.field_gain
+    if fit is None or described <= gain * fit.misfit:
+        return None
+    field = Illumination(model="field", parameters=tuple(fit.coefficients.tolist()))
+    if len(touches) == 1:
+        return field
+    return replace(field, covariance=tuple(sum_covariance(fit.precision).ravel().tolist()))
 
 
 def _is_explained(touches: Sequence[Touch], misfit: float) -> bool:
