@@ -78,7 +78,7 @@ def detect_contact(
     pressure /= np.float32(pixel_mm)
     pressure[~deep | _find_hanging(indentation_mm, pixel_mm, settings)] = 0.0
     touched = np.zeros_like(deep)
-    here = _find_box(deep, settings.box_margin_px)
+    here = find_box(deep, settings.box_margin_px)
     deep_here = np.ascontiguousarray(deep[here])
     pressed, sure = _compare_with_nearby(
         pressure[here],
@@ -103,7 +103,7 @@ def _find_hanging(indentation_mm: Floats, pixel_mm: float, settings: ContactSett
     return indentation_mm < settings.hanging_share * upsample(deepest, indentation_mm.shape)
 
 
-def _find_box(mask: Mask, margin: int) -> tuple[slice, slice]:
+def find_box(mask: Mask, margin: int) -> tuple[slice, slice]:
     """The rows and columns that hold all of a mask (rows, cols), with a margin."""
     row, col = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     return (

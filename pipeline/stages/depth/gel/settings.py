@@ -268,7 +268,8 @@ class SurfaceSettings:
     # the same as a share of the largest indentation, where that is less
     settled_share: float = 0.02
     cg_steps: int = 4  # conjugate-gradient steps of an iteration; 12 come no nearer
-    fine_cg_steps: int = 3  # the same at full resolution, where only walls are raised
+    # the same at full resolution, where only walls are raised
+    fine_cg_steps: int = 2
     grid_cells: int = 160  # along the longer side of the refinement grid (chosen)
     # larger residuals are dust, reflections, or another sensor instance (chosen)
     huber_grey: float = 20.0
@@ -287,6 +288,7 @@ class SurfaceSettings:
     deepest_percent: float = 99.5  # percentile that stands for the depth
     min_depth_mm: float = 0.02  # shallower surfaces have no walls
     wall_ridge: float = 1e-6  # of the normal equations' trace
+    wall_margin_mm: float = 1.0  # around the dent, within which raised walls fade to what is there
 
     # around a coarse dent: slopes farther away are shadows. 42 balls on a real DIGIT: 1 mm, or .4
     # of the deepest point, measures them as well (`docs/experiments.md`).

@@ -2,7 +2,7 @@
 light.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from pipeline.core.arrays import Floats, freeze
 from pipeline.core.params import NoParams
 from pipeline.core.progress import Progress
 from pipeline.physics.optics import compute_slopes
+from pipeline.stages.depth.contact import find_box
 from pipeline.stages.depth.gel.change import FrameChange
 from pipeline.stages.depth.gel.result import NOT_SCALED
 from pipeline.stages.depth.gel.settings import SLOPES, SURFACE
@@ -22,6 +23,7 @@ from pipeline.stages.depth.illumination.light import (
     compute_cell_means,
     upsample_surface,
 )
+from pipeline.stages.depth.poisson import SideBoundaries, integrate_slopes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,10 +75,53 @@ def _integrate(
         gx, gy = compute_slopes(surface, cells.pixel_mm)
         surface = integrate(gx * near, gy * near)
     surface = upsample_surface(surface, cells.downsampling, changed.window.changed.shape)
-    if not illumination.is_trusted:
-        return surface
-    integrate = changed.make_integrator(patch, progress, 0.6)
-    return selection.add_walls(surface, patch, changed.source, illumination, integrate)
+    if illumination.is_trusted:
+        progress.step(0.6, "raising walls")
+        _raise_walls(surface, patch, changed, illumination)
+    return surface
+
+
+def _raise_walls(
+    surface: Floats, patch: ImagePatch, changed: ChangedImage, illumination: Illumination
+) -> None:
+    """Raise the walls of a surface (rows, cols) in place at the image's own resolution, where they
+    are steeper.
+
+    They lie in the dent: beyond a margin around it nothing moves.
+    """
+    window = changed.window
+    margin = round(SURFACE.wall_margin_mm / patch.pixel_mm)
+    box = find_box(surface > SURFACE.wall_ranges[0][0] * surface.max(), margin)
+    held = [
+        (span.start + whole.start > 0, span.stop + whole.start < n)
+        for span, whole, n in zip(
+            box, (window.rows, window.cols), changed.image.shape[:2], strict=True
+        )
+    ]
+    (top, bottom), (left, right) = held
+    ends = SideBoundaries(*("flat" if side else "free" for side in (left, right, top, bottom)))
+    rows, cols = box
+    arrays = {
+        name: np.ascontiguousarray(getattr(patch, name)[box])
+        for name in ("change", "reference", "changed", "unmarked_share")
+    }
+    raised = selection.add_walls(
+        np.ascontiguousarray(surface[box]),
+        replace(patch, x_px=patch.x_px[cols], y_px=patch.y_px[rows], **arrays),
+        changed.source,
+        illumination,
+        lambda gx, gy: integrate_slopes(gx, gy, patch.pixel_mm, ends),
+    )
+    down, across = (
+        _make_fade(n, margin, *sides) for n, sides in zip(raised.shape, held, strict=True)
+    )
+    surface[box] += np.minimum.outer(down, across) * (raised - surface[box])
+
+
+def _make_fade(n: int, margin: int, begins: bool, ends: bool) -> Floats:
+    """Weights (n,) that rise from 0 to 1 over a margin from either end."""
+    rise = np.minimum(np.arange(n, dtype=np.float32) / margin, np.float32(1.0))
+    return (rise if begins else np.ones_like(rise)) * (rise[::-1] if ends else 1)
 
 
 def _weigh_by_distance(dent_mm: Floats, changed: ChangedImage, cells: ImagePatch) -> Floats:
