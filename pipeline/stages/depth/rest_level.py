@@ -76,48 +76,42 @@ def level_surface(
 
 
 def compute_far_field(
-    surface_mm: Floats, touched: Mask, pixel_mm: float, gel: Gel, settings: ContactSettings
-) -> Floats:
-    """The layer's surface (rows, cols) in mm outside the contact, with its bulge, from mechanics
-    alone.
-
-    The surface of least energy through the measured contact, on a coarse grid.
-    """
-    by = max(1, round(max(surface_mm.shape) / settings.coarse_cells))
-    share = downsample(touched.astype(np.float32), by)
-    depth = downsample(np.where(touched, surface_mm, np.float32(0.0)), by) / np.maximum(
-        share, np.float32(1e-6)
-    )
-    held = share > min(settings.cell_touched, 0.5 * float(share.max()))
-    solution = gel_mechanics.relax_gel(
-        gel,
-        pixel_mm * by,
-        np.asarray(depth, np.float32),
-        held,
-        tolerance_mm=settings.far_tolerance_mm,
-        max_steps=settings.far_iterations,
-    )
-    return upsample(solution.indentation_mm, surface_mm.shape)
-
-
-def level_by_far_field(
     surface_mm: Floats,
     touched: Mask,
-    far: Mask,
     pixel_mm: float,
     gel: Gel,
     settings: ContactSettings,
-) -> Floats:
-    """The surface (rows, cols) shifted so that its `far` part is as high as mechanics predicts.
+    far: Mask | None = None,
+) -> tuple[Floats, np.float32]:
+    """The layer's surface (rows, cols) in mm around a contact, with its bulge, from mechanics
+    alone, and how much higher the contact is than `surface_mm`.
 
-    A nearly incompressible layer rises around a contact, so what looks at rest is not: slopes alone
-    would measure the contact from the bulge. Unchanged where too few pixels are far from the
-    contact.
+    The surface of least energy through the measured contact, on a coarse grid. A nearly
+    incompressible layer rises around a contact, so what looks at rest is not: slopes alone would
+    measure the contact from the bulge. So the contact is shifted by what brings the surface in
+    `far`, if it is more than a few pixels, to the height that mechanics gives it.
     """
-    if np.count_nonzero(far) <= settings.far_share_min * far.size:
-        return surface_mm
-    beyond = compute_far_field(surface_mm, touched, pixel_mm, gel, settings)
-    return surface_mm + np.float32(median(beyond, far) - median(surface_mm, far))
+    by = max(1, round(max(surface_mm.shape) / settings.coarse_cells))
+    share = downsample(touched.astype(np.float32), by)
+    depth = downsample(surface_mm * touched, by) / np.maximum(share, np.float32(1e-6))
+    held = share > min(settings.cell_touched, 0.5 * float(share.max()))
+
+    def relax(level: np.float32) -> Floats:
+        solution = gel_mechanics.relax_gel(
+            gel,
+            pixel_mm * by,
+            depth + level,
+            held,
+            tolerance_mm=settings.far_tolerance_mm,
+            max_steps=settings.far_iterations,
+        )
+        return upsample(solution.indentation_mm, surface_mm.shape)
+
+    beyond = relax(np.float32(0.0))
+    if far is None or np.count_nonzero(far) <= settings.far_share_min * far.size:
+        return beyond, np.float32(0.0)
+    shift = median(beyond, far) - median(surface_mm, far)
+    return relax(shift), shift
 
 
 def _extend_to_rim(surface_mm: Floats, inside: Mask, share: float) -> Mask:

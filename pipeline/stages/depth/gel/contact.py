@@ -79,12 +79,14 @@ def detect_contact(
     touched = np.zeros(shape, np.bool_)
     touched[here] = pressed
     indentation = np.zeros(shape, np.float32)
-    indentation[here] = z * window.blend_weight
     if source.gel is not None and pressed.any():
+        indentation[here] = z
         is_lit = used is not None and used.is_trusted
-        indentation[here] = _relax_surface(
-            z, pressed, window, source.gel, pixel_mm, CONTACT, levels=is_lit
+        indentation = _relax_surface(
+            indentation, touched, window, source.gel, pixel_mm, CONTACT, levels=is_lit
         )
+    else:
+        indentation[here] = z * window.blend_weight
     by_near_leds = used is not None and used.model in {"field", "near"}
     if by_near_leds and near_led_prior.has_weak_shading(touched, change.rest.image, source):
         notes.append(_WEAK_SHADING)
@@ -136,26 +138,32 @@ def _relax_surface(
     *,
     levels: bool,
 ) -> Floats:
-    """The surface (rows, cols) without what the gel cannot do.
+    """The surface (rows, cols) of the image without what the gel cannot do.
 
     Outside a contact a nearly incompressible layer of thickness t, bonded to its back, falls to its
     rest within about t / 2 and bulges beyond: between t / 5 and 3 t / 5 from the contact, the
-    measured surface passes into the mechanical one. `levels`: the surface is shifted to the height
-    that mechanics give it far from the contact; only for light whose LEDs are known, as other light
-    is estimated from surfaces that are at rest outside the contact.
+    measured surface passes into the mechanical one, which goes on beyond the window. `levels`: the
+    surface is shifted to the height that mechanics give it far from the contact; only for light
+    whose LEDs are known, as other light is estimated from surfaces that are at rest outside the
+    contact.
     """
     import cv2
 
-    away_px = np.asarray(cv2.distanceTransform((~touched).astype(np.uint8), cv2.DIST_L2, 5))
+    here = (window.rows, window.cols)
+    pressed = touched[here]
+    away_px = np.asarray(cv2.distanceTransform((~pressed).astype(np.uint8), cv2.DIST_L2, 5))
     thicknesses = away_px * np.float32(pixel_mm / gel.thickness_mm)
+    far = None
     if levels:
-        far = (thicknesses > settings.quiet_distance) & window.changed
-        surface = rest_level.level_by_far_field(surface, touched, far, pixel_mm, gel, settings)
+        far = np.zeros_like(touched)
+        far[here] = (thicknesses > settings.quiet_distance) & window.changed
+    beyond, shift = rest_level.compute_far_field(surface, touched, pixel_mm, gel, settings, far)
     low, high = settings.fade_distances
     keep = np.clip((high - thicknesses) / (high - low), 0.0, 1.0)
-    keep = np.maximum(keep * window.blend_weight, touched)
-    beyond = rest_level.compute_far_field(surface, touched, pixel_mm, gel, settings)
-    return np.asarray(beyond + (surface - beyond) * keep, np.float32)
+    keep = np.maximum(keep * window.blend_weight, pressed)
+    relaxed = np.array(beyond, np.float32)
+    relaxed[here] += (surface[here] + shift - beyond[here]) * keep
+    return relaxed
 
 
 def remove_false_contacts(
