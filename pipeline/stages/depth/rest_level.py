@@ -20,6 +20,7 @@ import numpy as np
 from pipeline.core.arrays import Doubles, Floats, Mask, median
 from pipeline.physics import gel as gel_mechanics
 from pipeline.sensors.spec import Gel
+from pipeline.stages.depth.contact import downsample, select_seeded, upsample
 from pipeline.stages.depth.gel.settings import ContactSettings
 
 
@@ -118,16 +119,10 @@ def _extend_to_rim(surface_mm: Floats, inside: Mask, share: float) -> Mask:
     """The face that a patch of its inside belongs to: everything connected to it that is about
     as deep.
     """
-    import cv2
-
     if not inside.any():
         return inside
     level = surface_mm > share * float(np.median(surface_mm[inside]))
-    n, found = cv2.connectedComponents((level | inside).astype(np.uint8), connectivity=4)
-    labels = np.asarray(found, np.int32)
-    joined = np.zeros(n, np.bool_)
-    joined[np.unique(labels[inside])] = True
-    return np.asarray(joined[labels], np.bool_)
+    return select_seeded(level | inside, inside, 4)
 
 
 def _find_quiet_patches(held: Mask, reach: float) -> tuple[Mask, list[Mask]]:
@@ -207,21 +202,4 @@ def _laplacian(a: Doubles) -> Doubles:
 
     return -np.asarray(
         cv2.Laplacian(a, cv2.CV_64F, ksize=1, borderType=cv2.BORDER_REFLECT), np.float64
-    )
-
-
-def downsample(image: Floats, by: int) -> Floats:
-    """Means of an image (rows, cols) over cells of about `by` x `by` pixels."""
-    import cv2
-
-    size = (-(-image.shape[1] // by), -(-image.shape[0] // by))
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
-
-
-def upsample(image: Floats, shape: tuple[int, ...]) -> Floats:
-    """A coarse image interpolated to `shape` (rows, cols)."""
-    import cv2
-
-    return np.asarray(
-        cv2.resize(image, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR), np.float32
     )
