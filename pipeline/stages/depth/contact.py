@@ -104,11 +104,13 @@ def _find_hanging(indentation_mm: Floats, pixel_mm: float, settings: ContactSett
 
 def find_box(mask: Mask, margin: int) -> tuple[slice, slice]:
     """The rows and columns that hold all of a mask (rows, cols), with a margin."""
-    row, col = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
-    return (
-        slice(max(0, int(row[0]) - margin), int(row[-1]) + margin + 1),
-        slice(max(0, int(col[0]) - margin), int(col[-1]) + margin + 1),
+    row, col = (
+        slice(max(0, int(at[0]) - margin), min(n, int(at[-1]) + margin + 1))
+        for at, n in zip(
+            (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0)), mask.shape, strict=True
+        )
     )
+    return row, col
 
 
 def _compare_with_nearby(

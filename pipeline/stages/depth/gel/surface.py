@@ -14,7 +14,7 @@ from pipeline.stages.depth.contact import find_box
 from pipeline.stages.depth.gel.change import FrameChange
 from pipeline.stages.depth.gel.result import NOT_SCALED
 from pipeline.stages.depth.gel.settings import SLOPES, SURFACE
-from pipeline.stages.depth.gel.slopes import ChangedImage, FrameSlopes
+from pipeline.stages.depth.gel.slopes import ChangedImage, FrameSlopes, find_boundaries
 from pipeline.stages.depth.illumination import selection
 from pipeline.stages.depth.illumination.light import (
     FrameLight,
@@ -23,7 +23,7 @@ from pipeline.stages.depth.illumination.light import (
     compute_cell_means,
     upsample_surface,
 )
-from pipeline.stages.depth.poisson import SideBoundaries, integrate_slopes
+from pipeline.stages.depth.poisson import Boundary, integrate_slopes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,18 +89,16 @@ def _raise_walls(
 
     They lie in the dent: beyond a margin around it nothing moves.
     """
-    window = changed.window
+    deepest_mm = surface.max()
+    if deepest_mm <= SURFACE.min_depth_mm:
+        return
     margin = round(SURFACE.wall_margin_mm / patch.pixel_mm)
-    box = find_box(surface > SURFACE.wall_ranges[0][0] * surface.max(), margin)
-    held = [
-        (span.start + whole.start > 0, span.stop + whole.start < n)
-        for span, whole, n in zip(
-            box, (window.rows, window.cols), changed.image.shape[:2], strict=True
-        )
-    ]
-    (top, bottom), (left, right) = held
-    ends = SideBoundaries(*("flat" if side else "free" for side in (left, right, top, bottom)))
+    box = find_box(surface > SURFACE.wall_ranges[0][0] * deepest_mm, margin)
     rows, cols = box
+    window = changed.window
+    ends = find_boundaries(
+        _shift(rows, window.rows.start), _shift(cols, window.cols.start), changed.image.shape
+    )
     arrays = {
         name: np.ascontiguousarray(getattr(patch, name)[box])
         for name in ("change", "reference", "changed", "unmarked_share")
@@ -112,16 +110,20 @@ def _raise_walls(
         illumination,
         lambda gx, gy: integrate_slopes(gx, gy, patch.pixel_mm, ends),
     )
-    down, across = (
-        _make_fade(n, margin, *sides) for n, sides in zip(raised.shape, held, strict=True)
-    )
+    down = _make_fade(raised.shape[0], margin, ends.top, ends.bottom)
+    across = _make_fade(raised.shape[1], margin, ends.left, ends.right)
     surface[box] += np.minimum.outer(down, across) * (raised - surface[box])
 
 
-def _make_fade(n: int, margin: int, begins: bool, ends: bool) -> Floats:
-    """Weights (n,) that rise from 0 to 1 over a margin from either end."""
-    rise = np.minimum(np.arange(n, dtype=np.float32) / margin, np.float32(1.0))
-    return (rise if begins else np.ones_like(rise)) * (rise[::-1] if ends else 1)
+def _shift(span: slice, by: int) -> slice:
+    return slice(span.start + by, span.stop + by)
+
+
+def _make_fade(n: int, margin: int, *ends: Boundary) -> Floats:
+    """Weights (n,) that rise from 0 to 1 over a margin from either end that is flat."""
+    rise = np.arange(n, dtype=np.float32) / np.float32(margin)
+    sides = [side for side, end in zip((rise, rise[::-1]), ends, strict=True) if end == "flat"]
+    return np.minimum.reduce([*sides, np.ones_like(rise)])
 
 
 def _weigh_by_distance(dent_mm: Floats, changed: ChangedImage, cells: ImagePatch) -> Floats:
