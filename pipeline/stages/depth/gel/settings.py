@@ -268,8 +268,7 @@ class SurfaceSettings:
     # the same as a share of the largest indentation, where that is less
     settled_share: float = 0.02
     cg_steps: int = 4  # conjugate-gradient steps of an iteration; 12 come no nearer
-    # the same at full resolution, where only walls are raised
-    fine_cg_steps: int = 2
+    fine_cg_steps: int = 3  # the same at full resolution, where only walls are raised
     grid_cells: int = 160  # along the longer side of the refinement grid (chosen)
     # larger residuals are dust, reflections, or another sensor instance (chosen)
     huber_grey: float = 20.0
