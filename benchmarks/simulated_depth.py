@@ -37,6 +37,7 @@ from pipeline.physics.simulation.press import simulate_press
 from pipeline.physics.simulation.variation import vary_sensor
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth import contact
+from pipeline.stages.depth.gel.settings import CONTACT
 from pipeline.stages.depth.photometric import DepthParams
 from pipeline.stages.metrics.stage_metrics import compute_mae_mm, iou
 from pipeline.translation.frame_selection import select_context_frames
@@ -87,7 +88,7 @@ def by_rule(indentation_mm, source):
         source.pixel_mm,
         least_mm=source.limits.contact_min_mm,
         pressure_share=DepthParams().pressure_share,
-        smoothing_px=1.0,
+        settings=CONTACT,
     )
 
 

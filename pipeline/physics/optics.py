@@ -31,8 +31,8 @@ def compute_slopes(height_mm: NDArray[np.floating], pixel_mm: float) -> tuple[Fl
     """
     from pipeline.physics.slope_kernels import write_slopes
 
-    # a copy: the kernel is compiled again for read-only arrays
-    height = np.array(height_mm, np.float32, order="C")
+    # writable: the kernel is compiled again for read-only arrays
+    height = np.require(height_mm, np.float32, "CW")
     gx = np.empty_like(height)
     gy = np.empty_like(height)
     images, out_x, out_y = (a.reshape(-1, *height.shape[-2:]) for a in (height, gx, gy))

@@ -13,7 +13,6 @@ from pipeline.core.arrays import Floats, Mask, freeze
 from pipeline.core.derived import derive_once
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import contact, membrane_load
-from pipeline.stages.depth.rest_level import downsample, upsample
 
 _MEDIAN_PX = 5  # of the median that removes single outliers: the widest that OpenCV has for floats
 _SMOOTHING_MM = 1.25  # shorter waves of a taut membrane are smaller than a depth camera's noise
@@ -123,7 +122,8 @@ def _solve_load(
     shape = moved.shape
     by = math.ceil(math.sqrt(moved.size / _WORKING_PIXELS_MAX))
     small, small_seen, small_candidates, start = (
-        downsample(np.asarray(image, np.float32), by) for image in (moved, seen, candidates, smooth)
+        contact.downsample(np.asarray(image, np.float32), by)
+        for image in (moved, seen, candidates, smooth)
     )
     solution = membrane_load.estimate_load(
         small,
@@ -139,5 +139,5 @@ def _solve_load(
         cv2.MORPH_CLOSE,
         _make_disc(_GAP_MM / (source.pixel_mm * by)),
     )
-    touched = upsample(np.asarray(closed, np.float32), shape) > 0.5
-    return upsample(solution.displacement_mm, shape), touched
+    touched = contact.upsample(np.asarray(closed, np.float32), shape) > 0.5
+    return contact.upsample(solution.displacement_mm, shape), touched

@@ -29,7 +29,6 @@ from pipeline.core.memo import memoise
 from pipeline.physics.optics import compute_slopes
 from pipeline.stages.depth.gel.settings import ContactSettings
 from pipeline.stages.depth.poisson import count_workers
-from pipeline.stages.depth.rest_level import downsample, upsample
 
 
 def compute_relative_pressure(
@@ -78,7 +77,7 @@ def detect_contact(
     pressure /= np.float32(pixel_mm)
     pressure[~deep | _find_hanging(indentation_mm, pixel_mm, settings)] = 0.0
     touched = np.zeros_like(deep)
-    here = _find_box(deep, settings.box_margin_px)
+    here = find_box(deep, settings.box_margin_px)
     deep_here = np.ascontiguousarray(deep[here])
     pressed, sure = _compare_with_nearby(
         pressure[here],
@@ -103,13 +102,15 @@ def _find_hanging(indentation_mm: Floats, pixel_mm: float, settings: ContactSett
     return indentation_mm < settings.hanging_share * upsample(deepest, indentation_mm.shape)
 
 
-def _find_box(mask: Mask, margin: int) -> tuple[slice, slice]:
+def find_box(mask: Mask, margin: int) -> tuple[slice, slice]:
     """The rows and columns that hold all of a mask (rows, cols), with a margin."""
-    row, col = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
-    return (
-        slice(max(0, int(row[0]) - margin), int(row[-1]) + margin + 1),
-        slice(max(0, int(col[0]) - margin), int(col[-1]) + margin + 1),
+    row, col = (
+        slice(max(0, int(at[0]) - margin), min(n, int(at[-1]) + margin + 1))
+        for at, n in zip(
+            (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0)), mask.shape, strict=True
+        )
     )
+    return row, col
 
 
 def _compare_with_nearby(
@@ -190,12 +191,12 @@ def _compute_medians(values: Floats, region: Indices, n: int) -> Floats:
     return medians
 
 
-def select_seeded(mask: Mask, seeds: Mask) -> Mask:
+def select_seeded(mask: Mask, seeds: Mask, connectivity: int = 8) -> Mask:
     """The connected parts of `mask` that contain a seed."""
-    regions, n = _label_regions(mask)
+    regions, n = _label_regions(mask, connectivity)
     keep = np.zeros(n, np.bool_)
-    keep[regions[seeds]] = True
-    return keep[regions]
+    keep[regions[mask & seeds]] = True
+    return np.take(keep, regions)
 
 
 def _add_faces(
@@ -220,12 +221,8 @@ def _add_faces(
     depth_of[labels[pressed]] = indentation_mm[pressed]
     steep = float(percentile(slope, 95.0, deep))
     level = deep & ~pressed & (slope < settings.flat_slope_share * steep)
-    level &= indentation_mm >= settings.flat_depth_share * depth_of[labels]
-    regions, n = _label_regions(level | pressed, 4)
-    with_rim = np.zeros(n, np.bool_)
-    with_rim[regions[pressed]] = True
-    with_rim[0] = False
-    joined = with_rim[regions].astype(np.uint8)
+    level &= indentation_mm >= settings.flat_depth_share * np.take(depth_of, labels)
+    joined = select_seeded(level | pressed, pressed, 4).astype(np.uint8)
     # A line of pixels between the rim's pressure ridge and the face belongs to neither.
     step = (settings.step_px, settings.step_px)
     closed = cv2.morphologyEx(
@@ -250,9 +247,9 @@ def fill_small_holes(mask: Mask, max_pixels: int) -> Mask:
     if not holes.any():
         return mask
     regions, n = _label_regions(holes, 4)
-    small = np.bincount(regions.ravel(), minlength=n) <= max_pixels
+    small = np.bincount(regions[holes], minlength=n) <= max_pixels
     small[0] = False
-    return mask | small[regions]
+    return mask | np.take(small, regions)
 
 
 def remove_specks(mask: Mask, min_pixels: int, min_share: float = 0.05) -> Mask:
@@ -260,11 +257,9 @@ def remove_specks(mask: Mask, min_pixels: int, min_share: float = 0.05) -> Mask:
     dust and scratches that the press has shifted.
     """
     regions, n = _label_regions(mask)
-    areas = np.bincount(regions.ravel(), minlength=n)
-    areas[0] = 0
+    areas = np.bincount(regions[mask], minlength=n)
     keep = areas >= max(min_pixels, min_share * int(areas.max()))
-    keep[0] = False
-    return mask if keep[1:].all() else keep[regions]
+    return mask if keep[1:].all() else np.take(keep, regions)
 
 
 def remove_weak_specks(mask: Mask, pressure: Floats, min_pixels: float, peak_share: float) -> Mask:
@@ -275,10 +270,26 @@ def remove_weak_specks(mask: Mask, pressure: Floats, min_pixels: float, peak_sha
     is: only pieces of a light touch's rim are visible.
     """
     regions, n = _label_regions(mask)
-    keep = np.bincount(regions.ravel(), minlength=n) >= min_pixels
+    keep = np.bincount(regions[mask], minlength=n) >= min_pixels
     keep[regions[mask & (pressure >= peak_share * float(pressure.max()))]] = True
-    keep[0] = False
-    return keep[regions]
+    return np.take(keep, regions)
+
+
+def downsample(image: Floats, by: int) -> Floats:
+    """Means of an image (rows, cols) over cells of about `by` x `by` pixels."""
+    import cv2
+
+    size = (-(-image.shape[1] // by), -(-image.shape[0] // by))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def upsample(image: Floats, shape: tuple[int, ...]) -> Floats:
+    """A coarse image interpolated to `shape` (rows, cols)."""
+    import cv2
+
+    return np.asarray(
+        cv2.resize(image, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR), np.float32
+    )
 
 
 @memoise(8)  # a touch has a window of its own size

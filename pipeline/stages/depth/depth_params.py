@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 from pipeline.core.params import setting
-from pipeline.stages.depth.poisson import Boundary
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,14 +39,6 @@ class DepthParams:
         step=0.25,
         help="blur of the colour change, or of a bubble's depth",
         source="a Gaussian's standard deviation; how much is our own",
-    )
-    boundary: Boundary = setting(
-        "flat",
-        "Integration border",
-        choices=Boundary,
-        help="flat: the gel is at rest around the touched part; free: nothing is known there",
-        source="least-squares integral: Frankot and Chellappa 1988, Simchony et al. 1990",
-        only="gel",
     )
     sensitivity: float = setting(
         1.0,

@@ -28,7 +28,7 @@ import numpy as np
 
 from pipeline.core.arrays import Floats, Mask, freeze
 from pipeline.core.derived import derive_once
-from pipeline.stages.depth.rest_level import downsample
+from pipeline.stages.depth.contact import downsample
 
 _NOISE = 0.39  # standard deviation of a mean over one square mm, times mm^2: soft_bubble
 _BLOCK_PX = 8

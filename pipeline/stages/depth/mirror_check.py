@@ -12,7 +12,7 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.gel.settings import CONTACT
 from pipeline.stages.depth.gel.slopes import ChangedImage
 from pipeline.stages.depth.illumination.light import look_up_slopes
-from pipeline.stages.depth.poisson import SideBoundaries, integrate_slopes
+from pipeline.stages.depth.poisson import integrate_slopes
 
 
 def describe_mirroring(reference: Image, source: SensorSpec, changed: ChangedImage) -> str:
@@ -37,7 +37,6 @@ def looks_mirrored(changed: ChangedImage, direction: MirrorDirection) -> bool:
 
 def _compute_curl_share(gx: Floats, gy: Floats, pixel_mm: float) -> float:
     """The share of the squared slopes that belongs to no surface."""
-    ends = SideBoundaries("free", "free", "free", "free")
-    slopes = compute_slopes(integrate_slopes(gx, gy, pixel_mm, ends), pixel_mm)
+    slopes = compute_slopes(integrate_slopes(gx, gy, pixel_mm), pixel_mm)
     residual = sum(float(((a - b) ** 2).sum()) for a, b in zip((gx, gy), slopes, strict=True))
     return residual / max(float((gx**2 + gy**2).sum()), 1e-9)

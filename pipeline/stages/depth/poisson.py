@@ -24,16 +24,15 @@ For slopes with different weights per pixel, `solve_weighted_slopes` minimises s
 
 import math
 from collections.abc import Callable
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats, freeze
 from pipeline.core.derived import derive_once
-from pipeline.core.errors import SettingProblem, ShapeError
+from pipeline.core.errors import ShapeError
 
 Boundary = Literal["flat", "free"]
-_BOUNDARIES: tuple[Boundary, ...] = get_args(Boundary)
 EndConditions = tuple[Boundary, Boundary]
 Integrator = Callable[[Floats, Floats], Floats]  # slopes (gx, gy) in mm/mm to a surface in mm
 
@@ -64,8 +63,7 @@ def integrate_slopes(
 
     "free": no condition at the border; "flat": zero along the outer edge of the border pixels; the
     four sides may differ. Free on all sides, the surface has mean zero. Raises ShapeError for
-    arrays of different shapes, that are no images or not finite, SettingProblem for another
-    boundary.
+    arrays of different shapes, that are no images or not finite.
     """
     if gx.ndim < 2 or gx.shape != gy.shape or gx.size == 0:
         raise ShapeError(
@@ -78,16 +76,12 @@ def integrate_slopes(
         if isinstance(boundary, SideBoundaries)
         else SideBoundaries(boundary, boundary, boundary, boundary)
     )
-    for side in set(sides).difference(_BOUNDARIES):
-        raise SettingProblem(f"boundary must be one of {', '.join(_BOUNDARIES)}, got {side!r}")
     *_, rows, cols = gx.shape
     across = _is_fast_length(cols, rows)
     free = np.array([side == "free" for side in sides])
     out = np.empty((gx.size // (rows * cols), rows, cols), np.float32)
-    slopes = np.empty((2, *out.shape), np.float32)
-    slopes[0] = gx.reshape(out.shape)
-    slopes[1] = gy.reshape(out.shape)
-    if not math.isfinite(compute_divergence(slopes, free, out)):
+    field = (_require_own(g).reshape(out.shape) for g in (gx, gy))
+    if not math.isfinite(compute_divergence(*field, free, out)):
         raise ShapeError("slopes hold values that are not finite; fill them before integrating")
     along_x: EndConditions = (sides.left, sides.right)
     along_y: EndConditions = (sides.top, sides.bottom)
@@ -119,25 +113,32 @@ def solve_weighted_slopes(
     """
     from pipeline.stages.depth.poisson_kernels import compute_residual, descend
 
-    # Copies, as the kernels are compiled again for read-only arrays.
     surface = np.array(surface_mm, np.float32).reshape(-1, *surface_mm.shape[-2:])
-    wanted = np.array(target_slopes, np.float32).reshape(2, *surface.shape)
-    weights = np.array(slope_weights, np.float32)
+    wanted = (_require_own(g).reshape(surface.shape) for g in target_slopes)
+    weights = _require_own(slope_weights)
     per_px = np.float32(1.0) / np.float32(pixel_mm)
     slopes, left, along = (np.zeros((2, *surface.shape), np.float32) for _ in range(3))
     way = np.zeros_like(surface)
     energy = np.zeros(len(surface))
-    compute_residual(surface, wanted, weights, per_px, slopes, left)
+    compute_residual(surface, *wanted, weights, per_px, slopes, left)
     for _ in range(steps):
         field = left.reshape(2, *surface_mm.shape)
-        step = np.array(integrated(field[0], field[1]), np.float32).reshape(surface.shape)
+        step = _require_own(integrated(field[0], field[1])).reshape(surface.shape)
         if not descend(step, weights, per_px, slopes, way, along, energy, surface, left):
             break
     return surface.reshape(surface_mm.shape)
 
 
+def _require_own(a: Floats) -> Floats:
+    """The array as kernels take it: they are compiled again for one that is read-only."""
+    return np.require(a, np.float32, "CW")
+
+
 def _transform(images: Floats, ends: EndConditions, *, back: bool) -> Floats:
-    """The orthonormal transform along the last axis for its two end conditions, or its inverse."""
+    """The orthonormal transform along the last axis for its two end conditions, or its inverse.
+
+    The images are overwritten.
+    """
     from scipy import fft
 
     first, last = ends
@@ -145,7 +146,8 @@ def _transform(images: Floats, ends: EndConditions, *, back: bool) -> Floats:
     transforms = (fft.dct, fft.idct) if first == "free" else (fft.dst, fft.idst)
     workers = count_workers(images.size)
     return np.asarray(
-        transforms[back](images, type=kind, norm="ortho", workers=workers), np.float32
+        transforms[back](images, type=kind, norm="ortho", workers=workers, overwrite_x=True),
+        np.float32,
     )
 
 

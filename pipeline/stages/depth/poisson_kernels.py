@@ -13,8 +13,8 @@ _ENERGY_MIN = 1e-20
 
 
 @kernel(fastmath=FAST)
-def compute_divergence(slopes, free, out):
-    """Write the negated divergence of slopes (2, n, rows, cols) into `out`.
+def compute_divergence(gx, gy, free, out):
+    """Write the negated divergence of slopes gx, gy (n, rows, cols) into `out`.
 
     Free (4,): whether a side is free.
 
@@ -22,8 +22,6 @@ def compute_divergence(slopes, free, out):
     edge. This is the negated transpose of D applied to the slopes. Returns 0, or NaN if a slope is
     not finite.
     """
-    gx = slopes[0]
-    gy = slopes[1]
     rows, cols = gx.shape[1:]
     nothing = np.float32(0.0)
     half = np.float32(0.5)
@@ -125,7 +123,7 @@ def solve_tridiagonal(wave, per, scale, slow, line):
 
 
 @kernel(fastmath=FAST)
-def compute_residual(surface, wanted, weights, per_px, slopes, left):
+def compute_residual(surface, wanted_x, wanted_y, weights, per_px, slopes, left):
     """Write the slopes of the surfaces and the residual A (wanted - slopes)."""
     write_slopes(surface, per_px, slopes[0], slopes[1])
     n, rows, cols = surface.shape
@@ -135,8 +133,8 @@ def compute_residual(surface, wanted, weights, per_px, slopes, left):
             r = np.uint64(row)
             for i in range(cols):
                 c = np.uint64(i)
-                x = wanted[0, image, r, c] - slopes[0, image, r, c]
-                y = wanted[1, image, r, c] - slopes[1, image, r, c]
+                x = wanted_x[image, r, c] - slopes[0, image, r, c]
+                y = wanted_y[image, r, c] - slopes[1, image, r, c]
                 left[0, image, r, c] = weights[0, r, c] * x + weights[1, r, c] * y
                 left[1, image, r, c] = weights[1, r, c] * x + weights[2, r, c] * y
 

@@ -20,6 +20,7 @@ import numpy as np
 from pipeline.core.arrays import Doubles, Floats, Mask, median
 from pipeline.physics import gel as gel_mechanics
 from pipeline.sensors.spec import Gel
+from pipeline.stages.depth.contact import downsample, select_seeded, upsample
 from pipeline.stages.depth.gel.settings import ContactSettings
 
 
@@ -76,64 +77,52 @@ def level_surface(
 
 
 def compute_far_field(
-    surface_mm: Floats, touched: Mask, pixel_mm: float, gel: Gel, settings: ContactSettings
-) -> Floats:
-    """The layer's surface (rows, cols) in mm outside the contact, with its bulge, from mechanics
-    alone.
-
-    The surface of least energy through the measured contact, on a coarse grid.
-    """
-    by = max(1, round(max(surface_mm.shape) / settings.coarse_cells))
-    share = downsample(touched.astype(np.float32), by)
-    depth = downsample(np.where(touched, surface_mm, np.float32(0.0)), by) / np.maximum(
-        share, np.float32(1e-6)
-    )
-    held = share > min(settings.cell_touched, 0.5 * float(share.max()))
-    solution = gel_mechanics.relax_gel(
-        gel,
-        pixel_mm * by,
-        np.asarray(depth, np.float32),
-        held,
-        tolerance_mm=settings.far_tolerance_mm,
-        max_steps=settings.far_iterations,
-    )
-    return upsample(solution.indentation_mm, surface_mm.shape)
-
-
-def level_by_far_field(
     surface_mm: Floats,
     touched: Mask,
-    far: Mask,
     pixel_mm: float,
     gel: Gel,
     settings: ContactSettings,
-) -> Floats:
-    """The surface (rows, cols) shifted so that its `far` part is as high as mechanics predicts.
+    far: Mask | None = None,
+) -> tuple[Floats, np.float32]:
+    """The layer's surface (rows, cols) in mm around a contact, with its bulge, from mechanics
+    alone, and how much higher the contact is than `surface_mm`.
 
-    A nearly incompressible layer rises around a contact, so what looks at rest is not: slopes alone
-    would measure the contact from the bulge. Unchanged where too few pixels are far from the
-    contact.
+    The surface of least energy through the measured contact, on a coarse grid. A nearly
+    incompressible layer rises around a contact, so what looks at rest is not: slopes alone would
+    measure the contact from the bulge. So the contact is shifted by what brings the surface in
+    `far`, if it is more than a few pixels, to the height that mechanics gives it.
     """
-    if np.count_nonzero(far) <= settings.far_share_min * far.size:
-        return surface_mm
-    beyond = compute_far_field(surface_mm, touched, pixel_mm, gel, settings)
-    return surface_mm + np.float32(median(beyond, far) - median(surface_mm, far))
+    by = max(1, round(max(surface_mm.shape) / settings.coarse_cells))
+    share = downsample(touched.astype(np.float32), by)
+    depth = downsample(surface_mm * touched, by) / np.maximum(share, np.float32(1e-6))
+    held = share > min(settings.cell_touched, 0.5 * float(share.max()))
+
+    def relax(level: np.float32) -> Floats:
+        solution = gel_mechanics.relax_gel(
+            gel,
+            pixel_mm * by,
+            depth + level,
+            held,
+            tolerance_mm=settings.far_tolerance_mm,
+            max_steps=settings.far_iterations,
+        )
+        return upsample(solution.indentation_mm, surface_mm.shape)
+
+    beyond = relax(np.float32(0.0))
+    if far is None or np.count_nonzero(far) <= settings.far_share_min * far.size:
+        return beyond, np.float32(0.0)
+    shift = median(beyond, far) - median(surface_mm, far)
+    return relax(shift), shift
 
 
 def _extend_to_rim(surface_mm: Floats, inside: Mask, share: float) -> Mask:
     """The face that a patch of its inside belongs to: everything connected to it that is about
     as deep.
     """
-    import cv2
-
     if not inside.any():
         return inside
     level = surface_mm > share * float(np.median(surface_mm[inside]))
-    n, found = cv2.connectedComponents((level | inside).astype(np.uint8), connectivity=4)
-    labels = np.asarray(found, np.int32)
-    joined = np.zeros(n, np.bool_)
-    joined[np.unique(labels[inside])] = True
-    return np.asarray(joined[labels], np.bool_)
+    return select_seeded(level | inside, inside, 4)
 
 
 def _find_quiet_patches(held: Mask, reach: float) -> tuple[Mask, list[Mask]]:
@@ -213,21 +202,4 @@ def _laplacian(a: Doubles) -> Doubles:
 
     return -np.asarray(
         cv2.Laplacian(a, cv2.CV_64F, ksize=1, borderType=cv2.BORDER_REFLECT), np.float64
-    )
-
-
-def downsample(image: Floats, by: int) -> Floats:
-    """Means of an image (rows, cols) over cells of about `by` x `by` pixels."""
-    import cv2
-
-    size = (-(-image.shape[1] // by), -(-image.shape[0] // by))
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
-
-
-def upsample(image: Floats, shape: tuple[int, ...]) -> Floats:
-    """A coarse image interpolated to `shape` (rows, cols)."""
-    import cv2
-
-    return np.asarray(
-        cv2.resize(image, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR), np.float32
     )

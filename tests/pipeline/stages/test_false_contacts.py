@@ -15,8 +15,9 @@ def remove_false_contacts(
     border, changed = (np.broadcast_to(mask, touched.shape) for mask in (border, changed))
     if change_grey is None:
         change_grey = np.zeros((*touched.shape, 3), np.float32)
+    weights = np.ones_like(change_grey)
     return contact.remove_false_contacts(
-        touched, surface_mm, pixel_mm, border, changed, change_grey, CONTACT
+        touched, surface_mm, pixel_mm, border, changed, (change_grey, weights), CONTACT
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+import cv2
 import numpy as np
 import pytest
 
@@ -166,19 +167,29 @@ def test_rings_are_not_filled():
     ).face_interior.any()
 
 
+def measure_distance_mm(truth, source):
+    outside = (~truth.contact).astype(np.uint8)
+    return cv2.distanceTransform(outside, cv2.DIST_L2, 5) * source.pixel_mm
+
+
 def test_the_far_field_is_what_a_pressed_layer_does():
     source, _, truth = pressed_box("gelsight_mini", 0.35)
-    around = rest_level.compute_far_field(
+    around, _ = rest_level.compute_far_field(
         truth.indentation_mm, truth.contact, source.pixel_mm, source.gel, CONTACT
     )
-    import cv2
-
-    away = (
-        cv2.distanceTransform((~truth.contact).astype(np.uint8), cv2.DIST_L2, 5) * source.pixel_mm
-    )
+    away = measure_distance_mm(truth, source)
     outside = (away > 1.0) & (away < 4.0)
     assert truth.indentation_mm[outside].min() < -0.03  # a bulge
     assert np.abs(around - truth.indentation_mm)[outside].mean() < 0.01
+
+
+def test_the_surface_has_no_step_where_the_part_that_was_looked_at_ends():
+    source, frame, truth = pressed_box("gelsight_mini", 0.2)
+    found = estimate_depth(frame, source, None, DepthParams()).indentation_mm
+    beyond = measure_distance_mm(truth, source) > 2.0
+    for surface, where in ((found, beyond), (found.T, beyond.T)):
+        bend_mm = np.abs(np.diff(surface, 2, axis=0))
+        assert bend_mm[where[2:] & where[:-2]].max() < 0.002
 
 
 def test_what_is_looked_at_around_a_touch_ends_in_a_round_line():

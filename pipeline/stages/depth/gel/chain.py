@@ -56,9 +56,7 @@ NODES = (
         ("frame", _REST, _CHANGE, _LIGHT),
         measure_slopes,
         SlopeParams,
-        lambda p: SlopeParams(
-            sensitivity=p.sensitivity, smoothing_px=p.smoothing_px, boundary=p.boundary
-        ),
+        lambda p: SlopeParams(sensitivity=p.sensitivity, smoothing_px=p.smoothing_px),
     ),
     _make_node(
         "surface", (_CHANGE, _SLOPES, _LIGHT), estimate_surface, NoParams, lambda _: NoParams()

@@ -71,20 +71,20 @@ def detect_contact(
     )
     border = np.pad(np.zeros((shape[0] - 2, shape[1] - 2), np.bool_), 1, constant_values=True)[here]
     patch, _ = changed.patches
-    change_grey = patch.change * patch.unmarked_share
-    pressed = remove_false_contacts(
-        pressed, z, pixel_mm, border, window.changed, change_grey, CONTACT
-    )
+    seen = (patch.change, patch.unmarked_share)
+    pressed = remove_false_contacts(pressed, z, pixel_mm, border, window.changed, seen, CONTACT)
     pressed = contact.fill_small_holes(pressed, round(CONTACT.hole_mm2 / pixel_mm**2))
     touched = np.zeros(shape, np.bool_)
     touched[here] = pressed
     indentation = np.zeros(shape, np.float32)
-    indentation[here] = z * window.blend_weight
     if source.gel is not None and pressed.any():
+        indentation[here] = z
         is_lit = used is not None and used.is_trusted
-        indentation[here] = _relax_surface(
-            z, pressed, window, source.gel, pixel_mm, CONTACT, levels=is_lit
+        indentation = _relax_surface(
+            indentation, touched, window, source.gel, pixel_mm, CONTACT, levels=is_lit
         )
+    else:
+        indentation[here] = z * window.blend_weight
     by_near_leds = used is not None and used.model in {"field", "near"}
     if by_near_leds and near_led_prior.has_weak_shading(touched, change.rest.image, source):
         notes.append(_WEAK_SHADING)
@@ -111,8 +111,8 @@ def _level_surface(
     if source.gel is None:
         return surface, np.zeros_like(window.changed)
     by = max(1, round(max(source.camera.shape) / settings.certain_cells))
-    cells = rest_level.downsample(surface, by)
-    changed_share = rest_level.downsample(window.changed.astype(np.float32), by)
+    cells = contact.downsample(surface, by)
+    changed_share = contact.downsample(window.changed.astype(np.float32), by)
     pressure = contact.compute_relative_pressure(cells, settings.certain_blur_px / by)
     pressure /= np.float32(pixel_mm * by)
     pressure[changed_share == 0] = 0.0
@@ -121,7 +121,7 @@ def _level_surface(
     certain = contact.remove_weak_specks(
         certain, pressure, settings.speck_mm2 / (pixel_mm * by) ** 2, settings.grain_share
     )
-    pressed = rest_level.upsample(certain.astype(np.float32), surface.shape)
+    pressed = contact.upsample(certain.astype(np.float32), surface.shape)
     levelled = rest_level.level_surface(surface, pressed > 0.5, pixel_mm, source.gel, settings)
     return levelled.surface_mm, levelled.face_interior
 
@@ -136,26 +136,32 @@ def _relax_surface(
     *,
     levels: bool,
 ) -> Floats:
-    """The surface (rows, cols) without what the gel cannot do.
+    """The surface (rows, cols) of the image without what the gel cannot do.
 
     Outside a contact a nearly incompressible layer of thickness t, bonded to its back, falls to its
     rest within about t / 2 and bulges beyond: between t / 5 and 3 t / 5 from the contact, the
-    measured surface passes into the mechanical one. `levels`: the surface is shifted to the height
-    that mechanics give it far from the contact; only for light whose LEDs are known, as other light
-    is estimated from surfaces that are at rest outside the contact.
+    measured surface passes into the mechanical one, which goes on beyond the window. `levels`: the
+    surface is shifted to the height that mechanics give it far from the contact; only for light
+    whose LEDs are known, as other light is estimated from surfaces that are at rest outside the
+    contact.
     """
     import cv2
 
-    away_px = np.asarray(cv2.distanceTransform((~touched).astype(np.uint8), cv2.DIST_L2, 5))
+    here = (window.rows, window.cols)
+    pressed = touched[here]
+    away_px = np.asarray(cv2.distanceTransform((~pressed).astype(np.uint8), cv2.DIST_L2, 5))
     thicknesses = away_px * np.float32(pixel_mm / gel.thickness_mm)
+    far = None
     if levels:
-        far = (thicknesses > settings.quiet_distance) & window.changed
-        surface = rest_level.level_by_far_field(surface, touched, far, pixel_mm, gel, settings)
+        far = np.zeros_like(touched)
+        far[here] = (thicknesses > settings.quiet_distance) & window.changed
+    beyond, shift = rest_level.compute_far_field(surface, touched, pixel_mm, gel, settings, far)
     low, high = settings.fade_distances
     keep = np.clip((high - thicknesses) / (high - low), 0.0, 1.0)
-    keep = np.maximum(keep * window.blend_weight, touched)
-    beyond = rest_level.compute_far_field(surface, touched, pixel_mm, gel, settings)
-    return np.asarray(beyond + (surface - beyond) * keep, np.float32)
+    keep = np.maximum(keep * window.blend_weight, pressed)
+    relaxed = np.array(beyond, np.float32)
+    relaxed[here] += (surface[here] + shift - beyond[here]) * keep
+    return relaxed
 
 
 def remove_false_contacts(
@@ -164,7 +170,7 @@ def remove_false_contacts(
     pixel_mm: float,
     border: Mask,
     changed: Mask,
-    change_grey: Floats,
+    change: tuple[Floats, Floats],
     settings: ContactSettings,
 ) -> Mask:
     """The contact `touched` (rows, cols) without false regions; the deepest region stays.
@@ -173,8 +179,8 @@ def remove_false_contacts(
     ends, since a surface raised by drift ends there in a step. It stands out from its surroundings.
     At the image `border`, beyond which nothing holds the surface, it has a good part of the deepest
     region's depth: light is least known in the corners. And its flanks face opposite LEDs, so that
-    each colour of the image's `change_grey` (rows, cols, 3) rises on one and falls on the other; a
-    spot of light changes all of it in one direction.
+    each colour of the image's `change` (grey levels and their weights, each (rows, cols, 3)) rises
+    on one and falls on the other; a spot of light changes all of it in one direction.
     """
     import cv2
 
@@ -200,7 +206,7 @@ def remove_false_contacts(
         region = np.equal(regions, k)
         keep[k] = _stands_out(
             region, touched, surface_mm, pixel_mm, settings
-        ) and not _has_one_direction(change_grey, region, pixel_mm, settings)
+        ) and not _has_one_direction(change, region, pixel_mm, settings)
     keep[deepest] = True
     return np.asarray(keep[regions], np.bool_)
 
@@ -239,10 +245,11 @@ def _stands_out(
 
 
 def _has_one_direction(
-    change_grey: Floats, region: Mask, pixel_mm: float, settings: ContactSettings
+    change: tuple[Floats, Floats], region: Mask, pixel_mm: float, settings: ContactSettings
 ) -> bool:
     """Whether the colours of a region and its surroundings all rise or all fall."""
-    seen = change_grey[_dilate(region, max(1, round(settings.flanks_mm / pixel_mm)))]
+    around = _dilate(region, max(1, round(settings.flanks_mm / pixel_mm)))
+    seen = change[0][around] * change[1][around]
     return bool(np.abs(seen.sum(axis=0)).sum() > settings.one_direction * np.abs(seen).sum())
 
 

@@ -35,7 +35,6 @@ class SlopeParams:
 
     sensitivity: float = 1.0  # divides the sensor's limit of change without contact
     smoothing_px: float = 1.0  # standard deviation of the blur of the change, image pixels
-    boundary: Boundary = "flat"  # of the integral, inside the image
 
 
 @dataclass(frozen=True, kw_only=True)  # without slots, which a cached property needs
@@ -48,7 +47,6 @@ class ChangedImage:
     source: SensorSpec
     calibration: Calibration
     smoothing_px: float
-    boundary: Boundary
     # (rows, cols) what printed markers hide of the image; None = not known
     markers: Mask | None = None
 
@@ -73,7 +71,8 @@ class ChangedImage:
 
         The surfaces in mm are 0 in the median outside the changed region.
         """
-        ends = self._find_boundaries()
+        window = self.window
+        ends = find_boundaries(window.rows, window.cols, self.image.shape)
         outside = np.flatnonzero(~patch.changed)
         outside = outside[:: max(1, len(outside) // SLOPES.level_pixels)]
 
@@ -88,27 +87,25 @@ class ChangedImage:
 
         return integrate
 
-    def _find_boundaries(self) -> SideBoundaries:
-        """The boundary condition on each side of the window.
-
-        A touch at the image border is free there: the gel beyond is not visible, and not known to
-        be at rest.
-        """
-        (rows, cols), window = self.image.shape[:2], self.window
-        inside = (
-            window.cols.start > 0,
-            window.cols.stop < cols,
-            window.rows.start > 0,
-            window.rows.stop < rows,
-        )
-        ends: list[Boundary] = [self.boundary if is_inside else "free" for is_inside in inside]
-        return SideBoundaries(*ends)
-
     def guess_surface(self, patch: ImagePatch, integrate: Integrator) -> Floats:
         """The surface (rows, cols) in mm by the calibration table alone."""
         slopes = look_up_slopes(patch, self.calibration)
         _check_slopes(*slopes, self.source)
         return integrate(*slopes)
+
+
+def find_boundaries(rows: slice, cols: slice, shape: tuple[int, ...]) -> SideBoundaries:
+    """The boundary condition on each side of a part of an image of `shape`.
+
+    The gel is at rest around a touch. At the image border it is free: the gel beyond is not
+    visible, and not known to be at rest.
+    """
+    ends: list[Boundary] = [
+        "flat" if is_inside else "free"
+        for part, n in zip((cols, rows), (shape[1], shape[0]), strict=True)
+        for is_inside in (part.start > 0, part.stop < n)
+    ]
+    return SideBoundaries(*ends)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -173,7 +170,6 @@ def make_changed_image(
         source=rest.source,
         calibration=calibration,
         smoothing_px=params.smoothing_px,
-        boundary=params.boundary,
         markers=change.markers,
     )
 

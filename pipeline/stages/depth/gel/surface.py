@@ -2,7 +2,7 @@
 light.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,10 +10,11 @@ from pipeline.core.arrays import Floats, freeze
 from pipeline.core.params import NoParams
 from pipeline.core.progress import Progress
 from pipeline.physics.optics import compute_slopes
+from pipeline.stages.depth.contact import find_box
 from pipeline.stages.depth.gel.change import FrameChange
 from pipeline.stages.depth.gel.result import NOT_SCALED
 from pipeline.stages.depth.gel.settings import SLOPES, SURFACE
-from pipeline.stages.depth.gel.slopes import ChangedImage, FrameSlopes
+from pipeline.stages.depth.gel.slopes import ChangedImage, FrameSlopes, find_boundaries
 from pipeline.stages.depth.illumination import selection
 from pipeline.stages.depth.illumination.light import (
     FrameLight,
@@ -22,6 +23,7 @@ from pipeline.stages.depth.illumination.light import (
     compute_cell_means,
     upsample_surface,
 )
+from pipeline.stages.depth.poisson import Boundary, integrate_slopes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,10 +75,55 @@ def _integrate(
         gx, gy = compute_slopes(surface, cells.pixel_mm)
         surface = integrate(gx * near, gy * near)
     surface = upsample_surface(surface, cells.downsampling, changed.window.changed.shape)
-    if not illumination.is_trusted:
-        return surface
-    integrate = changed.make_integrator(patch, progress, 0.6)
-    return selection.add_walls(surface, patch, changed.source, illumination, integrate)
+    if illumination.is_trusted:
+        progress.step(0.6, "raising walls")
+        _raise_walls(surface, patch, changed, illumination)
+    return surface
+
+
+def _raise_walls(
+    surface: Floats, patch: ImagePatch, changed: ChangedImage, illumination: Illumination
+) -> None:
+    """Raise the walls of a surface (rows, cols) in place at the image's own resolution, where they
+    are steeper.
+
+    They lie in the dent: beyond a margin around it nothing moves.
+    """
+    deepest_mm = surface.max()
+    if deepest_mm <= SURFACE.min_depth_mm:
+        return
+    margin = round(SURFACE.wall_margin_mm / patch.pixel_mm)
+    box = find_box(surface > SURFACE.wall_ranges[0][0] * deepest_mm, margin)
+    rows, cols = box
+    window = changed.window
+    ends = find_boundaries(
+        _shift(rows, window.rows.start), _shift(cols, window.cols.start), changed.image.shape
+    )
+    arrays = {
+        name: np.ascontiguousarray(getattr(patch, name)[box])
+        for name in ("change", "reference", "changed", "unmarked_share")
+    }
+    raised = selection.add_walls(
+        np.ascontiguousarray(surface[box]),
+        replace(patch, x_px=patch.x_px[cols], y_px=patch.y_px[rows], **arrays),
+        changed.source,
+        illumination,
+        lambda gx, gy: integrate_slopes(gx, gy, patch.pixel_mm, ends),
+    )
+    down = _make_fade(raised.shape[0], margin, ends.top, ends.bottom)
+    across = _make_fade(raised.shape[1], margin, ends.left, ends.right)
+    surface[box] += np.minimum.outer(down, across) * (raised - surface[box])
+
+
+def _shift(span: slice, by: int) -> slice:
+    return slice(span.start + by, span.stop + by)
+
+
+def _make_fade(n: int, margin: int, *ends: Boundary) -> Floats:
+    """Weights (n,) that rise from 0 to 1 over a margin from either end that is flat."""
+    rise = np.arange(n, dtype=np.float32) / np.float32(margin)
+    sides = [side for side, end in zip((rise, rise[::-1]), ends, strict=True) if end == "flat"]
+    return np.minimum.reduce([*sides, np.ones_like(rise)])
 
 
 def _weigh_by_distance(dent_mm: Floats, changed: ChangedImage, cells: ImagePatch) -> Floats:

@@ -303,37 +303,86 @@ def update_slopes(
 
 
 @kernel(fastmath=FAST)
-def accumulate_normal_equations(gx, gy, target_x, target_y, xx, xy, yy, line, normal, pull):
-    """Write the normal equations of the sum of shapes that brings the first shape's slopes to the
+def accumulate_normal_equations(
+    surface_mm, per_px, ramps, target_x, target_y, weights, lines, normal, pull
+):
+    """Write the normal equations of the sum of shapes that brings the surface's slopes to the
     target slopes.
 
-    gx, gy (n, rows, cols): the shapes' slopes; target_x, target_y and the weights xx, xy, yy (rows,
-    cols). normal (n, n) and pull (n,) are doubles: the weighted slopes of one shape times those of
-    another, and times the residual. line (2, cols): scratch.
+    ramps (n, 4): factor, offset, lowest and highest value of the shapes that a surface (rows, cols)
+    makes; the first is the surface itself. weights (3, rows, cols): the information matrix (xx, xy,
+    yy) of each pixel's slopes. normal (n, n) and pull (n,) are doubles: the weighted slopes of one
+    shape times those of another, and times the residual. lines (n + 1, 5, cols): scratch.
     """
-    n, rows, cols = gx.shape
+    n = ramps.shape[0]
+    rows, cols = surface_mm.shape
+    half = np.float32(0.5) * per_px
+    last = cols - 1
+    weighted = lines[n]
     normal[:] = 0.0
     pull[:] = 0.0
     for row in range(rows):
         r = np.uint64(row)
+        scale = half if 0 < row < rows - 1 else per_px
         for a in range(n):
-            one = np.uint64(a)
+            line = lines[a]
+            for new in range(row + 1 if row else 0, min(row + 2, rows)):
+                _make_shape(surface_mm[new], ramps[a], line[new % 3])
+            here, down, up = (
+                line[row % 3],
+                line[min(row + 1, rows - 1) % 3],
+                line[max(row - 1, 0) % 3],
+            )
+            gx, gy = line[3], line[4]
+            for i in range(cols):
+                c = np.uint64(i)
+                gy[c] = (down[c] - up[c]) * scale
+            for i in range(1, last):
+                c = np.uint64(i)
+                gx[c] = (here[np.uint64(i + 1)] - here[np.uint64(i - 1)]) * half
+            gx[0] = (here[min(1, last)] - here[0]) * per_px
+            gx[last] = (here[last] - here[max(last - 1, 0)]) * per_px
+        for a in range(n):
             total = np.float32(0.0)
             for i in range(cols):
                 c = np.uint64(i)
-                x = xx[r, c] * gx[one, r, c] + xy[r, c] * gy[one, r, c]
-                y = xy[r, c] * gx[one, r, c] + yy[r, c] * gy[one, r, c]
-                line[0, c] = x
-                line[1, c] = y
-                total += x * (target_x[r, c] - gx[0, r, c]) + y * (target_y[r, c] - gy[0, r, c])
-            pull[one] += total
+                x = weights[0, r, c] * lines[a, 3, c] + weights[1, r, c] * lines[a, 4, c]
+                y = weights[1, r, c] * lines[a, 3, c] + weights[2, r, c] * lines[a, 4, c]
+                weighted[0, c] = x
+                weighted[1, c] = y
+                total += x * (target_x[r, c] - lines[0, 3, c]) + y * (
+                    target_y[r, c] - lines[0, 4, c]
+                )
+            pull[a] += total
             for b in range(a + 1):
-                other = np.uint64(b)
                 total = np.float32(0.0)
                 for i in range(cols):
                     c = np.uint64(i)
-                    total += line[0, c] * gx[other, r, c] + line[1, c] * gy[other, r, c]
-                normal[one, other] += total
+                    total += weighted[0, c] * lines[b, 3, c] + weighted[1, c] * lines[b, 4, c]
+                normal[a, b] += total
     for a in range(n):
         for b in range(a):
             normal[b, a] = normal[a, b]
+
+
+@inline_kernel()
+def _make_shape(heights, ramp, out):
+    for i in range(out.shape[0]):
+        c = np.uint64(i)
+        out[c] = min(max(heights[c] * ramp[0] + ramp[1], ramp[2]), ramp[3])
+
+
+@kernel(fastmath=FAST)
+def add_shapes(surface_mm, ramps, factors, out):
+    """Write the surface (rows, cols) plus its shapes of `ramps` (n, 4), each times its factor."""
+    rows, cols = surface_mm.shape
+    for row in range(rows):
+        r = np.uint64(row)
+        for i in range(cols):
+            c = np.uint64(i)
+            height = surface_mm[r, c]
+            total = height
+            for a in range(ramps.shape[0]):
+                ramp = ramps[a]
+                total += factors[a] * min(max(height * ramp[0] + ramp[1], ramp[2]), ramp[3])
+            out[r, c] = total

@@ -118,39 +118,33 @@ def raise_walls(
 
     weights (3, rows, cols): the information matrix (xx, xy, yy) of each pixel's slopes.
     """
-    import cv2
-
-    from pipeline.stages.depth.illumination.illumination_kernels import accumulate_normal_equations
-
-    shapes = _make_shapes(surface_mm, settings)
-    if not shapes:
-        return surface_mm
-    n = len(shapes)
-    cols = surface_mm.shape[1]
-    normal = np.empty((n, n))
-    pull = np.empty(n)
-    line = np.empty((2, cols), np.float32)
-    accumulate_normal_equations(
-        *compute_slopes(np.stack(shapes), pixel_mm), *slopes, *weights, line, normal, pull
+    from pipeline.stages.depth.illumination.illumination_kernels import (
+        accumulate_normal_equations,
+        add_shapes,
     )
-    factors = np.linalg.solve(normal + settings.wall_ridge * np.trace(normal) * np.eye(n), pull)
-    raised_mm = np.array(surface_mm, np.float32)
-    for factor, shape in zip(factors, shapes, strict=True):
-        cv2.scaleAdd(shape, float(factor), raised_mm, dst=raised_mm)
-    return raised_mm
 
-
-def _make_shapes(surface_mm: Floats, settings: SurfaceSettings) -> list[Floats]:
-    """Ways of moving a surface as a whole, each (rows, cols)."""
     depth_mm = float(percentile(surface_mm, settings.deepest_percent))
     if depth_mm <= settings.min_depth_mm:
-        return []
-    ramps = (_make_ramp(surface_mm, depth_mm, low, high) for low, high in settings.wall_ranges)
-    return [surface_mm, *ramps]
-
-
-def _make_ramp(surface_mm: Floats, depth_mm: float, low: float, high: float) -> Floats:
-    """From 0 to 1 (rows, cols) where the surface passes from one share of the depth to another."""
-    ramp = surface_mm * np.float32(1.0 / (depth_mm * (high - low)))
-    ramp -= np.float32(low / (high - low))
-    return np.clip(ramp, np.float32(0.0), np.float32(1.0), out=ramp)
+        return surface_mm
+    surface_mm = np.require(surface_mm, np.float32, "CW")
+    # the surface, and ramps from 0 to 1 between two shares of its depth
+    ramps = np.array(
+        [
+            (1.0, 0.0, -np.inf, np.inf),
+            *(
+                (1.0 / (depth_mm * (high - low)), -low / (high - low), 0.0, 1.0)
+                for low, high in settings.wall_ranges
+            ),
+        ],
+        np.float32,
+    )
+    n = len(ramps)
+    normal = np.empty((n, n))
+    pull = np.empty(n)
+    lines = np.empty((n + 1, 5, surface_mm.shape[1]), np.float32)
+    per_px = np.float32(1.0) / np.float32(pixel_mm)
+    accumulate_normal_equations(surface_mm, per_px, ramps, *slopes, weights, lines, normal, pull)
+    factors = np.linalg.solve(normal + settings.wall_ridge * np.trace(normal) * np.eye(n), pull)
+    raised_mm = np.empty_like(surface_mm)
+    add_shapes(surface_mm, ramps, factors.astype(np.float32), raised_mm)
+    return raised_mm
