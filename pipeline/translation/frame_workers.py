@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Future
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -130,22 +131,18 @@ def _evaluate(
 ) -> Parcel:
     """Compute stages of the frame in a block, and leave the results there."""
     translation = _open_once(*opened)
-    block = _attach(block_name)
-    frame, previous = block.take(parcel)
-    if draft:
-        translation = replace(translation, params=_make_draft_params(translation))
-    results = translation.evaluate(frame, stages, previous=previous)
-    return block.put([replace(one, method=None, nodes=()) for one in results.values()])
-
-
-@lru_cache
-def _attach(name: str) -> SharedBlock:
-    return SharedBlock(name=name)
+    with closing(SharedBlock(name=block_name)) as block:
+        frame, previous = block.take(parcel)
+        if draft:
+            translation = replace(translation, params=_make_draft_params(translation))
+        results = translation.evaluate(frame, stages, previous=previous)
+        return block.put([replace(one, method=None, nodes=()) for one in results.values()])
 
 
 @lru_cache(maxsize=1)
 def _open_once(name: str, parcel: Parcel) -> Translation:
-    opening: _Opening = _attach(name).take(parcel)
+    with closing(SharedBlock(name=name)) as block:
+        opening: _Opening = block.take(parcel)
     if opening.live_sensor:
         path = opening.request.recording
         mount(path, lambda: _make_recording(path, opening))
