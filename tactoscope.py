@@ -445,7 +445,8 @@ def train(
 
     Args:
         what: What to train, as `tactoscope train --help` lists it, such as `t2t` or `vqvae`.
-        out: Folder for the state, curves and weights; it must not hold another run.
+        out: Folder for the state, curves and weights. The same call again continues a run that was
+            stopped there, or returns the weights of one that has ended.
         pairs: Recording or folder of both sensors; None = simulated touches.
         recipe: Name of a shipped recipe or a TOML file; "" = that for pairs of `what`.
         hold_out: Pairs that only validate, as in `tactoscope train --help`.
@@ -491,6 +492,7 @@ def train(
         TrainingRun(
             recipe=chosen,
             folder=folder,
+            resume=True,
             max_minutes=minutes,
             n_workers=workers,
             command="tactoscope.train",

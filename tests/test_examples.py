@@ -93,9 +93,11 @@ def test_own_format():
 
 
 def test_train_on_pairs():
-    result = run("train_on_pairs")["result"]
-    assert not result.fallback
-    assert result.method.name == "t2t"
+    ran = run("train_on_pairs")
+    assert not ran["result"].fallback
+    assert ran["result"].method.name == "t2t"
+    again = ts.train("t2t", out="run", pairs=ran["PAIRS"], steps=2)
+    assert again == ran["weights"], "who runs the script twice gets what there is"
 
 
 def test_batch(place, monkeypatch):

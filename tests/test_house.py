@@ -38,3 +38,20 @@ def test_every_test_and_picture_of_the_features_exists():
                 name,
             )
         assert all((ROOT / "docs" / picture).is_file() for picture in pictures), row
+
+
+def test_few_values_are_kept_outside_the_graph_and_the_cache_of_derived_values():
+    """Caches that last as long as the process: decorated functions and memos of a module."""
+    decorators = {"cache", "functools.cache", "lru_cache", "functools.lru_cache", "memoise"}
+    found = []
+    for package in ("pipeline", "app", "widgets"):
+        for path in sorted((ROOT / package).rglob("*.py")):
+            for node in ast.parse(path.read_text("utf-8")).body:
+                if isinstance(node, ast.FunctionDef):
+                    uses = [ast.unparse(d).partition("(")[0] for d in node.decorator_list]
+                    found += [f"{path.stem}.{node.name}" for use in uses if use in decorators]
+                elif (
+                    isinstance(node, ast.AnnAssign) and ast.unparse(node.annotation)[:5] == "Memo["
+                ):
+                    found.append(f"{path.stem}.{ast.unparse(node.target)}")
+    assert 10 < len(found) <= 31, found

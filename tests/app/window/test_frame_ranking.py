@@ -20,6 +20,8 @@ from widgets.frames.frames_model import CAUSE, FRAME, METRIC, NOTE, WARNINGS
 from widgets.frames.frames_panel import FramesPanel
 
 pytestmark = pytest.mark.ranks_frames
+PAIRED = SAMPLE_RECORDING.with_name("digit_gelslim.h5")
+TOUCHED = 3  # a frame that both sensors feel, of six
 LIMIT_MS = 240_000
 _UP = Qt.SortOrder.AscendingOrder
 _DOWN = Qt.SortOrder.DescendingOrder
@@ -27,7 +29,7 @@ _DOWN = Qt.SortOrder.DescendingOrder
 
 @pytest.fixture
 def window(open_window):
-    controller = open_window(SAMPLE_RECORDING, source="digit", target="gelslim", frame=5)
+    controller = open_window(PAIRED, source="digit", target="gelslim", frame=TOUCHED)
     assert wait_until_shown(controller, 240), controller.window.banner.text
     return controller
 
@@ -35,8 +37,8 @@ def window(open_window):
 def test_every_frame_with_truth_is_ranked_and_one_key_shows_the_worst(window, qtbot):
     panel = window.window.frames
     known = panel.model
-    qtbot.waitUntil(lambda: known.find_unknown_frame(5) < 0, timeout=LIMIT_MS)
-    assert window.session.frame == 5
+    qtbot.waitUntil(lambda: known.find_unknown_frame(TOUCHED) < 0, timeout=LIMIT_MS)
+    assert window.session.frame == TOUCHED
     figures = {
         f: known.get_summary(f).metrics.get("touch_depth.contact_mae_mm", math.nan)
         for f in range(known.rowCount())
@@ -79,7 +81,9 @@ def test_force_of_every_frame_is_a_curve_that_takes_their_depth_alone(window, qt
     )
     qtbot.waitUntil(lambda: bool(np.isfinite(line.values).all()), timeout=LIMIT_MS)
     assert line.is_curve
-    assert panel.model.find_unknown_frame(5) >= 0  # frames whose whole translation nobody needed
+    assert (
+        panel.model.find_unknown_frame(TOUCHED) >= 0
+    )  # frames whose whole translation nobody needed
     stream = window.views.translation.stream
     true = [-stream.truth(i).force_n[2] for i in range(len(line.values))]
     assert line.values[0] == true[0] == 0.0
@@ -98,7 +102,7 @@ def test_force_of_every_frame_is_a_curve_that_takes_their_depth_alone(window, qt
 
 
 def test_shear_of_every_frame_of_a_marked_gel_is_a_curve(open_window, qtbot):
-    controller = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
+    controller = open_window(PAIRED, source="gelslim", target="digit", frame=TOUCHED)
     assert wait_until_shown(controller, 240), controller.window.banner.text
     panel = controller.window.frames
     line = controller.window.timeline.errors
@@ -120,8 +124,8 @@ def test_a_click_in_the_timeline_chooses_the_frame(window, qtbot):
     qtbot.waitUntil(lambda: len(line.values) == n, timeout=LIMIT_MS)
     places = [line.frame_at(x) for x in range(line.width())]
     assert sorted(set(places)) == list(range(n))
-    qtbot.mouseClick(line, Qt.MouseButton.LeftButton, pos=QPoint(places.index(9) + 3, 10))
-    assert window.session.frame == 9
+    qtbot.mouseClick(line, Qt.MouseButton.LeftButton, pos=QPoint(places.index(2) + 3, 10))
+    assert window.session.frame == 2
 
 
 def test_a_recording_without_truth_fills_the_strip_by_its_round_trip(bubble_window, qtbot):

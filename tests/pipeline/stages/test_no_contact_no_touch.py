@@ -27,6 +27,7 @@ from tests.pipeline.stages.target_views import estimate_views
 from tests.pipeline.stages.test_latent_diffusion_touch import make_depth_weights
 from tests.pipeline.stages.test_light_changes import add_spot
 
+pytestmark = pytest.mark.usefixtures("shared_results")
 GEL = load_sensor("gelslim")
 BUBBLE = load_sensor("soft_bubble")
 METHODS = tuple(method.name for method in BUILT_IN.stage("touch").methods)
