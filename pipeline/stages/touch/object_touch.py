@@ -43,10 +43,10 @@ _DRAFT = 4.0  # times coarser: only the difference of a pose's touch from the be
 # misfits: of 24 true poses 1.2 to 1.4, of wrong ones from 1.5
 _EXPLAINED = 1.45
 _MOST_NOISE = 3.0  # a larger misfit of a bubble refuses the mesh
-# A larger misfit of a gel refuses the mesh. Chosen on half of the touches of random solids and tools
-# by two gels; of the others it accepts all true solids and 73 % of the true tools (of the rest the
+# A larger misfit of a gel refuses the mesh. Chosen on half of 67 touches of random solids and tools
+# by two gels. Of the others it accepts all true solids and 73 % of the true tools (of the rest the
 # registered pose, or the depth of a flat face, is wrong), and refuses 66 % of wrong meshes, 18 % of
-# those 15 % too large and all in another unit.
+# those 15 % too large, and all in another unit.
 _MOST_ERROR = 1.1
 # ratio of residuals that puts another pose first: a gel's depth has errors that a pose can explain
 _CLEARLY = 0.85
