@@ -131,6 +131,7 @@ OBJECT = Method(
     run=skip_if_exact(physical_render.skip_without_contact, _press_object_or_fall_back),
     params=object_touch.ObjectParams,
     reads=(*_VIEW, "depth", "source", "alignment", "mesh", "previous"),
+    version=2,
 )
 T2T = Method(
     stage="touch",

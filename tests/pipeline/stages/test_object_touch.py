@@ -9,14 +9,17 @@ import pytest
 from pipeline.core.geometry import rigid
 from pipeline.core.graph import Graph
 from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthErrorModel, GeneratedTouch, make_depth_map
 from pipeline.physics.sensor_images import render_reference
-from pipeline.physics.simulation import shapes
+from pipeline.physics.simulation import poses, shapes
 from pipeline.physics.simulation.datasets import BUBBLE_DEEPER_MM
-from pipeline.physics.simulation.press import move_bubble_closer, simulate_press
+from pipeline.physics.simulation.press import move_bubble_closer, press_membrane, simulate_press
 from pipeline.sensors.alignment import resolve_alignment
 from pipeline.sensors.spec import load_sensor
-from pipeline.stages.touch import t2d2
-from pipeline.stages.touch.object_touch import ObjectParams
+from pipeline.stages.pose.signed_distances import PRESSED
+from pipeline.stages.pose.warm_start import FOLLOWED
+from pipeline.stages.touch import object_touch, t2d2
+from pipeline.stages.touch.object_touch import ObjectParams, press_object
 from pipeline.stages.touch.stage import OBJECT, STAGE
 from pipeline.translation.catalogue import BUILT_IN
 from pipeline.views.image_views import TOUCH
@@ -91,6 +94,64 @@ def test_every_pose_that_fits_is_a_step_and_the_best_one_the_answer(graph, frame
     plain = translate(graph, frame, mesh, samples=3).output
     assert not plain.steps
     assert plain.image.tobytes() == touch.image.tobytes()
+
+
+def test_the_pose_at_which_the_object_is_pressed_is_its_pose(frame):
+    mesh = shapes.make_shape(SHAPE).mesh
+    route = Graph(BUILT_IN.methods("object", {}, {"source": "gel", "target": "bubble"}))
+    inputs = {
+        "frame": frame,
+        "source": GEL,
+        "target": BUBBLE,
+        "calibration": None,
+        "mesh": mesh,
+        "previous": None,
+        "alignment": resolve_alignment(GEL, BUBBLE),
+    }
+    results = route.evaluate(["pose"], inputs, {})
+    pose = results["pose"].output
+    pressed = press_membrane(mesh, pose.sensor_from_object, BUBBLE)
+    assert np.allclose(pressed.depth_mm, results["touch"].output.membrane.depth_mm, atol=1e-3)
+    assert PRESSED in pose.notes
+    assert pose.scene_mm.shape == (len(pose.source_index), 3)
+
+
+@pytest.mark.parametrize(("stated_mm", "is_refused"), [(0.05, True), (0.3, False)])
+def test_a_mesh_is_refused_by_what_the_depth_can_be_off_by(stated_mm, is_refused):
+    """A sphere in place of a cone: a small contact, whose rms over the image is small too."""
+    cone = shapes.make_shape("cone").mesh
+    press = simulate_press(cone, poses.make_paper_grid(cone, n=1, seed=2)[0], GEL, seed=None)
+    depth = make_depth_map(GEL.rest_depth_mm, press.indentation_mm, press.contact, GEL.camera)
+    depth = replace(depth, error=DepthErrorModel(rms_mm=stated_mm, correlation_mm=3.7))
+    sphere = shapes.make_shape("sphere").mesh
+    alignment = resolve_alignment(GEL, BUBBLE)
+    touch = press_object(depth, GEL, alignment, BUBBLE, sphere, None, ObjectParams(samples=1))
+    assert isinstance(touch, str) == is_refused
+
+
+def test_an_object_on_a_bubble_is_followed_without_a_search(monkeypatch):
+    mesh = shapes.make_shape(SHAPE).mesh
+
+    def press(shift_mm, previous):
+        pose = rigid.translation(shift_mm, 0.0, 0.0) @ POSE
+        frame = simulate_press(mesh, pose, BUBBLE, seed=3)
+        depth = make_depth_map(
+            BUBBLE.rest_depth_mm, frame.indentation_mm, frame.contact, BUBBLE.camera
+        )
+        depth = replace(depth, measured_depth_mm=frame.image)
+        alignment = resolve_alignment(BUBBLE, GEL)
+        params = ObjectParams(samples=3)
+        touch = press_object(depth, BUBBLE, alignment, GEL, mesh, previous, params)
+        assert isinstance(touch, GeneratedTouch)
+        return touch.membrane
+
+    first = press(0.0, None)
+    searched = press(0.2, None)
+    monkeypatch.setattr(object_touch, "find_pose", None)
+    followed = press(0.2, first.object_pose)
+    assert FOLLOWED in followed.object_pose.notes
+    off_mm = np.abs(followed.indentation_mm - searched.indentation_mm).mean()
+    assert off_mm < searched.expected_error_mm.mean()
 
 
 @pytest.mark.parametrize("mesh", ["none", "wrong"])

@@ -14,6 +14,7 @@ from pipeline.physics.simulation import poses, shapes
 from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors.spec import load_sensor
 from pipeline.translation.object_identification import identify_object
+from sample_data.make_samples import RECORDINGS_FOLDER
 
 GEL = load_sensor("gelslim")
 NAMES = ("letters", "cone", "star")
@@ -110,3 +111,11 @@ def test_a_setting_of_another_method_names_it(folder, press):
         pytest.raises(ts.TouchError, match=r"no parameter 'steps'.*touch=t2d2"),
     ):
         touches.with_(steps=8)
+
+
+def test_a_true_mesh_is_not_refused_where_the_depth_says_that_it_is_wrong():
+    """Frame 3: 63 % of its touch are saturated."""
+    with ts.open(RECORDINGS_FOLDER / "trouble.h5", "soft_bubble") as touches:
+        touch = touches[3].result("touch")
+    assert touch.method.name == "object"
+    assert not touch.fallback
