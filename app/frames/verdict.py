@@ -5,6 +5,8 @@ it; beside it the figures of the frame and each stage's share of its error.
 import math
 from collections.abc import Callable, Mapping, Sequence
 
+from PyQt6.QtCore import QEvent
+
 from app.document.evaluator import EvaluatedFrame
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
@@ -20,6 +22,7 @@ from pipeline.translation.error_attribution import (
     ErrorShare,
 )
 from widgets.stages.verdict_line import Finding
+from widgets.style.base import EventListener
 from widgets.style.notification_bar import Choice
 
 _NO_TRUTH = "The recording has no touch of the target to compare with."
@@ -49,6 +52,8 @@ class VerdictController(Feature):
         controller.remedies_changed.connect(self._show)
         self._window.look.active_changed.connect(self._show_figures)
         attribution.attributed.connect(self._show_attribution)
+        # an error is the verdict while its banner is there
+        EventListener(self._window.banner, self._show, QEvent.Type.Show, QEvent.Type.Hide)
 
     def _show_frame(self, _index: int) -> None:
         self._attribution = None
@@ -69,6 +74,8 @@ class VerdictController(Feature):
         self._window.verdict.show_verdict(
             state, sentence, cause, findings, (*self._offer_place(), *self._controller.remedies)
         )
+        if not self._window.banner.isHidden():
+            self._window.verdict.hide()
 
     def _list_findings(self, results: Mapping[str, StageResult]) -> list[Finding]:
         """List all warnings and fallbacks; those that every frame has come last."""

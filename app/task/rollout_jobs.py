@@ -15,6 +15,8 @@ from pipeline.lab.tasks.trial_rows import TrialRow
 from pipeline.views.layers import Layer, ViewBounds
 from pipeline.views.view import StepCurve
 
+_MOST_TRIED = 5  # files of a folder, of which one is a rollout where any is
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialFolder:
@@ -45,11 +47,13 @@ def list_trial_folder(path: Path, report: JobReporter) -> TrialFolder:
     Raises FileProblem where there is none.
     """
     from pipeline.lab.tasks.rollout_file import may_be_rollout
-    from pipeline.lab.tasks.trial_rows import list_trials
+    from pipeline.lab.tasks.trial_rows import SUFFIXES, list_trials
 
-    if path.is_file() and not may_be_rollout(path):
+    # a large folder of other recordings is not read through
+    files = sorted(f for f in path.iterdir() if f.suffix in SUFFIXES) if path.is_dir() else [path]
+    if not any(may_be_rollout(file) for file in files[:_MOST_TRIED]):
         raise FileProblem(
-            "this recording is no rollout of a task; open a folder of recorded trials",
+            "this is no rollout of a task; open a folder of recorded trials",
             path,
         )
     trials = list_trials(path, report)

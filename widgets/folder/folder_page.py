@@ -162,6 +162,7 @@ class FolderPage(QWidget):
             "worst of each"
         )
         self.sentence = QLabel(_PURPOSE)
+        self.sentence.setWordWrap(True)
         make_bold(self.sentence)
         self.table = QTableView()
         columns = prepare_table(self.table, "recordings", "recordings")

@@ -255,3 +255,16 @@ def test_a_folder_of_tables_says_what_it_is(bubble_window, real_data):
     bubble_window.open_path(model.paths[0])
     assert not wait_until_shown(bubble_window, LIMIT_S)
     assert find(bubble_window.window.banner.buttons, "Return to")
+
+
+def test_an_error_stands_in_place_of_the_verdict(bubble_window, tmp_path):
+    window = bubble_window.window
+    assert window.verdict.isVisible()
+    mesh = tmp_path / "no_surface.obj"
+    mesh.write_text("v 0 0 0\n")
+    bubble_window.open_mesh(mesh)
+    wait_until_shown(bubble_window, LIMIT_S)
+    assert window.banner.isVisible()
+    assert not window.verdict.isVisible(), "of the frame without that mesh"
+    window.banner.hide()
+    assert window.verdict.isVisible()

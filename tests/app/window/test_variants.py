@@ -64,7 +64,9 @@ def test_current_settings_are_compared_with_held_ones(held, qtbot):
     assert wait_until_shown(instrument, LIMIT_S)
     _choose_stage(qtbot, instrument, comparing, "target_depth")
     a, b, less = _grid(instrument).tiles
-    assert "cloud.stride: 4 | 1" in instrument.window.comparison.current_tab.message.text()
+    assert (
+        "Cloud, every n-th pixel: 4 | 1" in instrument.window.comparison.current_tab.message.text()
+    )
     assert (a.title, b.title) == ("A · Target depth", "B · Target depth")
     assert less.difference is not None
     # the difference, without asking
