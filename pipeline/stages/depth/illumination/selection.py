@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.core.arrays import Doubles, Floats
+from pipeline.core.arrays import Floats
 from pipeline.physics import optics
 from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import SensorSpec
@@ -26,7 +26,6 @@ from pipeline.stages.depth.illumination.field_light import (
 )
 from pipeline.stages.depth.illumination.light import (
     Illumination,
-    IlluminationModel,
     ImagePatch,
     Light,
     TouchObservation,
@@ -104,7 +103,8 @@ def choose_illumination(touches: Sequence[Touch]) -> Illumination:
 def _fit_leds(touches: Sequence[Touch]) -> Illumination | None:
     """LEDs of a usual instance that explain the touches, if there are any."""
     observed = [touch.observe(touch.described[0]) for touch in touches]
-    return pack_leds("leds", fit_leds(touches[0].source, observed))
+    found = fit_leds(touches[0].source, observed)
+    return None if found is None else Illumination(model="leds", parameters=tuple(found.tolist()))
 
 
 def choose_for_recording(touches: Sequence[Touch]) -> Illumination | None:
@@ -178,15 +178,6 @@ def _is_explained(touches: Sequence[Touch], misfit: float) -> bool:
     """Whether a misfit is a small part of the touches' change."""
     change = sum(sum_change_grey(touch.patch) for touch in touches)
     return misfit <= LIGHT.explained_share * change
-
-
-def pack_leds(model: IlluminationModel, parameters: Doubles | None) -> Illumination | None:
-    """A fitted illumination; None where the fit was rejected."""
-    return (
-        None
-        if parameters is None
-        else Illumination(model=model, parameters=tuple(parameters.tolist()))
-    )
 
 
 def get_optics(illumination: Illumination, source: SensorSpec) -> Optics:
