@@ -49,6 +49,7 @@ def evaluate(name, frame, *, target=BUBBLE, target_too_far_mm=0.0, between=None,
         "calibration": None,
         "mesh": None,
         "previous": None,
+        "previous_membrane": None,
         "alignment": moved,
         **{m.weights_name: m.weights(GEL, target, None) for m in methods if m.weights is not None},
     }
