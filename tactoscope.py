@@ -22,7 +22,7 @@ import importlib
 import importlib.util
 import os
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, cast, get_args
 
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from pipeline.lab.tracking.track_record import TrackRecord
     from pipeline.sensors.spec import SensorSpec, load_sensor
     from pipeline.translation.alignment.refine import Refinement
+    from pipeline.translation.live_translation import LiveResult
     from pipeline.translation.translate import Translation
     from pipeline.translation.translated_frame import TranslatedFrame
 
@@ -71,6 +72,7 @@ __all__ = [
     "align",
     "calibrate",
     "depth",
+    "live",
     "load_mesh",
     "load_sensor",
     "main",
@@ -151,6 +153,7 @@ def open(  # noqa: A001 - `ts.open` reads as it should
     mesh: PathLike | Mesh | None = None,
     meshes: PathLike | None = None,
     mesh_unit: str = "auto",
+    device: str = "auto",
 ) -> Translation:
     """Open touches of one sensor, to be translated to another.
 
@@ -177,6 +180,8 @@ def open(  # noqa: A001 - `ts.open` reads as it should
         meshes: Folder of meshes in place of one: the likeliest by the frame that differs most from
             its reference, with its margin in `notes`.
         mesh_unit: Unit of those files: `mm`, `cm`, `m`, `in`; `auto` = mm, where the size allows.
+        device: Where networks run: `cpu`, `cuda`, `cuda:1` (of several) or `mps`; `auto` = on a
+            card where there is one and the network is of published size.
 
     Returns:
         The translation: `len()`, `[i]`, a loop, `with_(method=..., steps=8)`; it closes at the end
@@ -223,6 +228,7 @@ def open(  # noqa: A001 - `ts.open` reads as it should
         alignment=None if alignment is None else Path(alignment),
         mesh=None if mesh is None or isinstance(mesh, Mesh) else Path(mesh),
         mesh_unit=mesh_unit,
+        device=device,
     )
     translation = open_translation(
         request, recording=at_hand, mesh=mesh if isinstance(mesh, Mesh) else None
@@ -234,6 +240,49 @@ def open(  # noqa: A001 - `ts.open` reads as it should
     for stage, method in own.items():
         translation = translation.with_(stage=stage, method=method)
     return translation
+
+
+def live(
+    source: str,
+    target: str,
+    *,
+    sensor: str = "",
+    shape: str = "sphere",
+    rate_hz: float = 0.0,
+    route: str = "t2d2",
+    device: str = "auto",
+) -> Iterator[LiveResult]:
+    """Translate a live sensor on all cores: a loop over its newest frames, until it is left.
+
+    The work is done by processes that import the program again: in a script, call it under `if
+    __name__ == "__main__":`.
+
+    Args:
+        source: `simulated`, `camera:0`, a folder that grows (`folder DIR`), `http://...`,
+            `ws://HOST:PORT TOPIC`, ...: what `tactoscope live --source` takes.
+        target: Sensor to translate to, by name or TOML file.
+        sensor: Sensor of the source, where it does not tell, or which one is simulated.
+        shape: Name of a shape, or mesh file, that touches a simulated sensor.
+        rate_hz: Frames a second to keep up with, by leaving out what the frame's `plan` says; 0 =
+            all of every frame, as many as come out.
+        route: `t2d2`, `t2t` or `object`.
+        device: Where networks run, as for `open`.
+
+    Returns:
+        For each frame `frame`, `results` (stage -> its result, with `output` and `notes`), `age_s`
+        and `plan`.
+
+    Raises:
+        TouchError: The source, a sensor or the route is not known.
+    """
+    from pipeline.io.live.source_parsing import parse_source
+    from pipeline.translation.live_translation import LIVE, translate_live
+    from pipeline.translation.translate import Request
+
+    opened = parse_source([source], sensor=sensor, tool=shape, rate_hz=rate_hz or 15.0)
+    return translate_live(
+        opened, Request(recording=LIVE, target=target, route=route, device=device), rate_hz
+    )
 
 
 def _make_recording(

@@ -31,6 +31,7 @@ from benchmarks.harness.timing import Requirement, Timing, build_measurement, su
 from pipeline.core.values.frames import TactileFrame, Truth
 from pipeline.core.values.results import DepthMap
 from pipeline.io.live.reader import LiveReader
+from pipeline.io.live.recorder import LiveRecorder
 from pipeline.io.live.source import LiveFrame
 from pipeline.io.live.source_parsing import FRAMES_PER_CYCLE, SimulatedSource
 from pipeline.io.mounts import mount, unmount
@@ -51,6 +52,9 @@ _N_FRAMES = 56
 _LIVE = Path("live:/benchmark")
 _PAIRS = (("gelslim", "soft_bubble", 20.0), ("digit", "gelslim", 25.0))
 _PEER = "one process, cold"
+_NO_PEER = "none"
+_RECORDED_HZ = 60.0
+_RECORDED_S = 15.0
 
 
 class _StoredSource:
@@ -140,6 +144,8 @@ def measure() -> BenchmarkResult:
                     f"{name}: {done.left_out or 'all computed'}; {done.split}; the membrane is "
                     f"{done.away_mm:.2g} mm from the cold one"
                 )
+            if not any(row.peer == _NO_PEER for row in rows):
+                rows.append(_record(translation, reader))
         finally:
             unmount(_LIVE)
             reader.stop(1.0)
@@ -270,6 +276,61 @@ def _watch_alone(translation: Translation, reader: LiveReader, stored: _StoredSo
         age_ms = 1e3 * reader.measure_age_s(frame)
         shown.append(_Shown(frame=frame, age_ms=age_ms, is_touched=is_touched))
     return _summarize(translation, stored, shown, _PEER_SECONDS)
+
+
+class _NumberedSource:
+    """Images of 640 x 480 px at 60 Hz."""
+
+    touching_object = None
+    title = "numbered"
+    sensor = "digit"
+
+    def __init__(self) -> None:
+        rng = np.random.default_rng(0)
+        self._image = rng.normal(120.0, 2.0, (640, 480, 3)).astype(np.uint8)
+        self._start_s = 0.0
+        self.number = 0
+
+    def open(self) -> None:
+        self._start_s = time.monotonic()
+
+    def read(self) -> LiveFrame:
+        time.sleep(max(0.0, self._start_s + self.number / _RECORDED_HZ - time.monotonic()))
+        self.number += 1
+        return LiveFrame(
+            image=self._image.copy(), time_s=time.monotonic(), sequence_number=self.number
+        )
+
+    def close(self) -> None:
+        pass
+
+
+def _record(translation: Translation, reader: LiveReader) -> Measurement:
+    """Frames lost by a recording beside a live chain that takes all it can."""
+    source = _NumberedSource()
+    with tempfile.TemporaryDirectory() as folder:
+        recorder = LiveRecorder(Path(folder, "numbered.h5"), source.title)
+        fast = LiveReader(source)
+        live = LiveTranslation(translation, reader)
+        try:
+            _poll(live, _WARM_UP[1], 10)
+            fast.set_listener(recorder.offer)
+            fast.start()
+            _poll(live, _RECORDED_S)
+        finally:
+            live.close()
+            fast.stop(1.0)
+        recorder.close(60.0)
+    lost = recorder.n_dropped
+    return build_measurement(
+        f"recording 640 x 480 px at 60 Hz beside the live chain: frames lost of "
+        f"{recorder.n_written + lost}",
+        ours=Timing(median_ms=1e3 * _RECORDED_S / max(recorder.n_written, 1), p95_ms=math.nan),
+        ours_error=float(lost),
+        unit="frames",
+        bar=Requirement(max_error=0.0),
+        peer=_NO_PEER,
+    )
 
 
 def _measure_recording(notes: list[str]) -> Iterator[Measurement]:

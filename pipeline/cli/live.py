@@ -21,13 +21,12 @@ from pipeline.io.live.source_parsing import RATE_RANGE_HZ, parse_source
 from pipeline.io.live.usb_camera import list_usb_cameras
 from pipeline.io.mounts import mount, unmount
 from pipeline.sensors.spec import load_sensor
-from pipeline.translation.live_translation import LiveResult, LiveTranslation
+from pipeline.translation.live_translation import LIVE, LiveResult, LiveTranslation
 from pipeline.translation.translate import Request, open_translation
 
 _STATUS_PERIOD_S = 1.0
 _POLL_S = 0.05  # between looks at the clock and at Ctrl-C
 _SIMULATED_RATE_HZ = 15.0  # of a simulated sensor where best quality is wanted
-_LIVE = Path("live:/1")  # the name by which the sensor opens like a file
 _STOP_TIMEOUT_S = 5.0  # for the reader's thread to end
 
 
@@ -76,7 +75,7 @@ def live(
     )
     if target:
         load_sensor(target)  # a wrong name is said before anything starts
-    request = Request(recording=_LIVE, target=target, route=route) if target else None
+    request = Request(recording=LIVE, target=target, route=route) if target else None
     return _watch_sensor(opened, record, seconds, request, rate)
 
 
@@ -110,7 +109,7 @@ def _watch_sensor(
     shown: list[LiveResult] = []
     has_shown = False
     start_s = said_s = time.monotonic()
-    mount(_LIVE, lambda: reader.make_recording(_LIVE))
+    mount(LIVE, lambda: reader.make_recording(LIVE))
     try:
         with handle_interrupts(lambda *_: ended.set()):
             reader.start()
@@ -134,7 +133,7 @@ def _watch_sensor(
                     _print_status(reader, recorder, translated)
                     shown, said_s = [], now_s
     finally:
-        unmount(_LIVE)
+        unmount(LIVE)
         if live is not None:
             live.close()
         reader.set_listener(None)

@@ -55,7 +55,7 @@ class BubbleContact:
     is_followed: bool  # from a start, not from rest
 
     @property
-    def deviation_mm(self) -> Doubles:
+    def deviation_mm(self) -> Doubles | Floats:
         """Deviation (ny, nx) from the rest dome."""
         return self.sealed.deviation_mm
 
@@ -197,7 +197,7 @@ def _solve_sealed(
     """
     air = bubble.dead_volume_mm3 + compute_volume_mm3(bubble)
     absolute = ATMOSPHERE_KPA + bubble.pressure_kpa
-    v = start.deviation_mm
+    v = np.asarray(start.deviation_mm, np.float64)
     settled = True
 
     def compute_missing_pressure(over_kpa: float) -> float:
@@ -242,7 +242,7 @@ def solve_obstacle(
     return v, converged
 
 
-def refine(v: Doubles) -> Doubles:
+def refine(v: Doubles | Floats) -> Doubles:
     """A shape on a halved grid, interpolated to the full one (bilinear)."""
     fine = np.empty((2 * v.shape[0] - 1, 2 * v.shape[1] - 1))
     fine[::2, ::2] = v
@@ -251,9 +251,9 @@ def refine(v: Doubles) -> Doubles:
     return fine
 
 
-def compute_contact_load(grid: ObstacleProblem, v: Doubles, load_per_mm: float) -> Doubles:
+def compute_contact_load(grid: ObstacleProblem, v: Doubles | Floats, load_per_mm: float) -> Doubles:
     """Load (ny, nx) of the object on the membrane (1/mm), 0 outside contact."""
-    force = np.zeros_like(v)
+    force = np.zeros(v.shape)
     inner = (slice(1, -1), slice(1, -1))
     lap = (
         v[:-2, 1:-1] + v[2:, 1:-1] + v[1:-1, :-2] + v[1:-1, 2:] - 4.0 * v[inner]

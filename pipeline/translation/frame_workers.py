@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 Results = Mapping[str, StageResult]
 _BLOCK_BYTES = 32 << 20  # of a frame's results; those of a gel to a bubble take 4 MB
+_NICE = 5
 CACHE_BYTES = 32 << 20  # of a graph whose frames do not return: what follows from the last ones
 
 
@@ -93,7 +94,8 @@ class FrameWorkers:
         # whether a draft differs from what the methods compute
         self.has_draft = _make_draft_params(translation) != _make_full_params(translation)
         self._methods = {method.stage: method for method in translation.methods}
-        self._pool = WorkerPool(self.n_workers)
+        # a reader, a recorder and a window come first
+        self._pool = WorkerPool(self.n_workers, nice=_NICE)
         self._free = [SharedBlock(_BLOCK_BYTES) for _ in range(self.n_workers)]
         self._blocks = list(self._free)
         self._opened = self.share(describe_opening(translation))

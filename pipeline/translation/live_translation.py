@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Generator
 from concurrent.futures import BrokenExecutor, Future, wait
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import cast
 
 from pipeline.core.arrays import Floats, Image
@@ -19,13 +21,18 @@ from pipeline.core.errors import TouchError
 from pipeline.core.values.frames import Stream, TactileFrame
 from pipeline.core.values.results import GeneratedTouch, ObjectPose, SealedMembrane
 from pipeline.io.live.reader import LiveReader
+from pipeline.io.live.source import LiveSource
+from pipeline.io.mounts import mount, unmount
+from pipeline.sensors.spec import load_sensor
 from pipeline.translation.frame_selection import select_context_frames
 from pipeline.translation.frame_workers import FrameWorkers, Results, Shared
 from pipeline.translation.live_rate import RatePlan, RateRule, pop_in_order
-from pipeline.translation.translate import Translation
+from pipeline.translation.translate import Request, Translation, open_translation
 
+LIVE = Path("live:/1")  # a name by which a sensor opens like a file
 _POSE = "pose"
 _POLL_S = 0.005  # between looks for a newer frame while a worker is idle
+_WAIT_S = 1.0  # for results, and for the reader's thread to end
 _MAX_GAP_S = 0.5  # after which a pose is searched anew
 _KEPT_TOUCHES = 24  # from which those are chosen that determine the light
 
@@ -235,3 +242,28 @@ class LiveTranslation:
     def close(self) -> None:
         """End the workers."""
         self._workers.close()
+
+
+def translate_live(
+    source: LiveSource, request: Request, rate_hz: float = 0.0
+) -> Generator[LiveResult]:
+    """Yield what a sensor shows, translated, until the generator is closed.
+
+    The request's recording is a name by which the sensor opens meanwhile, like a file.
+    """
+    load_sensor(request.target)  # a wrong name is said before anything starts
+    reader = LiveReader(source)
+    live: LiveTranslation | None = None
+    mount(request.recording, lambda: reader.make_recording(request.recording))
+    try:
+        reader.start()
+        while not reader.has_reference:
+            time.sleep(_POLL_S)
+        live = LiveTranslation(open_translation(request), reader, rate_hz=rate_hz)
+        while True:
+            yield from live.poll(_WAIT_S)
+    finally:
+        unmount(request.recording)
+        if live is not None:
+            live.close()
+        reader.stop(_WAIT_S)

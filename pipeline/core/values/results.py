@@ -109,7 +109,7 @@ class TouchStep:
 class SealedMembrane:
     """Shape of a bubble's membrane and pressure of its air, from which a search can start."""
 
-    deviation_mm: Doubles  # (ny, nx) of the lattice, from the rest dome
+    deviation_mm: Doubles | Floats  # (ny, nx) of the lattice, from the rest dome
     over_kpa: float = 0.0  # rise of the pressure
     slope: float = math.nan  # of the missing pressure over the pressure; NaN = unknown
     converged: bool = True

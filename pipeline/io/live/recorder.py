@@ -36,12 +36,19 @@ class LiveRecordingWriter(RecordingWriter):
     def _open_place(self, path: Path) -> BinaryIO:
         return self._place.enter_context(open_growing_file(path, "the recording"))
 
-    def append(self, stream: str, frame: TactileFrame, truth: Truth | None = None) -> None:
+    def append(
+        self,
+        stream: str,
+        frame: TactileFrame,
+        truth: Truth | None = None,
+        *,
+        compressed: bool = True,
+    ) -> None:
         """Add one frame to the only stream.
 
         Raises ShapeError where it differs in shape from the first.
         """
-        super().append(stream, frame, truth)
+        super().append(stream, frame, truth, compressed=compressed)
         if not self._file.swmr_mode:
             self._file.swmr_mode = True
         now_s = time.monotonic()
@@ -77,6 +84,7 @@ def _read_last(path: Path) -> None:
 
 
 _QUEUE_FRAMES = 240  # some seconds of a fast sensor
+_BEHIND_FRAMES = 30  # in the queue, from which on frames are not compressed
 _Item = tuple[TactileFrame, Truth | None] | None  # None ends the thread
 
 
@@ -115,7 +123,8 @@ class LiveRecorder:
             with self._writer as writer:
                 while (item := self._queue.get()) is not None:
                     frame, truth = item
-                    writer.append(frame.sensor, frame, truth)
+                    is_behind = self._queue.qsize() >= _BEHIND_FRAMES
+                    writer.append(frame.sensor, frame, truth, compressed=not is_behind)
                     self.n_written += 1
         except (TouchError, OSError) as error:
             self.problem = str(error)

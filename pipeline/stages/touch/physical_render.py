@@ -300,7 +300,8 @@ def render_bubble_touch(
     image = bubble.simulate_depth_frame(target, depth, params.seed if params.add_noise else None)
     surface = (target.rest_depth_mm - depth).astype(np.float32)
     touch = _make_touch(view, target, image, surface, contact, notes)
-    return replace(touch, pressed=solution.sealed)
+    near = freeze(solution.deviation_mm.astype(np.float32))  # half the memory
+    return replace(touch, pressed=replace(solution.sealed, deviation_mm=near))
 
 
 def warn_of_unseen_object(view: TargetDepth, target: SensorSpec) -> tuple[UnseenObjectWarning, ...]:

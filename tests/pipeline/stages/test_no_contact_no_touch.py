@@ -54,6 +54,7 @@ def evaluate(
         "calibration": None,
         "mesh": None,
         "previous": None,
+        "previous_membrane": None,
         "alignment": moved,
         **{
             m.weights_name: m.weights(GEL, target, file if m.stage == "touch" else None)

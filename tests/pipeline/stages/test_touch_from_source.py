@@ -58,6 +58,7 @@ def inputs(frame, **more):
         "calibration": None,
         "mesh": None,
         "previous": None,
+        "previous_membrane": None,
         "alignment": alignment.resolve_alignment(GEL, BUBBLE),
         **more,
     }

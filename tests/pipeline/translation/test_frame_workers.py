@@ -11,9 +11,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import tactoscope as ts
 from pipeline.cli import live as live_command
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
-from pipeline.core.errors import NotConverged
+from pipeline.core.errors import NotConverged, TouchError
 from pipeline.core.shared_memory import SharedBlock
 from pipeline.io.live.reader import LiveReader
 from pipeline.io.live.source import LiveFrame
@@ -103,6 +104,24 @@ def test_a_live_sensor_is_translated_in_order_with_the_values_of_one_process(mon
     depth_mm = last.results["depth"].output.depth_mm
     assert depth_mm.tobytes() == here["depth"].output.depth_mm.tobytes()
     assert not depth_mm.flags.writeable
+
+
+@pytest.mark.timeout(300)
+def test_a_live_sensor_is_a_loop_in_python():
+    before = set(multiprocessing.active_children())
+    for shown in ts.live("simulated", "gelslim", sensor="digit"):
+        assert shown.results["touch"].output.image.shape == (320, 427, 3)
+        assert set(multiprocessing.active_children()) > before
+        break
+    ends_s = time.monotonic() + 20.0
+    while set(multiprocessing.active_children()) - before:
+        assert time.monotonic() < ends_s, "a worker outlives its loop"
+    with pytest.raises(TouchError, match="nose"):
+        next(ts.live("simulated", "nose"))
+    with pytest.raises(TouchError, match="source"):
+        ts.live("a wish", "gelslim")
+    with pytest.raises(TouchError, match="cuda:99"):
+        ts.open(RECORDINGS_FOLDER / "digit_gelslim.h5", "gelslim", device="cuda:99")
 
 
 def test_a_block_holds_one_value_and_one_that_is_too_large_goes_through_the_pipe():

@@ -16,13 +16,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import h5py
 import numpy as np
 import pytest
 
 from pipeline.cli.main import build_app, run_app
 from pipeline.core.errors import FileProblem, SettingProblem
-from pipeline.io import hdf5, mounts, open_recording
+from pipeline.io import hdf5, hdf5_writer, mounts, open_recording
 from pipeline.io.live import reader, reference_capture, usb_camera
+from pipeline.io.live import recorder as live_recorder
 from pipeline.io.live.reader import LiveReader
 from pipeline.io.live.recorder import LiveRecorder
 from pipeline.io.live.source import LiveFrame, LiveSourceLost
@@ -394,6 +396,59 @@ def test_a_recording_can_be_read_while_it_grows_and_equals_the_live_frames(tmp_p
     assert np.array_equal(first.image, buffered.image)
     assert np.array_equal(first.reference, buffered.reference)
     whole.close()
+
+
+class NumberedSource(CountingSource):
+    """240 images of 640 x 480 px at 60 Hz, the first pixel of each its number."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        rng = np.random.default_rng(0)
+        self._image = rng.normal(120.0, 2.0, (640, 480, 3)).astype(np.uint8)
+
+    def read(self) -> LiveFrame | None:
+        if self._n == 240:
+            time.sleep(0.01)
+            return None
+        time.sleep(1 / 60)
+        image = self._image.copy()
+        image[0, 0, 0] = self._n
+        self._n += 1
+        return LiveFrame(image=image, time_s=time.monotonic(), sequence_number=self._n)
+
+
+def test_a_recording_at_60_hz_lacks_no_number(tmp_path, running, monkeypatch):
+    """Not even where a slow disk leaves frames waiting, which are then written uncompressed."""
+    monkeypatch.setattr(live_recorder, "_BEHIND_FRAMES", 1)
+    recorder = LiveRecorder(tmp_path / "a.h5", "test")
+    watched = LiveReader(NumberedSource())
+    watched.set_listener(recorder.offer)
+    watched.start()
+    wait_until(lambda: watched.n_frames == 240)
+    assert watched.stop(LIMIT_S)
+    assert recorder.close(LIMIT_S)
+    assert not recorder.n_dropped
+    with closing(hdf5.read(tmp_path / "a.h5")) as recording:
+        stream = recording.streams[0]
+        numbers = [int(stream.frame(k).image[0, 0, 0]) for k in range(stream.n_frames)]
+        frames = h5py.File(tmp_path / "a.h5")["streams/digit/frames"]
+        bytes_of = {frames.id.get_chunk_info(k).size for k in range(frames.id.get_num_chunks())}
+    assert numbers == list(range(numbers[0], 240))
+    assert numbers[0] < 20, "all but those before the reference"
+    assert max(bytes_of) == 640 * 480 * 3 + 4, "some are stored as they are, with a checksum"
+
+
+@pytest.mark.parametrize("n_bytes", [1, 2, 5, 719, 720, 100_001])
+@pytest.mark.parametrize("fill", [0, 255, None])
+def test_an_uncompressed_row_has_the_checksum_that_hdf5_writes(tmp_path, n_bytes, fill):
+    row = np.random.default_rng(n_bytes).integers(0, 256, n_bytes, dtype=np.uint8)
+    row = row if fill is None else np.full_like(row, fill)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        options = {"chunks": (1, n_bytes), "dtype": np.uint8, "fletcher32": True}
+        rows = file.create_dataset("rows", (1, n_bytes), **options)
+        rows[0] = row
+        stored = rows.id.read_direct_chunk((0, 0))[1]
+    assert stored[-4:] == hdf5_writer._compute_fletcher32(row.tobytes()).to_bytes(4, "little")
 
 
 def test_a_recording_survives_a_kill_at_any_moment(tmp_path):
