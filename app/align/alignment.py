@@ -260,9 +260,7 @@ class AlignmentController(Feature):
         ):
             self._controller.views.show_wipe(part.before, part.after)
         elif isinstance(part, DragPreview) and self._panel.dragging:
-            self._controller.views.show_drag_preview(
-                part.preview, part.observation_view, part.layers
-            )
+            self._controller.views.show_drag_preview(part.preview, part.observation_view)
             self.dragged.emit(part.layers)
             self._show_score(part.score)
         elif (

@@ -146,8 +146,6 @@ def _connect_columns(controller: SessionController) -> None:
     probe = controller.probe
     window.parameters.params_edited.connect(controller.choose_params)
     window.parameters.slider_held.connect(controller.hold_slider)
-    for slider in window.steps.values():
-        slider.step_chosen.connect(controller.views.show_step)
     for column in window.columns.values():
         column.pixel_hovered.connect(probe.probe_pixel)
         column.pixel_clicked.connect(probe.toggle_pin)

@@ -6,7 +6,6 @@ import time
 from collections.abc import Sequence
 from functools import partial
 
-import numpy as np
 from PyQt6.QtCore import QPointF, Qt, QTimer
 
 from app.align.alignment import AlignmentController
@@ -15,11 +14,8 @@ from app.document.session_controller import SessionController
 from app.session.state import Session
 from app.views.scene_geometry import show_scene_caption
 from app.views.stage_previews import StagePreview
-from pipeline.core.arrays import Doubles
-from pipeline.core.geometry import rigid
-from pipeline.views.colours import REGISTERED_POINT_COLOUR, repeat_colour
-from pipeline.views.layers import Layer, make_lines_layer, stretch_depth
-from pipeline.views.press_motion import DURATION_S, SOURCE_SURFACES, PressMotion
+from pipeline.views.layers import Layer
+from pipeline.views.press_motion import DURATION_S, PressMotion
 from pipeline.views.scene import (
     MEMBRANE_STAGES,
     SCENE_VIEWS,
@@ -28,6 +24,7 @@ from pipeline.views.scene import (
     find_scene_places,
     make_scene_layers,
 )
+from pipeline.views.scene_measure import SceneMeasure
 from widgets.style.icons import make_command_icon
 
 _TICK_MS = 60  # between two images of the motion
@@ -51,9 +48,8 @@ class SceneController(Feature):
         self._timer = QTimer(self)
         self._timer.setInterval(_TICK_MS)
         self._timer.timeout.connect(self._move_on)
-        self._measured: list[Doubles] = []  # up to two points, as drawn
-        self._measured_mm: list[Doubles] = []  # and without the stretched depth
-        self._play, self._measure, self._orthographic = (
+        self._measure = SceneMeasure()
+        self._play, self._measures, self._orthographic = (
             self._window.actions_by_name[name]
             for name in ("press_motion", "scene_measure", "scene_orthographic")
         )
@@ -70,9 +66,9 @@ class SceneController(Feature):
         self._window.connect_command("cancel", self._stop_motion)
         self._view.key_pressed.connect(self._handle_key)
         self._view.clicked.connect(self._measure_point)
-        self._measure.toggled.connect(self._clear_measure)
+        self._measures.toggled.connect(self._clear_measure)
         self._orthographic.toggled.connect(self._set_orthographic)
-        for name in (*SCENE_VIEWS, "source", "target"):
+        for name in SCENE_VIEWS:
             self._window.connect_command(f"scene_{name}", partial(self._look_from, name))
 
     @property
@@ -124,13 +120,13 @@ class SceneController(Feature):
             self._motion = PressMotion(self._layers, opened.source, opened.target, self._places)
             self._show_motion()
         else:
-            views.show_page_scene("scene", (*self._layers, *self._draw_measure()), bounds, session)
+            views.show_page_scene("scene", (*self._layers, *self._measure.layers), bounds, session)
             show_scene_caption(self._window, opened, session.display)
         self._show_labels()
 
     def _show_labels(self) -> None:
         if self._places is not None:
-            labels = {**self._places.labels, **self._label_measure()}
+            labels = {**self._places.labels, **self._measure.labels}
             self._controller.views.scene.label_points(self._place, labels)
 
     def _handle_key(self, key: int) -> None:
@@ -177,7 +173,7 @@ class SceneController(Feature):
         opened = self._controller.views.translation
         if self._motion is None or opened is None:
             return
-        layers = (*self._motion.make_layers(self._time), *self._draw_measure())
+        layers = (*self._motion.make_layers(self._time), *self._measure.layers)
         self._controller.views.scene.show_layers(self._place, layers, is_passing=True)
         show_scene_caption(
             self._window,
@@ -190,63 +186,26 @@ class SceneController(Feature):
         self._controller.views.scene.set_orthographic(self._place, on=on)
 
     def _look_from(self, name: str) -> None:
-        if self._places is None:
-            return
-        if name in SCENE_VIEWS:
-            direction, up = (np.array(vector) for vector in SCENE_VIEWS[name])
-        else:
-            pose = (
-                self._places.view_from_source if name == "source" else self._places.view_from_target
-            )
-            direction, up = -pose[:3, 2], -pose[:3, 1]
-        self._controller.views.scene.look_from(self._place, direction, up)
+        if self._places is not None:
+            direction, up = self._places.find_view(name)
+            self._controller.views.scene.look_from(self._place, direction, up)
 
     def _measure_point(self, at: QPointF) -> None:
         """Take a clicked point as the next end of what is measured."""
-        found = self._controller.views.scene.find_surface_point(self._place, at)
-        if not self._measure.isChecked() or found is None:
-            return
-        if len(self._measured) == 2:
-            self._measured, self._measured_mm = [], []
-        name, place = found
-        self._measured.append(np.array(place))
-        self._measured_mm.append(self._undo_stretch(name, np.array(place)))
-        self._show()
-
-    def _undo_stretch(self, layer: str, place: Doubles) -> Doubles:
-        """Return where a point of a surface with stretched depth is."""
         opened = self._controller.views.translation
-        if opened is None or self._places is None:
-            return place
-        if layer in SOURCE_SURFACES:
-            sensor, view_from_sensor = opened.source, self._places.view_from_source
-        elif layer in MEMBRANE_STAGES:
-            sensor, view_from_sensor = opened.target, self._places.view_from_target
-        else:
-            return place
-        times = self._controller.session.display.get_depth_stretch(sensor)
-        seen = rigid.apply(rigid.invert(view_from_sensor), place[None])
-        return rigid.apply(view_from_sensor, stretch_depth(seen, sensor, 1.0 / times))[0]
+        found = self._controller.views.scene.find_surface_point(self._place, at)
+        if self._measures.isChecked() and found and opened and self._places:
+            self._measure = self._measure.add_point(
+                *found,
+                self._places,
+                (opened.source, opened.target),
+                self._controller.session.display,
+            )
+            self._show()
 
     def _clear_measure(self) -> None:
-        self._measured, self._measured_mm = [], []
+        self._measure = SceneMeasure()
         self._show()
-
-    def _draw_measure(self) -> tuple[Layer, ...]:
-        if not self._measured:
-            return ()
-        ends = np.array([(self._measured[0], self._measured[-1])])
-        line = make_lines_layer(
-            "measure", ends.astype(np.float32), repeat_colour(REGISTERED_POINT_COLOUR, 1)
-        )
-        return (line,)
-
-    def _label_measure(self) -> dict[str, tuple[float, float, float]]:
-        if len(self._measured) < 2:
-            return {}
-        x, y, z = (float(value) for value in 0.5 * (self._measured[0] + self._measured[1]))
-        length_mm = float(np.linalg.norm(self._measured_mm[1] - self._measured_mm[0]))
-        return {f"{length_mm:.2f} mm": (x, y, z)}
 
 
 def _find_recorded(part: object) -> tuple[Layer, ...]:

@@ -1,15 +1,13 @@
-"""Step through: the kept iterations of a stage, by a slider under its 3D view and as curves in a
-tab.
-"""
+"""Step through: the kept iterations of a stage as curves in a tab, and any of them in its views."""
 
 from dataclasses import replace
-from functools import partial
 
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
 from app.views.stage_previews import StagePreview
 from pipeline.core.graph import Method
 from pipeline.core.params import list_settings, replace_value
+from pipeline.translation.pixel_trace import SOURCE
 
 _KEEP_PREFIX = "keep_"  # of the parameters that keep iterations
 _DEFAULT_STAGE = "pose"
@@ -19,7 +17,7 @@ _NO_ITERATIONS = "This result took no iterations."
 
 
 class StepScrubberController(Feature):
-    """Connects the tab and the sliders under the 3D views with the session.
+    """Connects the tab with the session and the views.
 
     Iterations are kept only on request.
     """
@@ -32,9 +30,6 @@ class StepScrubberController(Feature):
         panel.stage_box.chosen.connect(self.show_session)
         panel.keep_steps_requested.connect(self.set_keep_steps)
         panel.plot.step_chosen.connect(self._set_step)
-        for stage, slider in window.steps.items():
-            slider.keep_steps_requested.connect(self.show_steps_of)
-            slider.slider.valueChanged.connect(partial(self._show_step, stage))
         controller.frame_shown.connect(self.show_session)
         window.connect_command(
             "step_through",
@@ -77,14 +72,9 @@ class StepScrubberController(Feature):
         titles = {
             stage: controller.catalogue.stage(stage).title
             for stage in window.route_columns
-            if stage in window.steps
+            if stage != SOURCE and controller.catalogue.stage(stage).has_steps
         }
         panel.offer_stages(titles)
-        for stage, slider in window.steps.items():
-            slider.set_can_keep_steps(
-                can_keep=(method := self._get_method(stage)) is not None
-                and bool(_find_keep_parameter(method))
-            )
         chosen = panel.stage_box.choice
         method = self._get_method(chosen)
         part = controller.views.get_shown_stage(chosen)
@@ -103,15 +93,10 @@ class StepScrubberController(Feature):
         if is_kept and history is None:
             why_not = _NO_ITERATIONS if controller.is_idle else _NOT_YET
         panel.show_history(history, keeps_steps=is_kept, can_keep_steps=bool(name), why_not=why_not)
-        if history is not None:
-            panel.show_step(window.steps[chosen].slider.value())
 
     def _set_step(self, at: int) -> None:
-        self._window.steps[self._panel.stage_box.choice].slider.setValue(at)
-
-    def _show_step(self, stage: str, at: int) -> None:
-        if stage == self._panel.stage_box.choice:
-            self._panel.show_step(at)
+        self._controller.views.show_step(self._panel.stage_box.choice, at)
+        self._panel.show_step(at)
 
 
 def _find_keep_parameter(method: Method) -> str:

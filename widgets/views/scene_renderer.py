@@ -66,7 +66,6 @@ class SceneRenderer(QObject):
         self._opened: OffscreenRenderer | None = None
         self._mouse: Any = None  # VTK's interactor
         self._layers: dict[int, tuple[Layer, ...]] = {}
-        self._placed: dict[int, dict[str, Doubles]] = {}
         self._marks: dict[int, Point3] = {}
         self._labels: dict[int, Mapping[str, Point3]] = {}
         # asked for before it is open
@@ -132,16 +131,9 @@ class SceneRenderer(QObject):
         shown = tuple(layers)
         (self._passing.add if is_passing else self._passing.discard)(column)
         old = self._layers.get(column, ())
-        if self._placed.pop(column, None) or [id(layer) for layer in old] != [
-            id(layer) for layer in shown
-        ]:
+        if [id(layer) for layer in old] != [id(layer) for layer in shown]:
             self._layers[column] = shown
             self._draw_soon(column)
-
-    def move_layer(self, column: int, name: str, view_from_layer: Doubles) -> None:
-        """Move one layer rigidly until its layers are shown again."""
-        self._placed.setdefault(column, {})[name] = view_from_layer
-        self._draw_soon(column)
 
     def fit_cameras(self, bounds: Mapping[int, ViewBounds], *, linked: bool) -> None:
         """Set the cameras; views of one frame share theirs when `linked`."""
@@ -301,14 +293,12 @@ class SceneRenderer(QObject):
             view.show_image(blank)
             self._show_dot(column)
             return False
-        placed = self._placed.get(column, {})
         key = (
             column,
             view.size_px,
             ink.backdrop,
             tuple(id(layer) for layer in layers),
             self._stage.get_camera(column),
-            tuple((name, at.tobytes()) for name, at in placed.items()),
         )
         kept = self._kept.get(key)
         is_kept = kept is not None and all(
@@ -316,7 +306,7 @@ class SceneRenderer(QObject):
         )
         if kept is None or not is_kept:
             begun_s = time.thread_time()
-            self._stage.show_layers(column, layers, placed, ink)
+            self._stage.show_layers(column, layers, ink)
             pixels = self._stage.render_pixels(column, *view.size_px, ink)
             rows, cols = pixels.shape[:2]
             image = QImage(pixels.tobytes(), cols, rows, 3 * cols, QImage.Format.Format_RGB888)
