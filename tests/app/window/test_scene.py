@@ -160,13 +160,20 @@ def test_views_zoom_and_measure_of_the_scene(open_window, qtbot):
     scene.draw_pending()
     assert view.scale_bar[1] == bar[1]
     assert view.scale_bar[0] == pytest.approx(bar[0], rel=1e-3), "as large as before"
-    for notches in (60, -120):  # far beyond what can be seen
-        for _ in range(abs(notches)):
-            scene._stage.renderers[place].GetActiveCamera().Dolly(1.2 if notches > 0 else 1 / 1.2)
+    fitted_mm = scene._stage.measure_view_mm(place)
+    camera = scene._stage.renderers[place].GetActiveCamera()
+    for factor, limit in ((1.3, 0.02), (1 / 1.3, 4.0)):  # in, then out, far beyond use
+        for _ in range(60):
+            camera.Dolly(factor)
             scene._stage.limit_camera(place)
-        scene._draw_soon(place)
-        scene.draw_pending()
-        assert _count_colours(view.image) > 3
+        assert scene._stage.measure_view_mm(place) == pytest.approx(limit * fitted_mm, rel=1e-3)
+    scene._draw_soon(place)
+    scene.draw_pending()
+    assert _count_colours(view.image) > 3, "still in sight"
+    camera.SetFocalPoint(900.0, 0.0, 0.0)
+    scene._stage.limit_camera(place)
+    away = np.subtract(camera.GetFocalPoint(), controller.views._page_bounds["scene"].centre_mm)
+    assert np.linalg.norm(away) == pytest.approx(controller.views._page_bounds["scene"].radius_mm)
     actions["scene_orthographic"].trigger()
     controller.views.reset_cameras(controller.session)
     actions["scene_source"].trigger()
