@@ -103,7 +103,8 @@ def connect(controller: SessionController, theme: Theme = "dark") -> AutosaveCon
     reference = ReferenceController(controller)
     alignment = AlignmentController(controller)
     gizmo = AlignmentGizmoController(controller, alignment)
-    scene = SceneController(controller, alignment)
+    scene = SceneController(controller)
+    alignment.dragged.connect(scene.show_drag)
     layouts = LayoutController(controller)
 
     # A session change (`change`, undo, redo, opening) becomes work here, and only here: the stages

@@ -8,12 +8,12 @@ from functools import partial
 
 from PyQt6.QtCore import QPointF, Qt, QTimer
 
-from app.align.alignment import AlignmentController
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
 from app.session.state import Session
 from app.views.scene_geometry import show_scene_caption
 from app.views.stage_previews import StagePreview
+from pipeline.sensors.alignment import Offsets
 from pipeline.views.layers import Layer
 from pipeline.views.press_motion import DURATION_S, PressMotion
 from pipeline.views.scene import (
@@ -35,9 +35,9 @@ _IDLE_KEYS = frozenset({Qt.Key.Key_Space})
 class SceneController(Feature):
     """Places the finished layers of the stages in the alignment frame while a pane shows them."""
 
-    def __init__(self, controller: SessionController, alignment: AlignmentController) -> None:
+    def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self._alignment = alignment
+        self._dragged: Offsets | None = None  # of a drag that has not ended
         self._view = self._window.scene_panel.view
         self._place = controller.views.page_views["scene"]
         self._layers: tuple[Layer, ...] = ()
@@ -60,7 +60,6 @@ class SceneController(Feature):
         controller.views.scene.show_scale_bar(self._place)
         controller.frame_shown.connect(self._show_frame)
         controller.closing.connect(self._timer.stop)
-        self._alignment.dragged.connect(self._show_drag)
         self._play.toggled.connect(self._toggle_motion)
         self._play.triggered.connect(lambda _on=False: self._view.setFocus())
         self._window.connect_command("cancel", self._stop_motion)
@@ -86,12 +85,17 @@ class SceneController(Feature):
             self._show_frame()
 
     def _show_frame(self, _index: int = 0) -> None:
-        if not self._alignment.is_dragging:
+        if self._dragged is None:
             self._show()
 
-    def _show_drag(self, target_depth: Sequence[Layer] | None) -> None:
-        """Show the source where a drag has it, and what the target sees of it there."""
-        self._show(target_depth)
+    def show_drag(self, offsets: Offsets | None, target_depth: Sequence[Layer] | None) -> None:
+        """Show the source where a drag has it, and what the target sees of it there.
+
+        None: the drag has ended.
+        """
+        self._dragged = offsets
+        if offsets is not None:
+            self._show(target_depth)
 
     def _show(self, target_depth: Sequence[Layer] | None = None) -> None:
         views, session = self._controller.views, self._controller.session
@@ -107,7 +111,7 @@ class SceneController(Feature):
         shown = {name: part.layers for name, part in parts.items()}
         if target_depth is not None:  # of the others none is of this alignment
             shown = {"source": shown.get("source", ()), "target_depth": tuple(target_depth)}
-        offsets = self._alignment.offsets if self._alignment.is_dragging else session.offsets
+        offsets = self._dragged or session.offsets
         self._places = find_scene_places(opened.alignment, offsets.apply_to(opened.alignment))
         recorded = next(
             filter(None, (_find_recorded(parts.get(name)) for name in MEMBRANE_STAGES)), ()
