@@ -60,7 +60,7 @@ monkey: $(READY)
 
 # The pictures and the film of README.md and docs/tour.md, as the program is now.
 tour: $(READY)
-	$(BIN)/tactoscope export $(SAMPLE) --sensor gelslim --target soft_bubble --pane scene --frames 4-10 --size 480 360 --out docs/press.webp
+	$(BIN)/tactoscope export $(SAMPLE) --sensor gelslim --target soft_bubble --pane scene --frames 4-10 --size 560 420 --out docs/press.webp
 	xvfb-run -a -s "-screen 0 1600x950x24" $(BIN)/python docs/make_tour.py
 
 # The pages of docs/ with the API from its docstrings, in out/site; a link that leads nowhere fails.
