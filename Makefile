@@ -58,8 +58,9 @@ monkey: $(READY)
 	MONKEY_MINUTES=$(MONKEY_MINUTES) xvfb-run -a -s "-screen 0 1920x1200x24" $(BIN)/python -m pytest -q --no-xvfb tests/app/window/test_random_input.py -s \
 		--timeout 14400 -o faulthandler_timeout=0
 
-# The pictures of README.md and docs/tour.md, as the window is now.
+# The pictures and the film of README.md and docs/tour.md, as the program is now.
 tour: $(READY)
+	$(BIN)/tactoscope export $(SAMPLE) --sensor gelslim --target soft_bubble --pane scene --frames 4-10 --size 560 420 --out docs/press.webp
 	xvfb-run -a -s "-screen 0 1600x950x24" $(BIN)/python docs/make_tour.py
 
 # The pages of docs/ with the API from its docstrings, in out/site; a link that leads nowhere fails.

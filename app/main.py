@@ -144,10 +144,8 @@ def show_window(
     theme = Preferences().theme if restore else "dark"
     apply_theme(theme)
     catalogue = catalogue or BUILT_IN
-    with_steps = frozenset(stage.name for stage in catalogue.stages if stage.has_steps)
     window = MainWindow(
-        [("source", "Source"), *((stage.name, stage.title) for stage in catalogue.stages)],
-        with_steps,
+        [("source", "Source"), *((stage.name, stage.title) for stage in catalogue.stages)]
     )
     controller = SessionController(window, catalogue)
     autosave = connect(controller, theme)

@@ -41,7 +41,8 @@ class AlignmentController(Feature):
     """Connects the dock with the session; nothing is computed while the dock is hidden."""
 
     contact_moved = pyqtSignal()
-    dragged = pyqtSignal(object)  # layers of the target depth, or None: the offsets alone
+    # offsets, or None: the drag has ended; layers of the target depth, or None: not there yet
+    dragged = pyqtSignal(object, object)
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
@@ -86,11 +87,6 @@ class AlignmentController(Feature):
             or self._assess_ticket
             or self.refinement.is_refining
         )
-
-    @property
-    def is_dragging(self) -> bool:
-        """Whether `offsets` are those of a drag that has not ended."""
-        return self._panel.dragging
 
     @property
     def contact_centre_mm(self) -> Doubles | None:
@@ -220,7 +216,7 @@ class AlignmentController(Feature):
     def _preview_drag(self) -> None:
         controller = self._controller
         self._show_pivot()
-        self.dragged.emit(None)
+        self.dragged.emit(self.offsets, None)
         session = replace(controller.session, offsets=self.offsets)
         evaluator = controller.evaluator
         controller.submit_priority(
@@ -230,6 +226,7 @@ class AlignmentController(Feature):
     def _end_drag(self) -> None:
         """Make the whole drag one undo step; without a change the stages are computed again."""
         controller = self._controller
+        self.dragged.emit(None, None)
         if self.offsets.values == controller.session.offsets.values:
             controller.refresh()
             return
@@ -260,10 +257,8 @@ class AlignmentController(Feature):
         ):
             self._controller.views.show_wipe(part.before, part.after)
         elif isinstance(part, DragPreview) and self._panel.dragging:
-            self._controller.views.show_drag_preview(
-                part.preview, part.observation_view, part.layers
-            )
-            self.dragged.emit(part.layers)
+            self._controller.views.show_drag_preview(part.preview, part.observation_view)
+            self.dragged.emit(self.offsets, part.layers)
             self._show_score(part.score)
         elif (
             isinstance(part, AlignmentAssessment)

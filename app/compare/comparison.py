@@ -354,20 +354,8 @@ class ComparisonController(BackgroundController):
             self._show(part)
 
     def _show(self, comparison: Comparison) -> None:
-        page = self._page
-        page.current_tab.show_comparison(comparison)
+        self._page.current_tab.show_comparison(comparison)
         self._summary = comparison.summary
-        if page.current_name == "two":
-            page.row_3d.setVisible(bool(comparison.views_3d))
-            for letter, cell in zip(
-                "AB", page.views_3d if comparison.views_3d else (), strict=False
-            ):
-                cell.legend.setText(
-                    f"{letter} · {self._controller.catalogue.views[comparison.stage].legend}"
-                )
-            self._controller.views.show_variants(
-                comparison.stage, comparison.views_3d, self._controller.session
-            )
 
     def show_result(self, result: object) -> None:
         """Show all tiles."""

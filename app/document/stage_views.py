@@ -1,6 +1,7 @@
 """Shows results in the window: columns, 3D views, captions."""
 
 from collections.abc import Mapping, Sequence, Set
+from dataclasses import replace
 from typing import Literal, get_args
 
 from app.document.evaluator import EvaluatedFrame
@@ -14,12 +15,11 @@ from pipeline.core.errors import TouchError
 from pipeline.core.graph import StageResult
 from pipeline.stages.pose.signed_distances import NO_MESH
 from pipeline.stages.stage import TRUTH
-from pipeline.translation.translate import Request, Translation
+from pipeline.translation.translate import Translation
 from pipeline.translation.truth_view import ComparisonMode, TruthView
 from pipeline.views.layers import Layer, ViewBounds
 from pipeline.views.preview import Preview
 from widgets.views.scene_renderer import SceneRenderer
-from widgets.views.view_3d_panel import AnyStep
 
 PageScene = Literal["track", "task", "scene"]  # 3D views of more than a stage
 _PREVIEWED = "target_depth"  # stage that an alignment drag previews
@@ -40,13 +40,10 @@ class StageViews:
         self.translation: Translation | None = None  # the recording on screen
         self.comparison_mode: ComparisonMode = ""  # how columns show the truth
         self._layers: dict[int, tuple[Layer, ...]] = {}
-        self._steps: dict[str, StagePreview] = {}  # stage -> preview with the kept steps
+        self._steps: dict[str, StagePreview] = {}  # stage -> preview, with the kept steps if any
         self._fresh: set[str] = set()
         self._order = tuple(window.columns)
         self._results: Mapping[str, StageResult] = {}  # on screen
-        self._variants: tuple[
-            tuple[str, Translation | None], ...
-        ] = ()  # stage and translation in the 3D views of the comparison
         self._shown: dict[str, SourcePreview | StagePreview] = {}
         first = len(window.views_3d) - len(get_args(PageScene))
         self.page_views: Mapping[PageScene, int] = {
@@ -132,9 +129,7 @@ class StageViews:
             self._probe.set_results(self._results)
             card = self._window.look.filmstrip.thumbnails[name]
             card.show_feedable(feedable=NO_MESH in result.notes)
-            if name in self._window.steps:
-                self._steps[name] = part
-                self._window.steps[name].show_steps(part.result.output.steps)
+            self._steps[name] = part
         else:
             self._results = {}  # the old results are of another frame or other parameters
             column.show_state("read", part.read_ms)
@@ -194,9 +189,7 @@ class StageViews:
         view.show_preview(before)
         view.overlay.show_wipe(after, "before", "after")
 
-    def show_drag_preview(
-        self, preview: Preview, other: TruthView | None, layers: tuple[Layer, ...]
-    ) -> None:
+    def show_drag_preview(self, preview: Preview, other: TruthView | None) -> None:
         """Show the target depth of a running drag, and mark the stages after it as stale."""
         changed = self._find_dependent_stages("alignment")
         self._fresh -= changed
@@ -210,7 +203,6 @@ class StageViews:
         column = self._window.columns[_PREVIEWED]
         self._show_preview(_PREVIEWED, preview, other)
         column.show_state("preview")
-        self.scene.show_layers(self._order.index(_PREVIEWED), layers)
 
     def show_frame_summary(self, shown: EvaluatedFrame, *, is_comparable: bool) -> None:
         """Show the summary of a finished frame, if it `is_comparable` with the other frames."""
@@ -268,9 +260,6 @@ class StageViews:
         display = session.display
         bounds = compute_view_bounds(t)
         places = {self._order.index(name): bound for name, bound in bounds.items()}
-        for k, (stage, other) in enumerate(self._variants):
-            if stage in bounds and other is not None:
-                places[len(self._order) + k] = compute_view_bounds(other)[stage]
         places |= {self.page_views[page]: bound for page, bound in self._page_bounds.items()}
         self.scene.fit_cameras(places, linked=session.cameras_linked)
         self._probe.set_scene(self.scene, display, t)
@@ -280,31 +269,6 @@ class StageViews:
         """Update frame, axes and depth stretch in the captions of the 3D views."""
         if self.translation is not None:
             show_captions(self._window, self.translation, session.display)
-
-    def show_variants(
-        self,
-        stage: str,
-        others: Sequence[tuple[tuple[Layer, ...], Translation | None]],
-        session: Session,
-    ) -> None:
-        """Show a stage of two sessions in the 3D views of the comparison, with the cameras of
-        the columns.
-        """
-        old = self._variants
-        self._variants = tuple((stage, other) for _, other in others)
-        if [_get_view_key(*pair) for pair in old] != [
-            _get_view_key(*pair) for pair in self._variants
-        ]:
-            kept = {
-                column: at
-                for column, at in self.scene.get_cameras().items()
-                if column < len(self._order)
-            }
-            self.reset_cameras(session)
-            self.scene.set_cameras(kept)
-        for k, (layers, _) in enumerate(others):
-            self.scene.show_layers(len(self._order) + k, layers)
-            self._layers[len(self._order) + k] = layers
 
     def show_page_scene(
         self, page: PageScene, layers: Sequence[Layer], bounds: ViewBounds | None, session: Session
@@ -324,11 +288,13 @@ class StageViews:
 
     def move_task_bodies(self, poses: Mapping[str, Doubles]) -> None:
         """Move the bodies of the rollout to these poses."""
-        for layer in self._page_layers.get("task", ()):
-            if layer.name in poses:
-                self.scene.move_layer(self.page_views["task"], layer.name, poses[layer.name])
+        moved = [
+            replace(layer, view_from_layer=poses.get(layer.name, layer.view_from_layer))
+            for layer in self._page_layers.get("task", ())
+        ]
+        self.scene.show_layers(self.page_views["task"], moved, is_passing=True)
 
-    def show_step(self, stage: str, _step: AnyStep, at: int) -> None:
+    def show_step(self, stage: str, at: int) -> None:
         """Show the preview and layers of a kept step."""
         part = self._steps.get(stage)
         if part is None or at >= len(part.step_previews):
@@ -347,10 +313,3 @@ class StageViews:
 
     def _list_pending(self) -> list[str]:
         return [name for name in self._window.visible_columns() if name not in self._fresh]
-
-
-def _get_view_key(stage: str, other: Translation | None) -> tuple[str, Request | None]:
-    """Return what decides the camera of a comparison view: stage and request, not frame or
-    offsets.
-    """
-    return stage, None if other is None else other.request

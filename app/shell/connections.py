@@ -105,7 +105,8 @@ def connect(controller: SessionController, theme: Theme = "dark") -> AutosaveCon
     reference = ReferenceController(controller)
     alignment = AlignmentController(controller)
     gizmo = AlignmentGizmoController(controller, alignment)
-    scene = SceneController(controller, alignment)
+    scene = SceneController(controller)
+    alignment.dragged.connect(scene.show_drag)
     layouts = LayoutController(controller)
 
     # A session change (`change`, undo, redo, opening) becomes work here, and only here: the stages
@@ -148,8 +149,6 @@ def _connect_columns(controller: SessionController) -> None:
     probe = controller.probe
     window.parameters.params_edited.connect(controller.choose_params)
     window.parameters.slider_held.connect(controller.hold_slider)
-    for slider in window.steps.values():
-        slider.step_chosen.connect(controller.views.show_step)
     for column in window.columns.values():
         column.pixel_hovered.connect(probe.probe_pixel)
         column.pixel_clicked.connect(probe.toggle_pin)

@@ -6,20 +6,16 @@ import time
 from collections.abc import Sequence
 from functools import partial
 
-import numpy as np
 from PyQt6.QtCore import QPointF, Qt, QTimer
 
-from app.align.alignment import AlignmentController
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
 from app.session.state import Session
 from app.views.scene_geometry import show_scene_caption
 from app.views.stage_previews import StagePreview
-from pipeline.core.arrays import Doubles
-from pipeline.core.geometry import rigid
-from pipeline.views.colours import REGISTERED_POINT_COLOUR, repeat_colour
-from pipeline.views.layers import Layer, make_lines_layer, stretch_depth
-from pipeline.views.press_motion import DURATION_S, SOURCE_SURFACES, PressMotion
+from pipeline.sensors.alignment import Offsets
+from pipeline.views.layers import Layer
+from pipeline.views.press_motion import DURATION_S, PressMotion
 from pipeline.views.scene import (
     MEMBRANE_STAGES,
     SCENE_VIEWS,
@@ -28,6 +24,7 @@ from pipeline.views.scene import (
     find_scene_places,
     make_scene_layers,
 )
+from pipeline.views.scene_measure import SceneMeasure
 from widgets.style.icons import make_command_icon
 
 _TICK_MS = 60  # between two images of the motion
@@ -38,9 +35,9 @@ _IDLE_KEYS = frozenset({Qt.Key.Key_Space})
 class SceneController(Feature):
     """Places the finished layers of the stages in the alignment frame while a pane shows them."""
 
-    def __init__(self, controller: SessionController, alignment: AlignmentController) -> None:
+    def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self._alignment = alignment
+        self._dragged: Offsets | None = None  # of a drag that has not ended
         self._view = self._window.scene_panel.view
         self._place = controller.views.page_views["scene"]
         self._layers: tuple[Layer, ...] = ()
@@ -51,9 +48,8 @@ class SceneController(Feature):
         self._timer = QTimer(self)
         self._timer.setInterval(_TICK_MS)
         self._timer.timeout.connect(self._move_on)
-        self._measured: list[Doubles] = []  # up to two points, as drawn
-        self._measured_mm: list[Doubles] = []  # and without the stretched depth
-        self._play, self._measure, self._orthographic = (
+        self._measure = SceneMeasure()
+        self._play, self._measures, self._orthographic = (
             self._window.actions_by_name[name]
             for name in ("press_motion", "scene_measure", "scene_orthographic")
         )
@@ -64,15 +60,14 @@ class SceneController(Feature):
         controller.views.scene.show_scale_bar(self._place)
         controller.frame_shown.connect(self._show_frame)
         controller.closing.connect(self._timer.stop)
-        self._alignment.dragged.connect(self._show_drag)
         self._play.toggled.connect(self._toggle_motion)
         self._play.triggered.connect(lambda _on=False: self._view.setFocus())
         self._window.connect_command("cancel", self._stop_motion)
         self._view.key_pressed.connect(self._handle_key)
         self._view.clicked.connect(self._measure_point)
-        self._measure.toggled.connect(self._clear_measure)
+        self._measures.toggled.connect(self._clear_measure)
         self._orthographic.toggled.connect(self._set_orthographic)
-        for name in (*SCENE_VIEWS, "source", "target"):
+        for name in SCENE_VIEWS:
             self._window.connect_command(f"scene_{name}", partial(self._look_from, name))
 
     @property
@@ -90,12 +85,17 @@ class SceneController(Feature):
             self._show_frame()
 
     def _show_frame(self, _index: int = 0) -> None:
-        if not self._alignment.is_dragging:
+        if self._dragged is None:
             self._show()
 
-    def _show_drag(self, target_depth: Sequence[Layer] | None) -> None:
-        """Show the source where a drag has it, and what the target sees of it there."""
-        self._show(target_depth)
+    def show_drag(self, offsets: Offsets | None, target_depth: Sequence[Layer] | None) -> None:
+        """Show the source where a drag has it, and what the target sees of it there.
+
+        None: the drag has ended.
+        """
+        self._dragged = offsets
+        if offsets is not None:
+            self._show(target_depth)
 
     def _show(self, target_depth: Sequence[Layer] | None = None) -> None:
         views, session = self._controller.views, self._controller.session
@@ -111,7 +111,7 @@ class SceneController(Feature):
         shown = {name: part.layers for name, part in parts.items()}
         if target_depth is not None:  # of the others none is of this alignment
             shown = {"source": shown.get("source", ()), "target_depth": tuple(target_depth)}
-        offsets = self._alignment.offsets if self._alignment.is_dragging else session.offsets
+        offsets = self._dragged or session.offsets
         self._places = find_scene_places(opened.alignment, offsets.apply_to(opened.alignment))
         recorded = next(
             filter(None, (_find_recorded(parts.get(name)) for name in MEMBRANE_STAGES)), ()
@@ -124,13 +124,13 @@ class SceneController(Feature):
             self._motion = PressMotion(self._layers, opened.source, opened.target, self._places)
             self._show_motion()
         else:
-            views.show_page_scene("scene", (*self._layers, *self._draw_measure()), bounds, session)
+            views.show_page_scene("scene", (*self._layers, *self._measure.layers), bounds, session)
             show_scene_caption(self._window, opened, session.display)
         self._show_labels()
 
     def _show_labels(self) -> None:
         if self._places is not None:
-            labels = {**self._places.labels, **self._label_measure()}
+            labels = {**self._places.labels, **self._measure.labels}
             self._controller.views.scene.label_points(self._place, labels)
 
     def _handle_key(self, key: int) -> None:
@@ -177,7 +177,7 @@ class SceneController(Feature):
         opened = self._controller.views.translation
         if self._motion is None or opened is None:
             return
-        layers = (*self._motion.make_layers(self._time), *self._draw_measure())
+        layers = (*self._motion.make_layers(self._time), *self._measure.layers)
         self._controller.views.scene.show_layers(self._place, layers, is_passing=True)
         show_scene_caption(
             self._window,
@@ -190,63 +190,26 @@ class SceneController(Feature):
         self._controller.views.scene.set_orthographic(self._place, on=on)
 
     def _look_from(self, name: str) -> None:
-        if self._places is None:
-            return
-        if name in SCENE_VIEWS:
-            direction, up = (np.array(vector) for vector in SCENE_VIEWS[name])
-        else:
-            pose = (
-                self._places.view_from_source if name == "source" else self._places.view_from_target
-            )
-            direction, up = -pose[:3, 2], -pose[:3, 1]
-        self._controller.views.scene.look_from(self._place, direction, up)
+        if self._places is not None:
+            direction, up = self._places.find_view(name)
+            self._controller.views.scene.look_from(self._place, direction, up)
 
     def _measure_point(self, at: QPointF) -> None:
         """Take a clicked point as the next end of what is measured."""
-        found = self._controller.views.scene.find_surface_point(self._place, at)
-        if not self._measure.isChecked() or found is None:
-            return
-        if len(self._measured) == 2:
-            self._measured, self._measured_mm = [], []
-        name, place = found
-        self._measured.append(np.array(place))
-        self._measured_mm.append(self._undo_stretch(name, np.array(place)))
-        self._show()
-
-    def _undo_stretch(self, layer: str, place: Doubles) -> Doubles:
-        """Return where a point of a surface with stretched depth is."""
         opened = self._controller.views.translation
-        if opened is None or self._places is None:
-            return place
-        if layer in SOURCE_SURFACES:
-            sensor, view_from_sensor = opened.source, self._places.view_from_source
-        elif layer in MEMBRANE_STAGES:
-            sensor, view_from_sensor = opened.target, self._places.view_from_target
-        else:
-            return place
-        times = self._controller.session.display.get_depth_stretch(sensor)
-        seen = rigid.apply(rigid.invert(view_from_sensor), place[None])
-        return rigid.apply(view_from_sensor, stretch_depth(seen, sensor, 1.0 / times))[0]
+        found = self._controller.views.scene.find_surface_point(self._place, at)
+        if self._measures.isChecked() and found and opened and self._places:
+            self._measure = self._measure.add_point(
+                *found,
+                self._places,
+                (opened.source, opened.target),
+                self._controller.session.display,
+            )
+            self._show()
 
     def _clear_measure(self) -> None:
-        self._measured, self._measured_mm = [], []
+        self._measure = SceneMeasure()
         self._show()
-
-    def _draw_measure(self) -> tuple[Layer, ...]:
-        if not self._measured:
-            return ()
-        ends = np.array([(self._measured[0], self._measured[-1])])
-        line = make_lines_layer(
-            "measure", ends.astype(np.float32), repeat_colour(REGISTERED_POINT_COLOUR, 1)
-        )
-        return (line,)
-
-    def _label_measure(self) -> dict[str, tuple[float, float, float]]:
-        if len(self._measured) < 2:
-            return {}
-        x, y, z = (float(value) for value in 0.5 * (self._measured[0] + self._measured[1]))
-        length_mm = float(np.linalg.norm(self._measured_mm[1] - self._measured_mm[0]))
-        return {f"{length_mm:.2f} mm": (x, y, z)}
 
 
 def _find_recorded(part: object) -> tuple[Layer, ...]:

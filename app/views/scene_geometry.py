@@ -151,7 +151,7 @@ def _format_axes() -> str:
 
 
 # after the views of the columns
-_OTHER_VIEWS = ("compare_a", "compare_b", "track", "task", "scene")
+_OTHER_VIEWS = ("track", "task", "scene")
 
 
 class ViewCameras:

@@ -313,7 +313,7 @@ REGISTRATION_COMMANDS = (
         icon="axes",
         key="A",
     ),
-    Command("step_through", "Step through", "Keep the iterations of the pose and show them"),
+    Command("step_through", "Step through", "Keep the iterations of a stage and show them"),
     Command("open_track", "Open track…", "Open a folder with a track"),
     Command(
         "export_track", "Export track…", "Write table, summary and surface of the track to a folder"

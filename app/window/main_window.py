@@ -53,7 +53,7 @@ from widgets.task.task_page import TaskPage
 from widgets.timeline.timeline import Timeline
 from widgets.track.track_page import TrackPage
 from widgets.views.view_3d import View3D
-from widgets.views.view_3d_panel import ScenePanel, StepsSlider, View3DPanel
+from widgets.views.view_3d_panel import ScenePanel, View3DPanel
 
 DEFAULT_SIZE = QSize(1600, 950)
 _FRAME = QSize(2, 40)  # that a desktop draws around a window: borders and title bar
@@ -72,9 +72,7 @@ class MainWindow(QMainWindow):
     closing = pyqtSignal()
     _put_away: Sequence[QWidget] = ()  # by a presentation
 
-    def __init__(
-        self, columns: Sequence[tuple[str, str]], stages_with_steps: frozenset[str] = frozenset()
-    ) -> None:
+    def __init__(self, columns: Sequence[tuple[str, str]]) -> None:
         super().__init__()
         self.setWindowTitle("Tactoscope[*]")
         self._set_default_size()
@@ -96,9 +94,6 @@ class MainWindow(QMainWindow):
         }
         self.banner = Banner()
         self.timeline = Timeline()
-        self.steps = {
-            name: StepsSlider(name) for name in sorted(stages_with_steps)
-        }  # under the 3D views of these columns
         self.frames = FramesPanel()
         self.parameters = ParametersPanel()
         self.alignment = AlignmentPanel()
@@ -110,7 +105,7 @@ class MainWindow(QMainWindow):
         self.section_panel = SectionPanel()
         self._hidden_stages = frozenset[str]()
         self.current_layout = Layout()
-        self.view_panels = {name: View3DPanel(self.steps.get(name)) for name, _ in columns}
+        self.view_panels = {name: View3DPanel() for name, _ in columns}
         self.scene_panel = ScenePanel()
         self.verdict = VerdictLine()
         self.pages = QStackedWidget()
@@ -307,12 +302,9 @@ class MainWindow(QMainWindow):
 
     @property
     def views_3d(self) -> tuple[View3D, ...]:
-        """The 3D views: one per column, then the two of the comparison, the track's, the
-        task's, the scene's.
-        """
+        """The 3D views: one per column, then the track's, the task's, the scene's."""
         return (
             *(cell.view for cell in self.view_panels.values()),
-            *(c.view for c in self.comparison.views_3d),
             self.track.scene.view,
             self.task.scene.view,
             self.scene_panel.view,

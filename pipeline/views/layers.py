@@ -22,6 +22,7 @@ MAX_POINTS = 16_000
 # of the first view: angle, and distance in radii of what it shows
 FIELD_OF_VIEW_DEG = 28.0
 VIEW_DISTANCE = 3.7
+_FINE_TRIANGLES = 16_000  # a grid of fewer is not thinned
 _MEMBRANE_COLS = 64.0  # a faint smooth surface needs no more
 # points (n, 3) in mm, with triangles (m, 3) and normals (n, 3)
 _Surface = tuple[Floats, NDArray[np.int32], Floats]
@@ -167,6 +168,30 @@ def make_grid_layer(name: str, points: NDArray[np.floating], preview: Preview) -
     pixels = preview.pixels[here]
     stride = _choose_stride(*points.shape[:2])
     return _texture_surface(name, _surface(points, stride), pixels[::stride, ::stride], preview)
+
+
+def thin_grid(layer: Layer) -> Layer:
+    """Return every other point of a whole grid, for views in motion; other layers as they are."""
+    triangles, n_points = layer.triangles, len(layer.points_mm)
+    if triangles is None or len(triangles) < _FINE_TRIANGLES:
+        return layer
+    cols = int(triangles[0, 1])
+    rows = n_points // max(1, cols)
+    if rows * cols != n_points or len(triangles) != 2 * (rows - 1) * (cols - 1):
+        return layer
+    kept = np.arange(n_points).reshape(rows, cols)[::2, ::2]
+    return replace(
+        layer,
+        points_mm=layer.points_mm[kept.ravel()],
+        rgb=layer.rgb[kept.ravel()],
+        normals=None if layer.normals is None else layer.normals[kept.ravel()],
+        triangles=_triangulate(*kept.shape),
+    )
+
+
+@derive_once
+def _triangulate(rows: int, cols: int) -> Indices:
+    return make_grid_triangles(rows, cols)
 
 
 def _choose_stride(rows: int, cols: int) -> int:

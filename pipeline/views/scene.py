@@ -41,6 +41,9 @@ SCENE_VIEWS: Mapping[str, tuple[tuple[float, float, float], tuple[float, float, 
     "top": ((0.0, 0.0, -1.0), (0.0, -1.0, 0.0)),
     "side": ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0)),
     "iso": ((1.0, 1.0, -1.0), (0.0, 0.0, -1.0)),
+    # from a camera, along its optical axis, in its own frame
+    "source": ((0.0, 0.0, -1.0), (0.0, -1.0, 0.0)),
+    "target": ((0.0, 0.0, -1.0), (0.0, -1.0, 0.0)),
 }
 _FILLED = 0.9  # share of the shorter side of the view that both sensors take
 _FIT_STEPS = 12
@@ -65,6 +68,13 @@ class ScenePlaces:
         return {
             letter: to_xyz(pose[:3, 3]) for letter, pose in zip(SCENE_LETTERS, poses, strict=True)
         }
+
+    def find_view(self, name: str) -> tuple[Doubles, Doubles]:
+        """Return where a preset looks from and what is up, in the scene, (3,) each."""
+        poses = {"source": self.view_from_source, "target": self.view_from_target}
+        rotation = poses.get(name, np.eye(4))[:3, :3]
+        direction, up = (rotation @ np.array(vector) for vector in SCENE_VIEWS[name])
+        return direction, up
 
 
 def find_scene_places(opened: Alignment, moved: Alignment) -> ScenePlaces:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import logging
 
-import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QApplication, QComboBox, QLabel, QPushButton
 
-from pipeline.core.values.results import PoseStep, TouchStep
 from widgets.compare.comparison_tab import GridTab
 from widgets.frames.frame_summary import FrameSummary
 from widgets.frames.frames_model import CONTACT, DEPTH, FRAME, METRIC
@@ -19,7 +17,6 @@ from widgets.shell.log_panel import LogPanel
 from widgets.stages.probes_panel import TracePanel
 from widgets.style.plots import Strip, StripPlot
 from widgets.style.theme import get_theme_colours, to_hex
-from widgets.views.view_3d_panel import StepsSlider
 
 
 def test_the_banner_is_hidden_until_there_is_a_problem(qtbot):
@@ -91,29 +88,6 @@ def test_the_log_is_filtered_by_level_and_keeps_what_is_hidden(qtbot):
     assert panel.text == "failed"
     level.setCurrentText("info")
     assert panel.text == "opened\nfailed"
-
-
-def test_steps_stand_on_the_last_and_tell_which_is_chosen(qtbot):
-    slider = StepsSlider()
-    qtbot.addWidget(slider)
-    steps = tuple(
-        PoseStep(sensor_from_object=np.eye(4), rmse_mm=1.0 / (i + 1), fitness=1.0) for i in range(4)
-    )
-    slider.show_steps(steps)
-    assert slider.slider.value() == 3
-    with qtbot.waitSignal(slider.step_chosen) as signal:
-        slider.slider.setValue(1)
-    assert signal.args == ["pose", steps[1], 1]
-
-
-def test_states_of_a_sample_tell_their_noise(qtbot):
-    slider = StepsSlider("touch")
-    qtbot.addWidget(slider)
-    frame = TouchStep(image=np.zeros((4, 4), np.float32), sigma=0.5, membrane=None)
-    slider.show_steps((frame, frame))
-    assert "noise 0.5" in next(label.text() for label in slider.findChildren(QLabel))
-    slider.show_steps(())
-    assert not slider.slider.isEnabled()
 
 
 def test_a_grid_offers_axes_with_values_and_keeps_what_is_chosen(qtbot):

@@ -192,7 +192,8 @@ def test_a_view_seen_before_is_not_drawn_again(scene):
     scene.draw_pending()
     assert scene.n_renders == before
     assert scene.views[0].image is not newest
-    scene.move_layer(0, "sheet", np.diag([0.5, 0.5, 0.5, 1.0]))  # moved as a whole: another picture
+    half = np.diag([0.5, 0.5, 0.5, 1.0])
+    scene.show_layers(0, [replace(frames[0][0], view_from_layer=half)])  # another picture
     scene.draw_pending()
     assert scene.n_renders == before + 1
 

@@ -5,13 +5,12 @@ from typing import get_args
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QTabWidget, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QLabel, QTabWidget, QVBoxLayout, QWidget
 
 from pipeline.lab.evaluation.method_comparison import SortOrder
 from widgets.compare.comparison_tab import ComparisonTab, GridTab, TileTab
 from widgets.style.base import ChoiceBox
-from widgets.style.styling import fill, make_command_button, set_spacing
-from widgets.views.view_3d_panel import View3DPanel
+from widgets.style.styling import make_command_button, set_spacing
 
 ALL_STAGES = "all stages"
 
@@ -31,13 +30,6 @@ class ComparisonPage(QWidget):
         self.methods = TileTab([QLabel("order"), self.order_box])
         self.variants = TileTab([QLabel("stage"), self.stage_box])
         self.grid = GridTab()
-        self.views_3d = (View3DPanel(), View3DPanel())
-        self.row_3d = QWidget()
-        row = set_spacing(QHBoxLayout(self.row_3d), 4)
-        # empty under the difference, which has no 3D view
-        fill(row, *((cell, 1) for cell in self.views_3d), 1)
-        self.variants.stack.addWidget(self.row_3d, 2)
-        self.row_3d.hide()
         self.tabs: Mapping[str, ComparisonTab] = {
             "methods": self.methods,
             "two": self.variants,

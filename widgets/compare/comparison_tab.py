@@ -38,7 +38,7 @@ class ComparisonTab(QWidget):
         self.message.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Minimum)
         self.head = set_spacing(QHBoxLayout(), 6)
         fill(self.head, *([(controls, 1)] if isinstance(controls, QLayout) else [*controls, 1]))
-        self.stack = fill(
+        fill(
             set_spacing(QVBoxLayout(self), 4, (4, 4, 4, 2)),
             self.head,
             fill(set_spacing(QHBoxLayout(), 6), (self.message, 1), self.run_bar),

@@ -1,12 +1,18 @@
-"""Steps panel: curves over the kept steps of a stage, why it stopped, and the step on display."""
+"""Steps panel: curves over the kept steps of a stage, why it stopped, and any step on display."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-from PyQt6.QtWidgets import QLabel, QVBoxLayout, QWidget
+from PyQt6.QtCore import pyqtSignal
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from pipeline.views.view import StepCurve, StepHistory
+from widgets.style.base import ChoiceBox
 from widgets.style.plots import Strip, StripPlot
 from widgets.style.styling import fill, set_spacing
+
+_NOTHING = "Step through keeps the steps and shows them one by one; the result stays the same"
+KEEP_STEPS = "Step through"
+DISCARD_STEPS = "Discard steps"
 
 
 def make_curve_strips(curves: Sequence[StepCurve]) -> list[Strip]:
@@ -19,33 +25,63 @@ def make_curve_strips(curves: Sequence[StepCurve]) -> list[Strip]:
 
 
 class StepsPanel(QWidget):
-    """Message, plot, and the current step as text."""
+    """Stage chooser, button that requests the steps, message, plot, and the current step as
+    text.
+    """
+
+    keep_steps_requested = pyqtSignal(str, bool)
 
     def __init__(self) -> None:
         super().__init__()
+        self.stage_box = ChoiceBox("steps_slot", "stage to step through")
+        self.keep_button = QPushButton(KEEP_STEPS)
         self.plot = StripPlot("steps_plot", "metrics of every step")
-        self.message = QLabel()  # why it stopped, or what can be done
-        self.message.setWordWrap(True)
+        # why it stopped, or what can be done
+        self.message = QLabel(_NOTHING)
         self.step_text = QLabel()
-        self._steps: Sequence[str] = ()
-        layout = set_spacing(QVBoxLayout(self), 2, (6, 4, 6, 4))
-        fill(layout, self.message, (self.plot, 1), self.step_text)
+        self._way: StepHistory | None = None
+        self._kept = False
+        self.keep_button.setObjectName("steps_keep")
+        self.message.setWordWrap(True)
+        head = fill(
+            set_spacing(QHBoxLayout(), 8), self.stage_box, self.keep_button, (self.message, 1)
+        )
+        fill(set_spacing(QVBoxLayout(self), 2, (6, 4, 6, 4)), head, (self.plot, 1), self.step_text)
+        self.keep_button.clicked.connect(
+            lambda: self.keep_steps_requested.emit(self.stage_box.choice, not self._kept)
+        )
 
-    def show_history(self, title: str, history: StepHistory | None, why_not: str = "") -> None:
-        """Show the step history of a stage, or why there is none."""
-        self._steps = () if history is None else history.descriptions
-        reason = why_not if history is None else history.stop_reason
-        self.message.setText(f"{title}: {reason}")
+    def offer_stages(self, stages: Mapping[str, str]) -> None:
+        """Offer name -> title of stages with steps; the last one unless another was chosen."""
+        chosen = self.stage_box.choice
+        self.stage_box.offer(stages, chosen if chosen in stages else ["", *stages][-1])
+
+    def show_history(
+        self,
+        history: StepHistory | None,
+        *,
+        keeps_steps: bool,
+        can_keep_steps: bool,
+        why_not: str = "",
+    ) -> None:
+        """Show the step history of a stage, whether steps are kept now, and whether the method
+        can keep them.
+        """
+        self._way = history
+        self._kept = keeps_steps
+        self.keep_button.setText(DISCARD_STEPS if keeps_steps else KEEP_STEPS)
+        self.keep_button.setEnabled(can_keep_steps)
+        self.message.setText(history.stop_reason if history is not None else why_not or _NOTHING)
         self.plot.show_strips(
             () if history is None else make_curve_strips(history.curves),
             turns=() if history is None else history.phase_starts,
         )
-        self.show_step(len(self._steps) - 1)
+        self.show_step(-1 if history is None else len(history.descriptions) - 1)
 
     def show_step(self, at: int) -> None:
         """Mark a step and show its text."""
         self.plot.show_step(at)
-        known = 0 <= at < len(self._steps)
+        steps = () if self._way is None else self._way.descriptions
         self.step_text.setText(
-            f"step {at + 1} of {len(self._steps)}: {self._steps[at]}" if known else ""
+            f"step {at + 1} of {len(steps)}: {steps[at]}" if 0 <= at < len(steps) else ""
         )

@@ -79,10 +79,8 @@ class OffscreenRenderer:
         """Release all OpenGL resources."""
         self.window.Finalize()
 
-    def show_layers(
-        self, column: int, layers: Sequence[Layer], placed: Mapping[str, Doubles], ink: ThemeColours
-    ) -> None:
-        """Show exactly these layers in the theme's colours, with rigid motions of some of them."""
+    def show_layers(self, column: int, layers: Sequence[Layer], ink: ThemeColours) -> None:
+        """Show exactly these layers in the theme's colours."""
         kept = self._kept[column]
         layers = [layer for layer in layers if len(layer.points_mm)]  # VTK accepts no empty arrays
         wanted = {layer.name for layer in layers}
@@ -99,7 +97,7 @@ class OffscreenRenderer:
                 actor = old[2]
                 if old[3] is not ink or not _has_same_arrays(old[0], layer):
                     _write(mesh, layer, old[0], ink)
-            at = placed.get(layer.name, layer.view_from_layer)
+            at = layer.view_from_layer
             actor.SetUserMatrix(None if at is None else pv.vtkmatrix_from_array(at))
             kept[layer.name] = (layer, mesh, actor, ink)
 

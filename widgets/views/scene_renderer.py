@@ -21,7 +21,7 @@ from pipeline.core.arrays import Doubles
 from pipeline.core.geometry import rigid
 from pipeline.core.memo import Memo
 from pipeline.views.drawing import choose_bar_length_mm
-from pipeline.views.layers import Layer, ViewBounds
+from pipeline.views.layers import Layer, ViewBounds, thin_grid
 from pipeline.views.view import to_xyz
 from widgets.style.styling import make_single_shot_timer
 from widgets.style.theme import get_theme_colours, to_qcolor
@@ -66,7 +66,6 @@ class SceneRenderer(QObject):
         self._opened: OffscreenRenderer | None = None
         self._mouse: Any = None  # VTK's interactor
         self._layers: dict[int, tuple[Layer, ...]] = {}
-        self._placed: dict[int, dict[str, Doubles]] = {}
         self._marks: dict[int, Point3] = {}
         self._labels: dict[int, Mapping[str, Point3]] = {}
         # asked for before it is open
@@ -74,6 +73,7 @@ class SceneRenderer(QObject):
         self._cameras = dict[int, CameraState]()
         self._is_linked = False
         self._passing: set[int] = set()  # views whose images are not shown again
+        self._held: int | None = None  # view that the mouse turns
         self._scaled: set[int] = set()  # views with a scale bar
         self._due: list[int] = []
         self._kept: Memo[object, CachedImage] = Memo(most_bytes=_KEPT_BYTES, weigh=_size_bytes)
@@ -132,16 +132,9 @@ class SceneRenderer(QObject):
         shown = tuple(layers)
         (self._passing.add if is_passing else self._passing.discard)(column)
         old = self._layers.get(column, ())
-        if self._placed.pop(column, None) or [id(layer) for layer in old] != [
-            id(layer) for layer in shown
-        ]:
+        if [id(layer) for layer in old] != [id(layer) for layer in shown]:
             self._layers[column] = shown
             self._draw_soon(column)
-
-    def move_layer(self, column: int, name: str, view_from_layer: Doubles) -> None:
-        """Move one layer rigidly until its layers are shown again."""
-        self._placed.setdefault(column, {})[name] = view_from_layer
-        self._draw_soon(column)
 
     def fit_cameras(self, bounds: Mapping[int, ViewBounds], *, linked: bool) -> None:
         """Set the cameras; views of one frame share theirs when `linked`."""
@@ -301,14 +294,16 @@ class SceneRenderer(QObject):
             view.show_image(blank)
             self._show_dot(column)
             return False
-        placed = self._placed.get(column, {})
+        is_coarse = column in self._passing or (
+            self._held is not None and column in self._stage.find_linked_views(self._held)
+        )
         key = (
             column,
+            is_coarse,
             view.size_px,
             ink.backdrop,
             tuple(id(layer) for layer in layers),
             self._stage.get_camera(column),
-            tuple((name, at.tobytes()) for name, at in placed.items()),
         )
         kept = self._kept.get(key)
         is_kept = kept is not None and all(
@@ -316,12 +311,13 @@ class SceneRenderer(QObject):
         )
         if kept is None or not is_kept:
             begun_s = time.thread_time()
-            self._stage.show_layers(column, layers, placed, ink)
+            drawn = tuple(map(thin_grid, layers)) if is_coarse else layers
+            self._stage.show_layers(column, drawn, ink)
             pixels = self._stage.render_pixels(column, *view.size_px, ink)
             rows, cols = pixels.shape[:2]
             image = QImage(pixels.tobytes(), cols, rows, 3 * cols, QImage.Format.Format_RGB888)
             image = image.convertToFormat(QImage.Format.Format_RGB32)
-            if column not in self._passing:
+            if not is_coarse:
                 self._kept.put(key, (image, tuple(ref(layer) for layer in layers)))
             self.n_renders += 1
             self.render_time_s += time.thread_time() - begun_s
@@ -359,6 +355,10 @@ class SceneRenderer(QObject):
         if not self.is_open:
             return
         name = {"move": "MouseMoveEvent"}.get(what, "")
+        if what in _ENDS:
+            self._held = column if what == "press" else None
+            for other in self._stage.find_linked_views(column) if what == "release" else ():
+                self._draw_soon(other)  # whole again
         if what in _ENDS and event.button() in _BUTTONS:
             name = _BUTTONS[event.button()] + _ENDS[what]
         elif what == "wheel":

@@ -10,8 +10,6 @@ import numpy as np
 from pipeline.core.arrays import Image
 from pipeline.core.files import check_folder, open_atomic, require_own, write_folder, write_json
 from pipeline.io.image_files import read_rgb
-from pipeline.translation.translate import Translation
-from pipeline.views.layers import Layer
 from pipeline.views.preview import Tile
 
 TABLE_FILE = "compare.json"
@@ -24,9 +22,6 @@ class Comparison:
 
     tiles: tuple[Tile, ...]
     summary: str
-    stage: str = ""  # stage of the 3D views
-    # (layers, translation) per variant
-    views_3d: tuple[tuple[tuple[Layer, ...], Translation | None], ...] = ()
 
 
 def write_tiles(folder: Path, tiles: Sequence[Tile]) -> None:

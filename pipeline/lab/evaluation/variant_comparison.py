@@ -15,7 +15,6 @@ from pipeline.translation.truth_view import TruthView, add_truth_warnings, build
 from pipeline.views.contrast import share_scale
 from pipeline.views.difference import compute_difference
 from pipeline.views.display_params import DisplayParams
-from pipeline.views.layers import Layer, make_frame_layer
 from pipeline.views.preview import Preview, Tile, make_recorded_preview
 
 SOURCE = "source"
@@ -25,10 +24,9 @@ _DIFFERENCE = "A minus B"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StageView:
-    """Preview and 3D layers of one stage; without a result those of the source frame."""
+    """Preview of one stage; without a result those of the source frame."""
 
     preview: Preview
-    layers: tuple[Layer, ...]
     result: StageResult | None = None
     truth_view: TruthView | None = None
 
@@ -140,9 +138,8 @@ def evaluate_view(
     source = translation.source
     truth = translation.read_ground_truth(translation.check_index(frame))
     recorded = translation.stream.frame(frame)
-    preview, camera = make_recorded_preview(recorded, source, display)
-    layer = make_frame_layer(SOURCE, recorded.image, camera, preview, source)
-    views = {SOURCE: StageView(preview=preview, layers=(layer,))}
+    preview, _ = make_recorded_preview(recorded, source, display)
+    views = {SOURCE: StageView(preview=preview)}
     requested = [name for name in translation.stages if stage in ("", name)]
     result = runner.evaluate(variant, frame, requested, progress)
     results = {name: add_truth_warnings(each, truth) for name, each in result.results.items()}
@@ -153,7 +150,6 @@ def evaluate_view(
         preview = view.make_preview(each.output, context)
         views[name] = StageView(
             preview=preview,
-            layers=view.make_layers(each.output, context, preview),
             result=each,
             truth_view=build_truth_view(name, view, preview, true_outputs, context),
         )
@@ -183,7 +179,6 @@ def build_tiles(
             for name in names
         ]
         return Comparison(tiles=tuple(rows), summary=summary)
-    layers = ((view.stages[stage].layers if stage in view.stages else ()) for view in (one, other))
     return Comparison(
         tiles=(
             one.build_tile(stage),
@@ -191,8 +186,6 @@ def build_tiles(
             _build_difference_tile(one, other, stage),
         ),
         summary=summary,
-        stage=stage,
-        views_3d=tuple(zip(layers, (one.translation, other.translation), strict=True)),
     )
 
 

@@ -14,7 +14,8 @@ from app.session.sample import SAMPLE_RECORDING
 from app.shell.tour import wait_until_shown
 from pipeline.core.geometry import rigid
 from pipeline.sensors.alignment import Offsets, decompose_motion
-from widgets.views.gizmo import BALL, CENTRE, Gizmo
+from pipeline.views.gizmo import BALL, CENTRE
+from widgets.views.gizmo import Gizmo
 
 LIMIT_S = 240
 LIMIT_MS = 240_000
@@ -55,7 +56,7 @@ def test_an_arrow_moves_along_its_axis_in_one_undo_step(grasped, qtbot):
     controller, aligning, gizmo = grasped
     canvas = gizmo.parent()
     picture = controller.window.columns["target_depth"].view.preview
-    middle = gizmo.centre
+    middle = QPointF(*gizmo.geometry_px.centre_px)
     steps = controller.undo_stack.count()
     centre = canvas.centre
     grip = middle + QPointF(30, 0)
@@ -66,26 +67,26 @@ def test_an_arrow_moves_along_its_axis_in_one_undo_step(grasped, qtbot):
     assert (y, z) == (0.0, 0.0)
     assert controller.undo_stack.count() == steps + 1
     assert canvas.centre == centre  # the picture itself was not dragged
-    moved = gizmo.centre
+    moved = QPointF(*gizmo.geometry_px.centre_px)
     assert moved.x() - middle.x() == pytest.approx(25.0, abs=2.0)  # it stays under the pointer
     controller.undo_stack.undo()
     qtbot.waitUntil(lambda: controller.is_idle and aligning.is_idle, timeout=LIMIT_MS)
-    assert gizmo.centre.x() == pytest.approx(middle.x(), abs=1.0)
+    assert QPointF(*gizmo.geometry_px.centre_px).x() == pytest.approx(middle.x(), abs=1.0)
 
 
 def test_the_centre_translates_and_the_ring_rotates(grasped, qtbot):
     controller, aligning, gizmo = grasped
-    middle = gizmo.centre
+    middle = QPointF(*gizmo.geometry_px.centre_px)
     _drag(qtbot, gizmo, middle, middle + QPointF(-10, 20))
     qtbot.waitUntil(lambda: controller.is_idle and aligning.is_idle, timeout=LIMIT_MS)
     x, y, _ = controller.session.offsets.translation_mm
     assert y == pytest.approx(-2 * x, rel=0.15)
-    middle = gizmo.centre
+    middle = QPointF(*gizmo.geometry_px.centre_px)
     far = 66.0
     turn = math.radians(20.0)
     begin = middle + QPointF(0, -far)
     end = middle + QPointF(far * math.sin(turn), -far * math.cos(turn))
-    assert gizmo.part_at(begin) == "rz"
+    assert gizmo.geometry_px.find_part(np.array([begin.x(), begin.y()])) == "rz"
     _drag(qtbot, gizmo, begin, end)
     qtbot.waitUntil(lambda: controller.is_idle and aligning.is_idle, timeout=LIMIT_MS)
     assert controller.session.offsets.rotation_deg[2] == pytest.approx(
@@ -111,10 +112,11 @@ class _Hand:
 
     def __init__(self, gizmo: Gizmo, part: str) -> None:
         self._view = gizmo.parent()
-        middle = gizmo.centre
+        shape = gizmo.geometry_px
+        middle = QPointF(*shape.centre_px)
         grid = [QPoint(x, y) for x in range(-75, 76, 2) for y in range(-75, 76, 2)]
         places = [middle.toPoint() + off for off in grid]
-        self._at = next(p for p in places if gizmo.part_at(QPointF(p)) == part)
+        self._at = next(p for p in places if shape.find_part(np.array([p.x(), p.y()])) == part)
         self._send(QEvent.Type.MouseButtonPress)
 
     def _send(self, kind: QEvent.Type, *, shift: bool = False) -> None:
@@ -170,7 +172,7 @@ def test_four_drags_in_the_scene_undo_a_motion_of_all_six_axes(open_window, qtbo
     steps = controller.undo_stack.count()
 
     # the ball turns about two axes across the line of sight, a ring about the third
-    px_of_mm = gizmo._px_of_mm
+    px_of_mm = gizmo.geometry_px.px_of_mm
     right, down = (row / np.linalg.norm(row) for row in px_of_mm)
     toward = np.cross(down, right)
     ring = int(np.argmax(np.abs(toward)))
@@ -186,12 +188,12 @@ def test_four_drags_in_the_scene_undo_a_motion_of_all_six_axes(open_window, qtbo
     hand = _Hand(gizmo, ("rx", "ry", "rz")[ring])
     others = [(ring + 1) % 3, (ring + 2) % 3]
     for _ in range(4):
-        middle = np.array([gizmo.centre.x(), gizmo.centre.y()])
+        middle = gizmo.geometry_px.centre_px
         at = np.array([hand._at.x(), hand._at.y()])
-        in_plane = np.linalg.solve(gizmo._px_of_mm[:, others], at - middle)
+        in_plane = np.linalg.solve(gizmo.geometry_px.px_of_mm[:, others], at - middle)
         angle = _turn_left(aligning.offsets)[ring]
         turned = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        hand.move(*(gizmo._px_of_mm[:, others] @ (turned @ in_plane - in_plane)))
+        hand.move(*(gizmo.geometry_px.px_of_mm[:, others] @ (turned @ in_plane - in_plane)))
     hand.end()
     rest()
     # the centre moves in the plane of the view, an arrow to the eye
@@ -200,13 +202,13 @@ def test_four_drags_in_the_scene_undo_a_motion_of_all_six_axes(open_window, qtbo
     for _ in range(4):
         left = np.array(pivot) - aligning.contact_centre_mm
         left = left - (left @ toward) / toward[arrow] * np.eye(3)[arrow]
-        hand.move(*(gizmo._px_of_mm @ left))
+        hand.move(*(gizmo.geometry_px.px_of_mm @ left))
     hand.end()
     rest()
     hand = _Hand(gizmo, "xyz"[arrow])
     for _ in range(4):
         left = np.array(pivot) - aligning.contact_centre_mm
-        hand.move(*(gizmo._px_of_mm[:, arrow] * left[arrow]))
+        hand.move(*(gizmo.geometry_px.px_of_mm[:, arrow] * left[arrow]))
     hand.end()
     rest()
     assert controller.undo_stack.count() == steps + 4

@@ -228,7 +228,7 @@ def test_align_shows_the_target_depth_minus_the_observation(window):
     assert _large(window) == ["target_depth"]
     heads = [name for name, c in window.window.columns.items() if c.head.isVisible()]
     assert heads == ["target_depth"]
-    assert window.window.view_panels["target_depth"].isVisible()
+    assert window.window.scene_panel.isVisible(), "right of it, in 3D"
     assert window.window.drawers.alignment.isVisible()
     assert wait_until_shown(window, LIMIT_S)
     shown = window.window.columns["target_depth"].view.preview

@@ -98,9 +98,11 @@ def test_one_cursor_moves_plot_scene_and_slider(opened, qtbot, monkeypatch):
     page = controller.window.task
     shown = rollouts.shown
     moved = {}
-    monkeypatch.setattr(
-        controller.views.scene, "move_layer", lambda view, name, pose: moved.update({name: pose})
-    )
+
+    def show(_view, layers, **_):
+        moved.update({layer.name: layer.view_from_layer for layer in layers})
+
+    monkeypatch.setattr(controller.views.scene, "show_layers", show)
     page.plot.step_chosen.emit(12)
     assert (controller.tick, page.plot.current_step, page.ticks.frame) == (12, 12, 12)
     np.testing.assert_array_equal(moved[TRUE_NAME], shown.rollout.world_from_object[12])

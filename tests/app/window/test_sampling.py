@@ -70,12 +70,16 @@ def sampling(open_window, touch_file, weights_file):
 def test_steps_are_shown_in_the_column(sampling):
     window = sampling.window
     view = sampling.window.columns["touch"].view
-    slider = window.steps["touch"].slider
-    assert (slider.maximum(), slider.value()) == (7, 7)
+    panel = window.steps_panel
+    window.actions_by_name["step_through"].trigger()
+    panel.stage_box.setCurrentIndex(panel.stage_box.findData("touch"))
+    panel.stage_box.chosen.emit("touch")
+    assert (panel.plot.n_steps, panel.plot.current_step) == (8, 7)
     last = view.preview.pixels
-    slider.setValue(0)
+    panel.plot.step_chosen.emit(0)
+    assert panel.plot.current_step == 0
     assert not np.array_equal(view.preview.pixels, last)
-    slider.setValue(7)
+    panel.plot.step_chosen.emit(7)
     assert np.array_equal(view.preview.pixels, last)
 
 
@@ -87,13 +91,14 @@ def test_dragging_a_slider_shows_a_draft_and_releasing_it_the_full_result(sampli
     slider.setValue(slider.maximum())
     assert wait_until_shown(sampling, LIMIT_S)
     assert sampling.session.params[KEY] == T2D2Params(steps=8, guidance=15.0, keep_states=True)
-    assert not window.steps["touch"].slider.isEnabled(), "a draft keeps no states"
+    steps = sampling.views.get_shown_stage("touch").result.output.steps
+    assert not steps, "a draft keeps no states"
     assert [window.columns[name].state for name in ("touch", "touch_depth")] == ["draft", "draft"]
     assert window.columns["depth"].state == "cached", "what stands above it is as it was"
     draft = window.columns["touch"].view.preview.pixels
     slider.sliderReleased.emit()
     assert wait_until_shown(sampling, LIMIT_S)
-    assert window.steps["touch"].slider.maximum() == 7
+    assert len(sampling.views.get_shown_stage("touch").result.output.steps) == 8
     assert window.columns["touch"].state in ("computed", "warning")
     assert not np.array_equal(window.columns["touch"].view.preview.pixels, draft)
 

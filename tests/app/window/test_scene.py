@@ -9,6 +9,7 @@ from PyQt6.QtCore import QPoint, Qt
 from app.session.layout import Layout
 from app.session.sample import SAMPLE_RECORDING
 from app.shell.tour import wait_until_shown
+from app.stages.scene import SceneController
 from pipeline.core.geometry import rigid
 from pipeline.sensors.alignment import Offsets
 
@@ -100,3 +101,91 @@ def test_one_pane_at_most_has_the_scene():
     assert moved.panes == (("source", "scene"), ("touch_depth", "3D"), ("touch", "both"))
     twice = Layout(panes=(("source", "scene"), ("touch", "scene")))
     assert twice.resolve_panes(("source", "touch")) == (("source", "scene"), ("touch", "3D"))
+
+
+def _indentation_mm(controller) -> float:
+    """How deep the bubble, which is the source, is in the scene."""
+    points = _scene_layers(controller)["source membrane"].points_mm
+    x, y, z = points.astype(float).T
+    return float((controller.views.translation.source.membrane.depth_at(x, y) - z).max())
+
+
+def test_space_plays_and_pauses_the_press_in_the_scene_and_esc_ends_it(bubble_window, qtbot):
+    controller, view = bubble_window, bubble_window.window.scene_panel.view
+    moving = controller.findChild(SceneController)
+    deepest = _indentation_mm(controller)
+    assert deepest > 1.0
+    frame = controller.session.frame
+    qtbot.keyClick(view, Qt.Key.Key_Space)
+    qtbot.waitUntil(lambda: _indentation_mm(controller) < 0.01 * deepest, timeout=LIMIT_S * 1000)
+    caption = controller.window.scene_panel.caption.toolTip()
+    assert caption.endswith("of this frame's depth")
+    assert "rays" in _scene_layers(controller)
+    qtbot.keyClick(view, Qt.Key.Key_Space)
+    assert moving.is_moving
+    assert not controller.window.actions_by_name["press_motion"].isChecked()
+    at = moving._time
+    qtbot.wait(150)
+    assert moving._time == at, "paused"
+    assert controller.session.frame == frame, "the recording does not play"
+    qtbot.keyClick(view, Qt.Key.Key_Space)
+    qtbot.waitUntil(lambda: moving._time != at, timeout=LIMIT_S * 1000)
+    qtbot.keyClick(view, Qt.Key.Key_Escape)
+    assert not moving.is_moving
+    assert _indentation_mm(controller) == deepest
+    assert "rays" not in _scene_layers(controller)
+
+
+@pytest.mark.gl
+def test_views_zoom_and_measure_of_the_scene(open_window, qtbot):
+    controller = open_window(
+        SAMPLE_RECORDING, gl=True, source="gelslim", target="soft_bubble", frame=5
+    )
+    assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
+    scene, view = controller.views.scene, controller.window.scene_panel.view
+    actions = controller.window.actions_by_name
+    qtbot.waitUntil(lambda: scene.is_open, timeout=LIMIT_S * 1000)
+    place = controller.views.page_views["scene"]
+    actions["scene_source"].trigger()
+    scene.draw_pending()
+    labels = view.labels
+    # along the optical axis: what is on it is one point
+    assert abs(labels["S"].x() - labels["A"].x()) < 0.01
+    assert abs(labels["S"].y() - labels["A"].y()) < 0.01
+    actions["scene_side"].trigger()
+    scene.draw_pending()
+    before = _count_colours(view.image)
+    bar = view.scale_bar
+    actions["scene_orthographic"].trigger()
+    scene.draw_pending()
+    assert view.scale_bar[1] == bar[1]
+    assert view.scale_bar[0] == pytest.approx(bar[0], rel=1e-3), "as large as before"
+    fitted_mm = scene._stage.measure_view_mm(place)
+    camera = scene._stage.renderers[place].GetActiveCamera()
+    for factor, limit in ((1.3, 0.02), (1 / 1.3, 4.0)):  # in, then out, far beyond use
+        for _ in range(60):
+            camera.Dolly(factor)
+            scene._stage.limit_camera(place)
+        assert scene._stage.measure_view_mm(place) == pytest.approx(limit * fitted_mm, rel=1e-3)
+    scene._draw_soon(place)
+    scene.draw_pending()
+    assert _count_colours(view.image) > 3, "still in sight"
+    camera.SetFocalPoint(900.0, 0.0, 0.0)
+    scene._stage.limit_camera(place)
+    away = np.subtract(camera.GetFocalPoint(), controller.views._page_bounds["scene"].centre_mm)
+    assert np.linalg.norm(away) == pytest.approx(controller.views._page_bounds["scene"].radius_mm)
+    actions["scene_orthographic"].trigger()
+    controller.views.reset_cameras(controller.session)
+    actions["scene_source"].trigger()
+    scene.draw_pending()
+    assert before > 100
+    actions["scene_measure"].trigger()
+    corners = _scene_layers(controller)["source"]
+    drawn = rigid.apply(corners.view_from_layer, corners.points_mm[[0, -1]])
+    for x_px, y_px in scene.project_points(place, drawn):
+        qtbot.mouseClick(view, Qt.MouseButton.LeftButton, pos=QPoint(round(x_px), round(y_px)))
+    (text,) = set(view.labels) - {"S", "A", "T"}
+    length = float(np.linalg.norm(drawn[1] - drawn[0]))
+    assert float(text.removesuffix(" mm")) == pytest.approx(length, rel=0.05)
+    actions["scene_measure"].trigger()
+    assert set(view.labels) == {"S", "A", "T"}

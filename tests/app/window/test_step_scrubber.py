@@ -26,14 +26,12 @@ def test_steps_are_kept_on_request_and_shown_everywhere(posed, qtbot):
     window = posed.window
     window.actions_by_name["stage_7"].trigger()
     tab = posed.window.steps_panel
-    slider = window.steps["pose"]
     view = window.columns["pose"].view
     before = posed.views.get_shown_stage("pose")
     assert (before.step_previews, before.step_history) == ((), None), (
         "nothing is worked out that nobody asked for"
     )
-    assert slider.keep_button.isVisibleTo(window)
-    slider.keep_button.click()
+    window.actions_by_name["step_through"].trigger()
     assert wait_until_shown(posed, LIMIT_S)
     part = posed.views.get_shown_stage("pose")
     assert part.result.digest == before.result.digest, "the answer is the same"
@@ -41,24 +39,25 @@ def test_steps_are_kept_on_request_and_shown_everywhere(posed, qtbot):
     assert n == len(part.step_previews) == len(part.step_layers) == tab.plot.n_steps > 3
     assert "converged: " in tab.message.text()
     assert window.tabs.currentWidget() is tab
-    assert tab.message.text().startswith("Object pose: ")
+    assert tab.stage_box.choice == "pose"
     drawn = []
     posed.views.scene.show_layers = lambda _, layers: drawn.append(layers)
     tab.plot.setFocus()
     qtbot.keyClick(tab.plot, Qt.Key.Key_Home)
-    assert slider.slider.value() == tab.plot.current_step == 0
+    assert tab.plot.current_step == 0
     assert tab.step_text.text().startswith(f"step 1 of {n}: rms ")
     assert view.preview is part.step_previews[0]
     assert not np.array_equal(view.preview.pixels, part.step_previews[-1].pixels)
     (layers,) = drawn
     lines = next(layer for layer in layers if layer.segments is not None)
     assert len(lines.segments) == len(lines.points_mm) // 2 > 10
-    slider.slider.setValue(1)
+    qtbot.keyClick(tab.plot, Qt.Key.Key_Right)
     assert tab.plot.current_step == 1
+    assert view.preview is part.step_previews[1]
     assert not (lines.rgb == UNMATCHED_POINT_COLOUR).all()
-    posed.undo_stack.undo()  # they are let go like any setting
+    tab.keep_button.click()  # they are let go, and that is undone like any setting
     assert wait_until_shown(posed, LIMIT_S)
     assert not tab.plot.n_steps
-    posed.undo_stack.redo()
+    posed.undo_stack.undo()
     assert wait_until_shown(posed, LIMIT_S)
     assert tab.plot.n_steps

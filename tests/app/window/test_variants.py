@@ -71,19 +71,13 @@ def test_current_settings_are_compared_with_held_ones(held, qtbot):
     assert less.difference is not None
     # the difference, without asking
     assert _grid(instrument).views[2].view.preview is less.difference
-    own = [
-        instrument.views.scene._stage.get_camera(len(instrument.window.columns) + k) for k in (0, 1)
-    ]
-    assert own[0] == own[1]  # one view
-    assert all(cell.view.image is not None for cell in instrument.window.comparison.views_3d)
-    for x_mm in (0.5, 1.0):  # both stay in view while the alignment is moved
+    for x_mm in (0.5, 1.0):
         instrument.change(
             "move the alignment",
             offsets=replace(instrument.session.offsets, translation_mm=(x_mm, 0.0, 0.0)),
         )
         _settle(qtbot, instrument, comparing)
     assert instrument.window.banner.isHidden(), instrument.window.banner.text
-    assert own[0] == instrument.views.scene._stage.get_camera(len(instrument.window.columns))
     _choose_stage(qtbot, instrument, comparing, "")
     tiles = _grid(instrument).tiles
     assert len(tiles) == 2 * len(instrument.window.columns)
