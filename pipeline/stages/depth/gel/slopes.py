@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 
 from pipeline.calibration.calibration_table import Calibration, compute_slopes
-from pipeline.core.arrays import Floats, Image, Mask, median
+from pipeline.core.arrays import Floats, Image, Mask
 from pipeline.core.errors import CalibrationError, StageWarning
 from pipeline.core.progress import Progress
 from pipeline.core.values.frames import TactileFrame
@@ -26,7 +26,7 @@ from pipeline.stages.depth.illumination.light import (
     extract_patch,
     look_up_slopes,
 )
-from pipeline.stages.depth.poisson import Boundary, Integrator, SideBoundaries, integrate_slopes
+from pipeline.stages.depth.poisson import Boundary, Integrator, SideBoundaries
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,25 +67,18 @@ class ChangedImage:
     def make_integrator(
         self, patch: ImagePatch, progress: Progress, fraction: float = 0.4
     ) -> Integrator:
-        """The integrator of a patch's slopes (..., rows, cols); it can be cancelled at every use.
-
-        The surfaces in mm are 0 in the median outside the changed region.
+        """The integrator of a patch's slopes: surfaces are 0 in the median outside the changed
+        region.
         """
-        window = self.window
-        ends = find_boundaries(window.rows, window.cols, self.image.shape)
         outside = np.flatnonzero(~patch.changed)
-        outside = outside[:: max(1, len(outside) // SLOPES.level_pixels)]
-
-        def integrate(gx: Floats, gy: Floats) -> Floats:
-            progress.step(fraction, "integrating slopes")
-            z = integrate_slopes(gx, gy, patch.pixel_mm, ends)
-            if not len(outside):
-                return z - z.min(axis=(-2, -1), keepdims=True)
-            images = z.reshape(-1, z.shape[-2] * z.shape[-1])
-            level = np.array([median(image[outside]) for image in images], np.float32)
-            return (images - level[:, None]).reshape(z.shape)
-
-        return integrate
+        window = self.window
+        return Integrator(
+            pixel_mm=patch.pixel_mm,
+            sides=find_boundaries(window.rows, window.cols, self.image.shape),
+            level_at=outside[:: max(1, len(outside) // SLOPES.level_pixels)],
+            progress=progress,
+            fraction=fraction,
+        )
 
     def guess_surface(self, patch: ImagePatch, integrate: Integrator) -> Floats:
         """The surface (rows, cols) in mm by the calibration table alone."""
