@@ -7,18 +7,21 @@ from typing import cast
 
 import numpy as np
 
-from pipeline.calibration.calibration_table import Calibration, compute_slopes
+from pipeline.calibration import calibration_table
+from pipeline.calibration.calibration_table import Calibration
 from pipeline.core.arrays import Floats, Image, Mask
 from pipeline.core.errors import CalibrationError, StageWarning
 from pipeline.core.progress import Progress
 from pipeline.core.values.frames import TactileFrame
+from pipeline.physics.optics import compute_slopes
+from pipeline.physics.reference_colours import MirrorDirection, compare_colours
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import change_detection
 from pipeline.stages.depth.change_detection import ImageWindow
 from pipeline.stages.depth.gel.change import FrameChange
 from pipeline.stages.depth.gel.drift import RestImage
 from pipeline.stages.depth.gel.rest import RestState
-from pipeline.stages.depth.gel.settings import SLOPES
+from pipeline.stages.depth.gel.settings import CONTACT, SLOPES
 from pipeline.stages.depth.illumination.light import (
     FrameLight,
     ImagePatch,
@@ -26,7 +29,7 @@ from pipeline.stages.depth.illumination.light import (
     extract_patch,
     look_up_slopes,
 )
-from pipeline.stages.depth.poisson import Boundary, Integrator, SideBoundaries
+from pipeline.stages.depth.poisson import Boundary, Integrator, SideBoundaries, integrate_slopes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -191,7 +194,7 @@ def _look_up_window(changed: ChangedImage) -> tuple[Floats, Floats]:
     """Slopes (gx, gy) (rows, cols) of the window by the calibration table alone."""
     window = changed.window
     here = (window.rows, window.cols)
-    gx, gy = compute_slopes(
+    gx, gy = calibration_table.compute_slopes(
         changed.calibration,
         changed.image[here],
         changed.reference.image[here],
@@ -210,3 +213,35 @@ def _check_slopes(gx: Floats, gy: Floats, source: SensorSpec) -> None:
             f"the calibration table of {source.name} gives slopes that are not finite; calibrate "
             "again"
         )
+
+
+def describe_mirroring(reference: Image, source: SensorSpec, changed: ChangedImage) -> str:
+    """How a touch shows that the images are mirrored, as a clause.
+
+    "" where it does not, or they are not.
+
+    A GelSight Mini's LEDs look nearly alike from left and right, so its reference image does not
+    show it. A touch does: the slopes of a calibration table are those of a surface, d(gx)/dy =
+    d(gy)/dx; in a mirrored image one of the two is reversed, and half of what a dent shows belongs
+    to no surface.
+    """
+    how = None if source.optics is None else compare_colours(reference, source).possible_mirroring
+    if how is None or not looks_mirrored(changed, how):
+        return ""
+    return f"the images look mirrored {how}: only then are the touch's slopes those of a surface"
+
+
+def looks_mirrored(changed: ChangedImage, direction: MirrorDirection) -> bool:
+    """Whether a touch's slopes are closer to those of a surface with one of the two reversed."""
+    _, cells = changed.patches
+    gx, gy = look_up_slopes(cells, changed.calibration)
+    mirrored = (-gx, gy) if direction == "left to right" else (gx, -gy)
+    shares = [_compute_curl_share(*g, cells.pixel_mm) for g in (mirrored, (gx, gy))]
+    return shares[0] < CONTACT.mirrored_curl * shares[1]
+
+
+def _compute_curl_share(gx: Floats, gy: Floats, pixel_mm: float) -> float:
+    """The share of the squared slopes that belongs to no surface."""
+    slopes = compute_slopes(integrate_slopes(gx, gy, pixel_mm), pixel_mm)
+    residual = sum(float(((a - b) ** 2).sum()) for a, b in zip((gx, gy), slopes, strict=True))
+    return residual / max(float((gx**2 + gy**2).sum()), 1e-9)
