@@ -27,8 +27,9 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pipeline.core.arrays import Doubles, Floats, Indices, freeze, median
+from pipeline.core.arrays import Doubles, Floats, freeze, median
 from pipeline.core.derived import derive_once
 from pipeline.core.errors import ShapeError
 from pipeline.core.progress import SILENT, Progress
@@ -109,7 +110,7 @@ class Integrator:
     sides: SideBoundaries
     # pixels of the part where the median of a surface is 0; without any, its minimum is; None: as
     # it is integrated
-    level_at: Indices | None = None
+    level_at: NDArray[np.intp] | None = None
     progress: Progress = SILENT
     fraction: float = 0.0  # of the work that is done by then
 
@@ -163,7 +164,7 @@ def solve_weighted_slopes(
 
 def _require_own(a: Floats) -> Floats:
     """The array as kernels take it: they are compiled again for one that is read-only."""
-    return np.require(a, np.float32, "CW")
+    return np.require(a, np.float32, ("C", "W"))
 
 
 def _transform(images: Floats, ends: EndConditions, *, back: bool) -> Floats:
