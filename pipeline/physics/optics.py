@@ -32,7 +32,7 @@ def compute_slopes(height_mm: NDArray[np.floating], pixel_mm: float) -> tuple[Fl
     from pipeline.physics.slope_kernels import write_slopes
 
     # writable: the kernel is compiled again for read-only arrays
-    height = np.require(height_mm, np.float32, "CW")
+    height = np.require(height_mm, np.float32, ("C", "W"))
     gx = np.empty_like(height)
     gy = np.empty_like(height)
     images, out_x, out_y = (a.reshape(-1, *height.shape[-2:]) for a in (height, gx, gy))

@@ -17,6 +17,7 @@ from pipeline.core.values.results import DepthErrorModel, DepthMap, make_depth_m
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import bubble_contact
 from pipeline.stages.depth.bubble_network_input import estimate_rest_surface
+from pipeline.stages.depth.contact import reaches_border
 from pipeline.stages.depth.depth_params import DepthParams
 from pipeline.stages.depth.frame_checks import make_untouched_depth
 
@@ -116,7 +117,7 @@ def estimate_depth(
         rest = estimate_rest_surface(rest, read, source.pixel_mm)  # without the reference's noise
     if not touched.any():
         notes.append("nothing touches the sensor")
-    elif np.concatenate([touched[0], touched[-1], touched[:, 0], touched[:, -1]]).any():
+    elif reaches_border(touched):
         notes.append(AT_BORDER)
     nothing = np.float32(np.nan)
     depth = make_depth_map(

@@ -135,7 +135,7 @@ def estimate_depth(
     touched = contact.remove_specks((prediction.contact > certainty) & known & moves, islands)
     if not touched.any():
         notes.append("nothing touches the sensor")
-    elif np.concatenate([touched[0], touched[-1], touched[:, 0], touched[:, -1]]).any():
+    elif contact.reaches_border(touched):
         notes.append(AT_BORDER)
     nothing = np.float32(np.nan)
     rest = estimate_rest_surface(rest, measured, source.pixel_mm)  # without the reference's noise

@@ -50,14 +50,13 @@ def decode_tensors(output: Tensor, smooth_mm: Tensor) -> BubbleOutputTensors:
 class BubblePrediction(NamedTuple):
     """Decoded outputs of one frame, each (rows, cols).
 
-    As `BubbleOutputTensors`, but with probabilities.
+    As `BubbleOutputTensors`, but with a probability; what training alone reads is left out.
     """
 
     displacement_mm: Floats
     object_displacement_mm: Floats
     expected_error_mm: Floats
     contact: Floats  # probability
-    object_in_view: Floats  # probability
 
 
 def decode_prediction(output: Floats, smooth_mm: Floats) -> BubblePrediction:
@@ -70,7 +69,6 @@ def decode_prediction(output: Floats, smooth_mm: Floats) -> BubblePrediction:
         object_displacement_mm=moved - np.logaddexp(np.float32(0.0), output[1]),
         expected_error_mm=np.exp(np.clip(output[2], *_LOG_ERROR_RANGE)),
         contact=_compute_sigmoid(output[3]),
-        object_in_view=_compute_sigmoid(output[4]),
     )
 
 

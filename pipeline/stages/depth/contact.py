@@ -102,6 +102,11 @@ def _find_hanging(indentation_mm: Floats, pixel_mm: float, settings: ContactSett
     return indentation_mm < settings.hanging_share * upsample(deepest, indentation_mm.shape)
 
 
+def reaches_border(mask: Mask) -> bool:
+    """Whether a mask (rows, cols) reaches the border of the image."""
+    return bool(mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())
+
+
 def find_box(mask: Mask, margin: int) -> tuple[slice, slice]:
     """The rows and columns that hold all of a mask (rows, cols), with a margin."""
     row, col = (

@@ -14,12 +14,11 @@ from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthMap
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import mirror_check
 from pipeline.stages.depth.depth_params import DepthParams
 from pipeline.stages.depth.frame_checks import see_by_frame
 from pipeline.stages.depth.gel.chain import NODES, READS
 from pipeline.stages.depth.gel.result import describe_reference_mismatch
-from pipeline.stages.depth.gel.slopes import make_changed_image
+from pipeline.stages.depth.gel.slopes import describe_mirroring, make_changed_image
 from pipeline.stages.depth.illumination.light import FrameLight, Illumination
 
 _run_chain = chain_nodes(NODES, READS)
@@ -125,4 +124,4 @@ def describe_mismatch(frame: TactileFrame, source: SensorSpec) -> str:
     image = cast("Image", frame.image)
     reference = cast("Image", frame.reference)
     changed = make_changed_image(image, rest, values["depth.change"], rest.calibration)
-    return mirror_check.describe_mirroring(reference, rest.source, changed)
+    return describe_mirroring(reference, rest.source, changed)

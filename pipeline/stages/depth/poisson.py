@@ -23,18 +23,19 @@ For slopes with different weights per pixel, `solve_weighted_slopes` minimises s
 """
 
 import math
-from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pipeline.core.arrays import Doubles, Floats, freeze
+from pipeline.core.arrays import Doubles, Floats, freeze, median
 from pipeline.core.derived import derive_once
 from pipeline.core.errors import ShapeError
+from pipeline.core.progress import SILENT, Progress
 
 Boundary = Literal["flat", "free"]
 EndConditions = tuple[Boundary, Boundary]
-Integrator = Callable[[Floats, Floats], Floats]  # slopes (gx, gy) in mm/mm to a surface in mm
 
 # the longest waves, solved in double precision: single precision loses digits there
 _DOUBLE_MODES = 8
@@ -69,13 +70,20 @@ def integrate_slopes(
         raise ShapeError(
             f"slopes must be two images of one shape (rows, cols), got {gx.shape} and {gy.shape}"
         )
-    from pipeline.stages.depth.poisson_kernels import compute_divergence, solve_tridiagonal
-
     sides = (
         boundary
         if isinstance(boundary, SideBoundaries)
         else SideBoundaries(boundary, boundary, boundary, boundary)
     )
+    surface = _integrate(gx, gy, pixel_mm, sides)
+    # not by `freeze`: a call in another module takes part of so short a time
+    surface.flags.writeable = False
+    return surface
+
+
+def _integrate(gx: Floats, gy: Floats, pixel_mm: float, sides: SideBoundaries) -> Floats:
+    from pipeline.stages.depth.poisson_kernels import compute_divergence, solve_tridiagonal
+
     *_, rows, cols = gx.shape
     across = _is_fast_length(cols, rows)
     free = np.array([side == "free" for side in sides])
@@ -91,10 +99,36 @@ def integrate_slopes(
     per, slow = _compute_pivots(wave.shape[1], wave.shape[2], ends, others)
     solve_tridiagonal(wave, per, np.float32(-pixel_mm), slow, np.empty(slow.shape))
     wave = _transform(wave, ends, back=True)
-    surface = (wave if across else _transpose(wave)).reshape(gx.shape)
-    # not by `freeze`: a call in another module takes part of so short a time
-    surface.flags.writeable = False
-    return surface
+    return (wave if across else _transpose(wave)).reshape(gx.shape)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Integrator:
+    """The integral of slopes of one part of an image; it can be cancelled at every use."""
+
+    pixel_mm: float
+    sides: SideBoundaries
+    # pixels of the part where the median of a surface is 0; without any, its minimum is; None: as
+    # it is integrated
+    level_at: NDArray[np.intp] | None = None
+    progress: Progress = SILENT
+    fraction: float = 0.0  # of the work that is done by then
+
+    def __call__(self, gx: Floats, gy: Floats) -> Floats:
+        """The surfaces (..., rows, cols) in mm of slopes (gx, gy) in mm/mm."""
+        return self.level(integrate_slopes(gx, gy, self.pixel_mm, self.sides))
+
+    def level(self, surface_mm: Floats) -> Floats:
+        """The surfaces (..., rows, cols), each at its level."""
+        self.progress.step(self.fraction, "integrating slopes")
+        at = self.level_at
+        if at is None:
+            return surface_mm
+        if not len(at):
+            return surface_mm - surface_mm.min(axis=(-2, -1), keepdims=True)
+        images = surface_mm.reshape(-1, surface_mm.shape[-2] * surface_mm.shape[-1])
+        level = np.array([median(image[at]) for image in images], np.float32)
+        return (images - level[:, None]).reshape(surface_mm.shape)
 
 
 def solve_weighted_slopes(
@@ -102,14 +136,14 @@ def solve_weighted_slopes(
     target_slopes: tuple[Floats, Floats],
     slope_weights: Floats,
     pixel_mm: float,
-    integrated: Integrator,
+    integrate: Integrator,
     steps: int,
 ) -> Floats:
     """The surfaces (..., rows, cols) whose slopes are nearest to `target_slopes` under per-pixel
     weights.
 
     slope_weights (3, rows, cols): a matrix (xx, xy, yy) for each pixel. `steps` of conjugate
-    gradients from `surface_mm`, preconditioned by `integrated`, the integral with equal weights.
+    gradients from `surface_mm`, preconditioned by the integral with equal weights.
     """
     from pipeline.stages.depth.poisson_kernels import compute_residual, descend
 
@@ -122,8 +156,7 @@ def solve_weighted_slopes(
     energy = np.zeros(len(surface))
     compute_residual(surface, *wanted, weights, per_px, slopes, left)
     for _ in range(steps):
-        field = left.reshape(2, *surface_mm.shape)
-        step = _require_own(integrated(field[0], field[1])).reshape(surface.shape)
+        step = integrate.level(_integrate(left[0], left[1], pixel_mm, integrate.sides))
         if not descend(step, weights, per_px, slopes, way, along, energy, surface, left):
             break
     return surface.reshape(surface_mm.shape)
@@ -131,7 +164,7 @@ def solve_weighted_slopes(
 
 def _require_own(a: Floats) -> Floats:
     """The array as kernels take it: they are compiled again for one that is read-only."""
-    return np.require(a, np.float32, "CW")
+    return np.require(a, np.float32, ("C", "W"))
 
 
 def _transform(images: Floats, ends: EndConditions, *, back: bool) -> Floats:

@@ -20,7 +20,12 @@ import numpy as np
 from pipeline.core.arrays import Doubles, Floats, Mask, median
 from pipeline.physics import gel as gel_mechanics
 from pipeline.sensors.spec import Gel
-from pipeline.stages.depth.contact import downsample, select_seeded, upsample
+from pipeline.stages.depth.contact import (
+    downsample,
+    reaches_border,
+    select_seeded,
+    upsample,
+)
 from pipeline.stages.depth.gel.settings import ContactSettings
 
 
@@ -55,7 +60,7 @@ def level_surface(
             level = lowest  # all quiet patches are higher than their surroundings
         for patch, own in zip(patches, levels, strict=True):
             deep = _compute_rim_height(z, patch, reach) - level
-            share = settings.cut_face_share if _is_cut(patch) else settings.face_share
+            share = settings.cut_face_share if reaches_border(patch) else settings.face_share
             if deep > settings.relief_share * relief and own - level > share * deep:
                 inside |= patch
         if not inside.any():
@@ -141,11 +146,6 @@ def _compute_spread(values: Floats, percent: float) -> tuple[float, float]:
     """(lowest, range) of the values without this many percent at either end."""
     low, high = np.percentile(values, (percent, 100.0 - percent))
     return float(low), float(high) - float(low)
-
-
-def _is_cut(patch: Mask) -> bool:
-    """Whether a patch reaches the image border."""
-    return bool(patch[0].any() or patch[-1].any() or patch[:, 0].any() or patch[:, -1].any())
 
 
 def _compute_rim_height(z: Floats, patch: Mask, reach: float) -> float:

@@ -17,7 +17,7 @@ PHYSICS = Method(
     params=photometric.DepthParams,
     reads=READS,
     nodes=NODES,
-    version=20,
+    version=21,
 )
 NETWORK = Method(
     stage="depth",

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from pipeline.core.errors import SettingProblem
 from pipeline.core.params import list_settings, replace_value, setting
-from pipeline.stages.depth.photometric import DepthParams
+from pipeline.stages.depth.depth_anything import DepthAnythingParams
 from pipeline.stages.touch.residual_diffusion import DiffusionParams
 
 Mode = Literal["bake", "grill"]
@@ -61,7 +61,7 @@ def test_a_wrong_setting_is_named_with_what_is_allowed(name, value, sentence):
 
 
 @pytest.mark.parametrize(
-    "params", [DepthParams(), DiffusionParams()], ids=lambda p: type(p).__name__
+    "params", [DepthAnythingParams(), DiffusionParams()], ids=lambda p: type(p).__name__
 )
 def test_words_that_may_be_chosen_are_those_of_the_type(params):
     hints = get_type_hints(type(params))

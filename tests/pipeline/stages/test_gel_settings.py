@@ -15,7 +15,7 @@ from pipeline.stages.depth.gel import chain, settings
 ROOT = Path(depth.__file__).parent
 NODES = {node.name: getattr(settings, node.name.upper()) for node in chain.NODES}
 # Kernels compile theirs in. The check of an instance is no part of a frame's chain.
-HELPERS = ("change_detection", "contact", "frame_checks", "mirror_check", "rest_level")
+HELPERS = ("change_detection", "contact", "frame_checks", "rest_level")
 MODULES = (
     *(ROOT / f"{name}.py" for name in HELPERS),
     *(path for path in (ROOT / "gel").glob("*.py") if path.stem != "settings"),

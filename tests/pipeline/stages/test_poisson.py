@@ -6,7 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.core.errors import ShapeError
-from pipeline.stages.depth.poisson import SideBoundaries, integrate_slopes, solve_weighted_slopes
+from pipeline.stages.depth.poisson import (
+    Integrator,
+    SideBoundaries,
+    integrate_slopes,
+    solve_weighted_slopes,
+)
 
 # what the stage promises; second-order staggering leaves about 7e-4 on this bump
 BUMP_TOLERANCE_PX = 1e-3
@@ -133,9 +138,7 @@ def test_slopes_that_are_known_less_surely_give_way():
     sure = np.zeros((3, *z.shape), np.float32)
     sure[0] = sure[2] = np.where(wall, 1e-3, 1.0)
 
-    def plainly(x, y):
-        return integrate_slopes(x, y, 0.1)
-
+    plainly = Integrator(pixel_mm=0.1, sides=SideBoundaries(*4 * ["free"]))
     first = plainly(seen_x, gy)
     found = solve_weighted_slopes(first, (seen_x, gy), sure, 0.1, plainly, 40)
     truth = plainly(gx, gy)
@@ -148,8 +151,7 @@ def test_slopes_that_are_all_as_sure_are_integrated_at_once():
     sure = np.zeros((3, *z.shape), np.float32)
     sure[0] = sure[2] = 7.0
     start = np.zeros_like(z, np.float32)
-    found = solve_weighted_slopes(
-        start, (gx, gy), sure, 0.1, lambda x, y: integrate_slopes(x, y, 0.1), 2
-    )
-    truth = integrate_slopes(gx, gy, 0.1)
+    plainly = Integrator(pixel_mm=0.1, sides=SideBoundaries(*4 * ["free"]))
+    found = solve_weighted_slopes(start, (gx, gy), sure, 0.1, plainly, 2)
+    truth = plainly(gx, gy)
     assert float(np.abs(found - truth).max()) < 0.02 * float(np.ptp(truth))

@@ -48,10 +48,8 @@ def test_several_surfaces_are_solved_as_each_alone():
     slopes = rng.normal(size=(2, 3, 24, 31)).astype(np.float32)
     weights = np.zeros((3, 24, 31), np.float32)
     weights[0], weights[2] = rng.uniform(1.0, 9.0, (2, 24, 31))
-
-    def integrate(gx, gy):
-        return poisson.integrate_slopes(gx, gy, PIXEL_MM, "flat")
-
+    flat_sides = poisson.SideBoundaries(*4 * ["flat"])
+    integrate = poisson.Integrator(pixel_mm=PIXEL_MM, sides=flat_sides)
     flat = np.zeros((3, 24, 31), np.float32)
     together = poisson.solve_weighted_slopes(
         flat, (slopes[0], slopes[1]), weights, PIXEL_MM, integrate, 5

@@ -13,13 +13,13 @@ from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthMap
 from pipeline.physics.optics import compute_slopes
 from pipeline.sensors.spec import Gel, SensorSpec
-from pipeline.stages.depth import contact, mirror_check, rest_level
+from pipeline.stages.depth import contact, rest_level
 from pipeline.stages.depth.change_detection import ImageWindow
 from pipeline.stages.depth.gel.change import FrameChange
 from pipeline.stages.depth.gel.rest import RestState
 from pipeline.stages.depth.gel.result import make_gel_depth
 from pipeline.stages.depth.gel.settings import CONTACT, ContactSettings
-from pipeline.stages.depth.gel.slopes import FrameSlopes
+from pipeline.stages.depth.gel.slopes import FrameSlopes, describe_mirroring
 from pipeline.stages.depth.gel.surface import FrameSurface
 from pipeline.stages.depth.illumination.light import FrameLight
 
@@ -96,7 +96,7 @@ def detect_contact(
         tuple(notes),
         calibration=calibration,
         illumination=used,
-        mirroring=mirror_check.describe_mirroring(cast("Image", frame.reference), source, changed),
+        mirroring=describe_mirroring(cast("Image", frame.reference), source, changed),
     )
 
 
@@ -226,17 +226,10 @@ def _stands_out(
     region: Mask, touched: Mask, surface_mm: Floats, pixel_mm: float, settings: ContactSettings
 ) -> bool:
     """Whether a region is deeper than the untouched ring around it by a good part of its depth."""
-    import cv2
-
     near_px, far_px = (
         max(1, round(mm / pixel_mm)) for mm in (settings.near_mm, settings.flanks_mm)
     )
-    left, top, width, height = cv2.boundingRect(region.astype(np.uint8))
-    around = far_px + near_px
-    here = tuple(
-        slice(max(0, first - around), first + n + around)
-        for first, n in ((top, height), (left, width))
-    )
+    here = contact.find_box(region, far_px + near_px)
     ring = _dilate(region[here], far_px) & ~_dilate(touched[here], near_px)
     if not ring.any():
         return True

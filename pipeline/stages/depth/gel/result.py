@@ -30,6 +30,7 @@ from pipeline.core.values.results import DepthErrorModel, DepthMap, make_depth_m
 from pipeline.physics.optics import compute_slopes
 from pipeline.physics.reference_colours import compare_colours
 from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.depth.contact import find_box, reaches_border
 from pipeline.stages.depth.gel.rest import RestState
 from pipeline.stages.depth.gel.settings import CONTACT
 from pipeline.stages.depth.illumination.light import Illumination
@@ -54,7 +55,7 @@ def make_gel_depth(
     place.
 
     `calibration` and `illumination` are what it was measured by; None where no light was needed.
-    `mirroring` as `mirror_check.describe_mirroring` returns it. The first notes say how good the
+    `mirroring` as `slopes.describe_mirroring` returns it. The first notes say how good the
     calibration is.
     """
     source = rest.source
@@ -106,14 +107,13 @@ def _limit_depth(indentation: Floats, touched: Mask, largest_mm: float) -> list[
         )
         notes.append(StageWarning(cut))
         np.minimum(indentation, np.float32(largest_mm), out=indentation)
-    edge = np.concatenate([touched[0], touched[-1], touched[:, 0], touched[:, -1]])
     if touched.sum() > CONTACT.full_share * touched.size:
         notes.append(
             StageWarning(
                 "the contact fills the view: its depth is estimated from the little gel around it"
             )
         )
-    elif edge.any():
+    elif reaches_border(touched):
         notes.append(AT_BORDER)
     if not touched.any() and indentation.any():
         notes.append(
@@ -166,8 +166,7 @@ def _compute_steepness(depth: DepthMap, pixel_mm: float) -> float:
 
     if not depth.contact.any():
         return 1.0
-    where = np.flatnonzero(depth.contact.any(axis=1)), np.flatnonzero(depth.contact.any(axis=0))
-    here = tuple(slice(max(int(n[0]) - 1, 0), int(n[-1]) + 2) for n in where)
+    here = find_box(depth.contact, 1)
     steep = np.asarray(
         cv2.magnitude(*compute_slopes(depth.indentation_mm[here], pixel_mm)), np.float32
     )

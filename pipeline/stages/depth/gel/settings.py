@@ -296,7 +296,7 @@ class SurfaceSettings:
     deepest_percent: float = 99.5  # percentile that stands for the depth
     min_depth_mm: float = 0.02  # shallower surfaces have no walls
     wall_ridge: float = 1e-6  # of the normal equations' trace
-    wall_margin_mm: float = 1.0  # around the dent, within which raised walls fade to what is there
+    wall_margin_mm: float = 1.5  # around the dent, within which raised walls fade to what is there
 
     # around a coarse dent: slopes farther away are shadows. 42 balls on a real DIGIT: 1 mm, or .4
     # of the deepest point, measures them as well (`docs/experiments.md`).

@@ -7,18 +7,21 @@ from typing import cast
 
 import numpy as np
 
-from pipeline.calibration.calibration_table import Calibration, compute_slopes
-from pipeline.core.arrays import Floats, Image, Mask, median
+from pipeline.calibration import calibration_table
+from pipeline.calibration.calibration_table import Calibration
+from pipeline.core.arrays import Floats, Image, Mask
 from pipeline.core.errors import CalibrationError, StageWarning
 from pipeline.core.progress import Progress
 from pipeline.core.values.frames import TactileFrame
+from pipeline.physics.optics import compute_slopes
+from pipeline.physics.reference_colours import MirrorDirection, compare_colours
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import change_detection
 from pipeline.stages.depth.change_detection import ImageWindow
 from pipeline.stages.depth.gel.change import FrameChange
 from pipeline.stages.depth.gel.drift import RestImage
 from pipeline.stages.depth.gel.rest import RestState
-from pipeline.stages.depth.gel.settings import SLOPES
+from pipeline.stages.depth.gel.settings import CONTACT, SLOPES
 from pipeline.stages.depth.illumination.light import (
     FrameLight,
     ImagePatch,
@@ -67,25 +70,18 @@ class ChangedImage:
     def make_integrator(
         self, patch: ImagePatch, progress: Progress, fraction: float = 0.4
     ) -> Integrator:
-        """The integrator of a patch's slopes (..., rows, cols); it can be cancelled at every use.
-
-        The surfaces in mm are 0 in the median outside the changed region.
+        """The integrator of a patch's slopes: surfaces are 0 in the median outside the changed
+        region.
         """
-        window = self.window
-        ends = find_boundaries(window.rows, window.cols, self.image.shape)
         outside = np.flatnonzero(~patch.changed)
-        outside = outside[:: max(1, len(outside) // SLOPES.level_pixels)]
-
-        def integrate(gx: Floats, gy: Floats) -> Floats:
-            progress.step(fraction, "integrating slopes")
-            z = integrate_slopes(gx, gy, patch.pixel_mm, ends)
-            if not len(outside):
-                return z - z.min(axis=(-2, -1), keepdims=True)
-            images = z.reshape(-1, z.shape[-2] * z.shape[-1])
-            level = np.array([median(image[outside]) for image in images], np.float32)
-            return (images - level[:, None]).reshape(z.shape)
-
-        return integrate
+        window = self.window
+        return Integrator(
+            pixel_mm=patch.pixel_mm,
+            sides=find_boundaries(window.rows, window.cols, self.image.shape),
+            level_at=outside[:: max(1, len(outside) // SLOPES.level_pixels)],
+            progress=progress,
+            fraction=fraction,
+        )
 
     def guess_surface(self, patch: ImagePatch, integrate: Integrator) -> Floats:
         """The surface (rows, cols) in mm by the calibration table alone."""
@@ -198,7 +194,7 @@ def _look_up_window(changed: ChangedImage) -> tuple[Floats, Floats]:
     """Slopes (gx, gy) (rows, cols) of the window by the calibration table alone."""
     window = changed.window
     here = (window.rows, window.cols)
-    gx, gy = compute_slopes(
+    gx, gy = calibration_table.compute_slopes(
         changed.calibration,
         changed.image[here],
         changed.reference.image[here],
@@ -217,3 +213,35 @@ def _check_slopes(gx: Floats, gy: Floats, source: SensorSpec) -> None:
             f"the calibration table of {source.name} gives slopes that are not finite; calibrate "
             "again"
         )
+
+
+def describe_mirroring(reference: Image, source: SensorSpec, changed: ChangedImage) -> str:
+    """How a touch shows that the images are mirrored, as a clause.
+
+    "" where it does not, or they are not.
+
+    A GelSight Mini's LEDs look nearly alike from left and right, so its reference image does not
+    show it. A touch does: the slopes of a calibration table are those of a surface, d(gx)/dy =
+    d(gy)/dx; in a mirrored image one of the two is reversed, and half of what a dent shows belongs
+    to no surface.
+    """
+    how = None if source.optics is None else compare_colours(reference, source).possible_mirroring
+    if how is None or not looks_mirrored(changed, how):
+        return ""
+    return f"the images look mirrored {how}: only then are the touch's slopes those of a surface"
+
+
+def looks_mirrored(changed: ChangedImage, direction: MirrorDirection) -> bool:
+    """Whether a touch's slopes are closer to those of a surface with one of the two reversed."""
+    _, cells = changed.patches
+    gx, gy = look_up_slopes(cells, changed.calibration)
+    mirrored = (-gx, gy) if direction == "left to right" else (gx, -gy)
+    shares = [_compute_curl_share(*g, cells.pixel_mm) for g in (mirrored, (gx, gy))]
+    return shares[0] < CONTACT.mirrored_curl * shares[1]
+
+
+def _compute_curl_share(gx: Floats, gy: Floats, pixel_mm: float) -> float:
+    """The share of the squared slopes that belongs to no surface."""
+    slopes = compute_slopes(integrate_slopes(gx, gy, pixel_mm), pixel_mm)
+    residual = sum(float(((a - b) ** 2).sum()) for a, b in zip((gx, gy), slopes, strict=True))
+    return residual / max(float((gx**2 + gy**2).sum()), 1e-9)

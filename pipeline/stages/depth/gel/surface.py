@@ -23,7 +23,7 @@ from pipeline.stages.depth.illumination.light import (
     compute_cell_means,
     upsample_surface,
 )
-from pipeline.stages.depth.poisson import Boundary, integrate_slopes
+from pipeline.stages.depth.poisson import Boundary, Integrator
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,7 +108,7 @@ def _raise_walls(
         replace(patch, x_px=patch.x_px[cols], y_px=patch.y_px[rows], **arrays),
         changed.source,
         illumination,
-        lambda gx, gy: integrate_slopes(gx, gy, patch.pixel_mm, ends),
+        Integrator(pixel_mm=patch.pixel_mm, sides=ends),
     )
     down = _make_fade(raised.shape[0], margin, ends.top, ends.bottom)
     across = _make_fade(raised.shape[1], margin, ends.left, ends.right)

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from pipeline.core.cached_kernels import FAST, inline_kernel, kernel
+from pipeline.physics.slope_kernels import write_row_slopes
 
 # pixels of a row that are processed together, so that loops without branches are vectorised
 TILE_PX = 128
@@ -316,32 +317,18 @@ def accumulate_normal_equations(
     """
     n = ramps.shape[0]
     rows, cols = surface_mm.shape
-    half = np.float32(0.5) * per_px
-    last = cols - 1
     weighted = lines[n]
     normal[:] = 0.0
     pull[:] = 0.0
     for row in range(rows):
         r = np.uint64(row)
-        scale = half if 0 < row < rows - 1 else per_px
+        above = max(row - 1, 0)
+        below = min(row + 2, rows)
         for a in range(n):
-            line = lines[a]
-            for new in range(row + 1 if row else 0, min(row + 2, rows)):
-                _make_shape(surface_mm[new], ramps[a], line[new % 3])
-            here, down, up = (
-                line[row % 3],
-                line[min(row + 1, rows - 1) % 3],
-                line[max(row - 1, 0) % 3],
-            )
-            gx, gy = line[3], line[4]
-            for i in range(cols):
-                c = np.uint64(i)
-                gy[c] = (down[c] - up[c]) * scale
-            for i in range(1, last):
-                c = np.uint64(i)
-                gx[c] = (here[np.uint64(i + 1)] - here[np.uint64(i - 1)]) * half
-            gx[0] = (here[min(1, last)] - here[0]) * per_px
-            gx[last] = (here[last] - here[max(last - 1, 0)]) * per_px
+            heights = lines[a, : below - above]
+            for k in range(above, below):
+                _make_shape(surface_mm[k], ramps[a], heights[k - above])
+            write_row_slopes(heights, row - above, per_px, lines[a, 3], lines[a, 4])
         for a in range(n):
             total = np.float32(0.0)
             for i in range(cols):

@@ -126,7 +126,7 @@ def raise_walls(
     depth_mm = float(percentile(surface_mm, settings.deepest_percent))
     if depth_mm <= settings.min_depth_mm:
         return surface_mm
-    surface_mm = np.require(surface_mm, np.float32, "CW")
+    surface_mm = np.require(surface_mm, np.float32, ("C", "W"))
     # the surface, and ramps from 0 to 1 between two shares of its depth
     ramps = np.array(
         [

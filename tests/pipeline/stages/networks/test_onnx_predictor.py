@@ -155,9 +155,6 @@ def test_bubble_outputs_are_decoded_alike_for_training_and_prediction():
     )
     np.testing.assert_allclose(arrays.expected_error_mm, tensors.log_error[0].exp(), rtol=1e-5)
     np.testing.assert_allclose(arrays.contact, tensors.contact[0].sigmoid(), atol=1e-6)
-    np.testing.assert_allclose(
-        arrays.object_in_view, tensors.object_in_view[0].sigmoid(), atol=1e-6
-    )
 
 
 BUBBLE = """
