@@ -74,7 +74,7 @@ class VerdictController(Feature):
         self._window.verdict.show_verdict(
             state, sentence, cause, findings, (*self._offer_place(), *self._controller.remedies)
         )
-        if not self._window.banner.isHidden():
+        if self._window.is_presenting or not self._window.banner.isHidden():
             self._window.verdict.hide()
 
     def _list_findings(self, results: Mapping[str, StageResult]) -> list[Finding]:

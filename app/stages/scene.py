@@ -60,6 +60,7 @@ class SceneController(Feature):
         controller.views.scene.show_scale_bar(self._place)
         controller.frame_shown.connect(self._show_frame)
         controller.closing.connect(self._timer.stop)
+        self._play.setIcon(make_command_icon("play"))
         self._play.toggled.connect(self._toggle_motion)
         self._play.triggered.connect(lambda _on=False: self._view.setFocus())
         self._window.connect_command("cancel", self._stop_motion)

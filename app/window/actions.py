@@ -392,7 +392,6 @@ SCENE_COMMANDS = (
         "Press in motion",
         "Play the press in the scene: depth scaled from 0 to this frame's. In the scene the space "
         "bar pauses, Esc ends",
-        icon="play",
         key="Shift+Space",
         checkable=True,
     ),

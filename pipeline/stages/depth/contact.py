@@ -25,7 +25,7 @@ from typing import Literal
 import numpy as np
 
 from pipeline.core.arrays import Floats, Indices, Mask, freeze, percentile
-from pipeline.core.memo import memoise
+from pipeline.core.derived import derive_once
 from pipeline.physics.optics import compute_slopes
 from pipeline.stages.depth.gel.settings import ContactSettings
 from pipeline.stages.depth.poisson import count_workers
@@ -297,7 +297,7 @@ def upsample(image: Floats, shape: tuple[int, ...]) -> Floats:
     )
 
 
-@memoise(8)  # a touch has a window of its own size
+@derive_once
 def _compute_wavenumbers(rows: int, cols: int, smoothing_px: float, order: Literal[1, 2]) -> Floats:
     """Wavenumbers (rows, cols) of a cosine transform to the power of `order`, radians per pixel,
     damped by a blur.

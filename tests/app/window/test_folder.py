@@ -88,6 +88,7 @@ def test_the_second_time_nothing_is_read(open_window, folder, qtbot, monkeypatch
         assert (row.thumbnail == rows[path].thumbnail).all()
 
 
+@pytest.mark.ranks_frames
 def test_the_worst_frame_is_the_one_with_the_largest_error(open_window, folder, qtbot):
     for name in ("damaged", "no_contact", "first_touch"):
         (folder / f"{name}.h5").unlink()

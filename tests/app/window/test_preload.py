@@ -6,15 +6,15 @@ from app.document import preload
 from app.document.preload import PreloadController, preload_depth
 from app.session.sample import SAMPLE_RECORDING
 from pipeline.core.progress import Cancelled
-from pipeline.stages.depth.gel import slopes
+from pipeline.stages.depth import poisson
 
 
 def test_an_empty_window_preloads(monkeypatch, qtbot, open_window):
     integrated = []
     monkeypatch.setattr(
-        slopes,
+        poisson,
         "integrate_slopes",
-        lambda *given, whole=slopes.integrate_slopes: integrated.append(1) or whole(*given),
+        lambda *given, whole=poisson.integrate_slopes: integrated.append(1) or whole(*given),
     )
     own = PreloadController(open_window())
     with qtbot.waitSignal(own.job.finished, timeout=240_000):

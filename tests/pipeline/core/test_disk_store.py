@@ -29,10 +29,12 @@ VALUE = Value(
 )
 
 
-def asked(folder, made_of="a mesh", value=VALUE, code=CODE):
+def asked(folder, made_of="a mesh", value=VALUE, code=CODE, **more):
     """(the value, whether it was made this time)."""
     made = []
-    found = disk_store.load_or_make(Value, made_of, code, lambda: made.append(1) or value, folder)
+    found = disk_store.load_or_make(
+        Value, made_of, code, lambda: made.append(1) or value, folder, **more
+    )
     return found, bool(made)
 
 
@@ -99,9 +101,8 @@ def test_a_folder_that_cannot_be_written_is_no_error(tmp_path):
     assert asked(blocked / "values") == (VALUE, True)
 
 
-def test_the_oldest_files_go_when_there_are_too_many(tmp_path, monkeypatch):
-    monkeypatch.setattr(disk_store, "_MAX_FILES", 3)
+def test_the_oldest_files_go_when_there_are_too_many(tmp_path):
     for k in range(6):
-        asked(tmp_path, made_of=k)
+        asked(tmp_path, made_of=k, most_files=3)
     assert len(list(tmp_path.iterdir())) == 3
     assert not asked(tmp_path, made_of=5)[1]

@@ -16,9 +16,10 @@ import numpy as np
 
 from pipeline.calibration.markers import detect_markers, remove_printed_markers
 from pipeline.core.arrays import Doubles, Floats, Image, Mask, freeze
+from pipeline.core.derived import derive_once
 from pipeline.core.digests import compute_cached_digest
 from pipeline.core.geometry.camera import Camera
-from pipeline.core.memo import Memo, memoise
+from pipeline.core.memo import Memo
 from pipeline.physics import gel as gel_layer
 from pipeline.physics import optics
 from pipeline.sensors.parts import Gel, Markers
@@ -139,7 +140,7 @@ def make_dent_basis(source: SensorSpec, pixel_mm: float) -> DentBasis:
     return _make_dent_basis(source.camera, source.gel or CHANGE.default_gel, pixel_mm)
 
 
-@memoise(4)
+@derive_once
 def _make_dent_basis(camera: Camera, gel: Gel, pixel_mm: float) -> DentBasis:
     block = compute_block_px(camera.shape)
     rows, cols = (n // block for n in camera.shape)
@@ -381,7 +382,7 @@ def make_turn_columns(described: Floats, slopes: Floats) -> Floats:
     return columns.reshape(-1, 3, 12).astype(np.float32)
 
 
-@memoise(8)
+@derive_once
 def _make_places(rows: int, cols: int) -> Floats:
     y, x = np.mgrid[-1 : 1 : rows * 1j, -1 : 1 : cols * 1j]
     return freeze(np.stack([np.ones_like(x), x, y], -1).astype(np.float32))

@@ -35,6 +35,7 @@ from pipeline.calibration.shading_field import (
     ShadingFieldPrior,
 )
 from pipeline.core.arrays import Doubles, Floats, Mask
+from pipeline.core.derived import derive_once
 from pipeline.physics import optics
 from pipeline.physics.optics import compute_slopes
 from pipeline.sensors.spec import SensorSpec
@@ -211,7 +212,7 @@ def expand_field(coefficients: Doubles, u: Floats, v: Floats) -> Floats:
     return np.asarray(along_u @ rows, np.float32).reshape(len(v), len(u), 3, N_SHADING_TERMS)
 
 
-@functools.cache
+@derive_once
 def _list_powers() -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Powers of u and of v (N_POSITION_TERMS,) of the position terms, in the order of
     `shading_field.compute_position_terms`.

@@ -482,7 +482,7 @@ def select_pose(
 
 def _describe_placement(words: str) -> str:
     """Return how a motion that nothing determines was set."""
-    done = "where the contact's middle is" if words.startswith("slides") else "as first guessed"
+    done = "where the contact's middle is" if words.startswith("moves") else "as first guessed"
     return f"not observable, kept {done}"
 
 
