@@ -11,7 +11,6 @@ from torch.nn import functional
 from pipeline.core.errors import FileProblem
 from pipeline.stages.networks import published_weights as files
 from pipeline.stages.networks.depth_anything import DepthAnything
-from pipeline.stages.networks.dinov2 import ENCODER_SIZES
 from pipeline.stages.networks.network_factory import build_network, load_network
 
 # As published: `pretrained` is facebookresearch's DINOv2 (patches of 14, 518 pixels, no registers),
@@ -142,7 +141,7 @@ def small():
     return net
 
 
-@pytest.mark.parametrize("encoder", sorted(ENCODER_SIZES))
+@pytest.mark.parametrize("encoder", sorted(PUBLISHED))
 def test_tensors_have_the_published_names_and_shapes(encoder):
     with torch.device("meta"):
         net = DepthAnything(encoder=encoder)
