@@ -26,7 +26,6 @@ NEEDS = "a display"
 STEPS = 60
 HOVERS = 200
 PLAYED_S = 10.0
-P99_MS = 16.0
 MAX_MS = 33.0
 SEEN_MS = 60.0
 FPS = 10.0

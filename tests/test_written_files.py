@@ -61,7 +61,6 @@ from pipeline.translation.cross_section import SectionLine
 from pipeline.views.display_params import DisplayParams
 from pipeline.views.preview import Tile
 
-EYE = np.eye(4)
 WORDS = st.text(alphabet=string.ascii_letters + string.digits + " _-äßµ→'\"\\|,;\n\t", max_size=12)
 NAMES = st.text(alphabet=string.ascii_letters + string.digits + "_-äµ", min_size=1, max_size=8)
 NUMBERS = st.floats(-1e6, 1e6, allow_subnormal=False)

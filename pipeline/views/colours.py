@@ -44,7 +44,7 @@ _DIVERGING_DARK = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColourScale:
-    """Maps values to colours; limits are absolute unless `is_fitted`."""
+    """Maps values to colours, between absolute limits."""
 
     colour_map: ColourMapName
     low: float
@@ -55,7 +55,6 @@ class ColourScale:
     # display setting of the upper limit; the same name for both means symmetric limits
     high_setting: str = ""
     is_subtractable: bool = True  # whether the difference of two such values has a meaning
-    is_fitted: bool = False  # limits fitted to this image
 
 
 def get_colour_table(name: ColourMapName) -> Image:

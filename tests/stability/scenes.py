@@ -25,7 +25,6 @@ from pipeline.stages.target_depth.surface_projection import (
 )
 
 GELS = ("digit", "gelslim")
-BUBBLES = ("soft_bubble",)
 _SHARE = {"digit": 0.2, "gelslim": 0.15, "gelsight_mini": 0.15, "soft_bubble": 0.25}
 KINDS = ("sphere", "rod", "plane", "flat", "ripple", "noise")  # of what is pressed in
 

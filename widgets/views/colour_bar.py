@@ -19,7 +19,6 @@ _STRIP_PX = 8
 _BARS_PX = 22
 _EDGE_PX = 2
 _N_BARS = 64
-_HOW = {False: "absolute", True: "fitted"}
 _EVERY = 2  # stride of the pixels that are counted: the same histogram for a quarter of the time
 _NEAR_PX = 12.0  # distance to an end of the bar within which it can be dragged
 _THROTTLE_MS = 33
@@ -116,10 +115,7 @@ class ColourBar(PaintedWidget):
         return self._spread
 
     def _words(self, scale: ColourScale, spread: ValueHistogram) -> str:
-        lines = [
-            f"{scale.quantity}, {scale.low:g} to {scale.high:g} {scale.unit} "
-            f"({_HOW[scale.is_fitted]} limits)"
-        ]
+        lines = [f"{scale.quantity}, {scale.low:g} to {scale.high:g} {scale.unit}"]
         for share, where in (
             (spread.share_below, f"below {scale.low:g}"),
             (spread.share_above, f"above {scale.high:g}"),
