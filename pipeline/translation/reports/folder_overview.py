@@ -46,7 +46,6 @@ class RecordingRow:
     n_frames: int = 0  # of the first stream
     contact_share: float = math.nan  # of the frames that were looked at; NaN without a reference
     first_touch: int = -1  # frame of the picture; -1 = no contact
-    strongest_touch: int = -1
     warnings: str = ""  # one a line
     problem: str = ""
     thumbnail: Image = field(default_factory=lambda: np.zeros((0, 0, 3), np.uint8))
@@ -153,16 +152,15 @@ def _look_at(recording: Recording, warnings: Iterable[str]) -> RecordingRow:
     limit = math.inf if known is None else known.limits.no_contact_change
     changes = [(frame, float(change.max())) for frame, change in compare_with_reference(stream)]
     touched = [(frame, change) for frame, change in changes if change >= limit]
-    strongest = max(touched, key=lambda one: one[1], default=None)
+    peak = max((change for _, change in touched), default=0.0)
     shown = (touched or changes)[0][0] if changes else stream.frame(0)
     return RecordingRow(
         sensors=", ".join(dict.fromkeys(_get_title(s.sensor) for s in recording.streams)),
         n_frames=stream.n_frames,
         contact_share=len(touched) / len(changes) if changes and known else math.nan,
         first_touch=touched[0][0].index if touched else -1,
-        strongest_touch=-1 if strongest is None else strongest[0].index,
         warnings="\n".join(" ".join(warning.split()) for warning in warnings),
-        thumbnail=_draw_thumbnail(shown, known, 0.0 if strongest is None else strongest[1]),
+        thumbnail=_draw_thumbnail(shown, known, peak),
     )
 
 
