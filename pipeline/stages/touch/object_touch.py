@@ -174,12 +174,12 @@ def _register_contact(
     """The pose on a gel's contact; of those that fit it equally well, the one that explains the
     whole gel.
 
-    Where none of them does, the registration may have ended at another: a depth that is far off
-    ranks the poses that its search came upon by chance, so the best of all by the whole gel is
-    tried as well.
+    A depth that is far off ranks poses by chance, and a registration keeps a few. So before the
+    mesh is refused, all that its search comes upon, and that fit the contact as well, are compared.
     """
 
     def compare(pose: ObjectPose) -> _Registered:
+        assert pose.sensor_from_object is not None
         tied = (pose.sensor_from_object, *pose.alternatives[:_MAX_TIED])
         residuals = measure_residuals(depth, mesh, source, tied)
         rms_mm = np.array([residual.rms_mm for residual in residuals])
@@ -199,9 +199,16 @@ def _register_contact(
         return found
     progress.step(0.5, "comparing other poses by the whole gel")
     starts = list_starts(search.scene, search.object.model, "auto", how.n_starts)
-    others = search.find_promising(search.select_likeliest(starts), _MAX_PROMISING)
+    others = [
+        other
+        for other in search.find_promising(search.select_likeliest(starts), _MAX_PROMISING)
+        if not search.fine.distinguishes(pose.sensor_from_object, other)
+    ]
     residuals = measure_residuals(depth, mesh, source, others)
-    least = min(range(len(others)), key=lambda k: residuals[k].rms_mm)
+    fits = [k for k, residual in enumerate(residuals) if residual.misfit <= _MOST_ERROR]
+    if not fits:
+        return found
+    least = min(fits, key=lambda k: residuals[k].rms_mm)
     other = refine_pose(search, others[least], progress)
     return found if other is None else min(found, compare(other), key=lambda one: one.misfit)
 
