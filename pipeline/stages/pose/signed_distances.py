@@ -192,6 +192,15 @@ def find_pose(
     return _track_pose(search, mesh, params, before, progress)
 
 
+def refine_pose(
+    search: PoseSearch, start: Doubles, progress: Progress = SILENT
+) -> ObjectPose | None:
+    """The pose that a registration from near it converges to; None where that fails."""
+    minimum = search.polish(start, dense=True)
+    best = None if minimum is None else select_pose(search, [minimum], progress)
+    return None if best is None else _make_pose(search, best, 1, ())
+
+
 def _track_pose(
     search: PoseSearch,
     mesh: Mesh,

@@ -113,9 +113,12 @@ def test_a_setting_of_another_method_names_it(folder, press):
         touches.with_(steps=8)
 
 
-def test_a_true_mesh_is_not_refused_where_the_depth_says_that_it_is_wrong():
-    """Frame 3: 63 % of its touch are saturated."""
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_true_mesh_is_not_refused_where_the_depth_says_that_it_is_wrong(seed):
+    """Frame 3: 63 % of its touch are saturated. From these points the registration ends on a side
+    of the object, 30 mm off, which fits the contact as well.
+    """
     with ts.open(RECORDINGS_FOLDER / "trouble.h5", "soft_bubble") as touches:
-        touch = touches[3].result("touch")
+        touch = touches.with_(seed=seed)[3].result("touch")
     assert touch.method.name == "object"
     assert not touch.fallback

@@ -142,9 +142,9 @@ class PoseSearch:
         """Return the contact's centre (3,), where errors and motions are stated."""
         return self.points.centre_mm
 
-    def find_promising(self, starts: Doubles) -> list[Doubles]:
+    def find_promising(self, starts: Doubles, most: int = _N_POLISHED) -> list[Doubles]:
         """Return the distinct poses that starts (n, 4, 4) converge to, best first."""
-        return self._distinct(self.register_roughly(starts))
+        return self._distinct(self.register_roughly(starts), most)
 
     def select_likeliest(self, tried: Sequence[InitialPose]) -> Doubles:
         """Return the best poses of each orientation (n, 4, 4), best first."""
@@ -200,7 +200,7 @@ class PoseSearch:
             *steps,
         )
 
-    def _distinct(self, poses: Doubles) -> list[Doubles]:
+    def _distinct(self, poses: Doubles, most: int) -> list[Doubles]:
         misfits_mm = self.rough.misfit_mm(poses)
         kept: list[Doubles] = []
         for k in np.argsort(misfits_mm, kind="stable"):
@@ -209,7 +209,7 @@ class PoseSearch:
                 for other in kept
             ):
                 kept.append(poses[k])
-            if len(kept) == _N_POLISHED:
+            if len(kept) == most:
                 break
         return kept
 
