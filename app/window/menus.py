@@ -110,7 +110,7 @@ def build_tool_bar(
     button.setObjectName("menu")
     button.setAccessibleName("menu")
     button.setToolTip("All commands (F10)")
-    button.setText("Menu")
+    button.setText("\N{TRIGRAM FOR HEAVEN} Menu")
     button.setShortcut("F10")
     button.setMenu(everything)
     button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
