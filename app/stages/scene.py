@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from functools import partial
 
-from PyQt6.QtCore import QPointF, Qt, QTimer
+from PyQt6.QtCore import QEvent, QPointF, Qt, QTimer
 
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
@@ -25,6 +25,7 @@ from pipeline.views.scene import (
     make_scene_layers,
 )
 from pipeline.views.scene_measure import SceneMeasure
+from widgets.style.base import EventListener
 from widgets.style.icons import make_command_icon
 
 _TICK_MS = 60  # between two images of the motion
@@ -60,6 +61,8 @@ class SceneController(Feature):
         controller.views.scene.show_scale_bar(self._place)
         controller.frame_shown.connect(self._show_frame)
         controller.closing.connect(self._timer.stop)
+        # a frame that no stage can read has both sensors and its image
+        EventListener(self._window.banner, self._show, QEvent.Type.Show)
         self._play.setIcon(make_command_icon("play"))
         self._play.toggled.connect(self._toggle_motion)
         self._play.triggered.connect(lambda _on=False: self._view.setFocus())
@@ -77,11 +80,13 @@ class SceneController(Feature):
         return self._motion is not None
 
     def show_session(self, session: Session) -> None:
-        """Show the scene once a pane is given to it; nothing without a recording."""
-        if session.recording is None:
+        """Show the scene once a pane is given to it; nothing until a recording is open."""
+        views = self._controller.views
+        if views.translation is None:
             self._stop_motion()
             self._layers, self._places = (), None
-            self._controller.views.show_page_scene("scene", (), None, session)
+            views.show_page_scene("scene", (), None, session)
+            views.scene.label_points(self._place, {})
         elif self._controller.is_idle:
             self._show_frame()
 

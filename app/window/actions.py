@@ -223,6 +223,7 @@ VIEW_COMMANDS = (
         "full_screen",
         "Presentation",
         "Show the three panes on the full screen, the press in motion; Esc leaves",
+        icon="panes",
         key="F11",
         checkable=True,
     ),

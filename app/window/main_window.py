@@ -120,8 +120,10 @@ class MainWindow(QMainWindow):
         for widget in chain(*held, (self.scene_panel,)):  # until a pane shows them
             widget.setParent(self.look)
             widget.hide()
-        self.source, self.target = (self._make_sensor_box(role) for role in ("source", "target"))
+        self.source = self._make_sensor_box("source", "the touch is recorded by")
+        self.target = self._make_sensor_box("target", "the touch is translated into")
         self.route = ChoiceBox("choose_route", "route")
+        self.route.setToolTip("Route: which stages lead to the touch of the target")
         self.route.setSizeAdjustPolicy(self.source.sizeAdjustPolicy())
         self.route.setMinimumContentsLength(_CHOOSER_LETTERS)
         self._build_centre()
@@ -138,7 +140,7 @@ class MainWindow(QMainWindow):
             self,
             self.actions_by_name,
             self.menus,
-            (self.source, self.target, self.route, self.layout_tabs),
+            (self.source, QLabel("→"), self.target, self.route, self.layout_tabs),
             (self.drawers.frames, self.drawers.diagnostics),  # *Align* opens the other
         )
         for name in ("first", "previous", "play", "next", "last", "loop"):
@@ -149,7 +151,7 @@ class MainWindow(QMainWindow):
         """Show a recording's name, "" for none, in the title and at the left of the tool bar."""
         parts = filter(None, (f"{recording}[*]" if recording else "", details, "Tactoscope"))
         self.setWindowTitle(" · ".join(parts) if recording else "Tactoscope[*]")
-        self._menu_button.setText(recording or "Menu")
+        self._menu_button.setText(f"\N{TRIGRAM FOR HEAVEN} {recording or 'Menu'}")
 
     def _set_default_size(self) -> None:
         """Set the default size, at most the screen's."""
@@ -233,8 +235,9 @@ class MainWindow(QMainWindow):
             diagnostics=self.tabs,
         )
 
-    def _make_sensor_box(self, role: str) -> ChoiceBox:
+    def _make_sensor_box(self, role: str, use: str) -> ChoiceBox:
         box = ChoiceBox(f"choose_{role}", f"{role} sensor")
+        box.setToolTip(f"{role.capitalize()}: the sensor that {use}")
         box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         box.setMinimumContentsLength(_CHOOSER_LETTERS)
         view = box.view()

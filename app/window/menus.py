@@ -48,7 +48,15 @@ _AFTER_SEPARATOR = frozenset(
     )
 )
 # Buttons that get their text next to the icon while there is room, the first ones first.
-_TEXT_ORDER = ("palette", "full_screen", "export", "live", "show_wipe", "show_difference")
+_TEXT_ORDER = (
+    "palette",
+    "full_screen",
+    "export",
+    "live",
+    "show_wipe",
+    "show_difference",
+    "open_recording",
+)
 _AREA = Qt.DockWidgetArea
 _SIDE_PX = {_AREA.LeftDockWidgetArea: 360, _AREA.RightDockWidgetArea: 290}
 _MAX_SIDE_SHARE = 0.2  # of the window's width, for the frames table
@@ -110,7 +118,7 @@ def build_tool_bar(
     button.setObjectName("menu")
     button.setAccessibleName("menu")
     button.setToolTip("All commands (F10)")
-    button.setText("Menu")
+    button.setText("\N{TRIGRAM FOR HEAVEN} Menu")
     button.setShortcut("F10")
     button.setMenu(everything)
     button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)

@@ -42,7 +42,7 @@ def hint_decimal_comma(text: str) -> str:
     return f"; use a decimal point: {found[0].replace(',', '.')}" if found else ""
 
 
-_OPTION = re.compile(r" \(--[a-z-]+\)|(?<![\w-])--([a-z][a-z-]*)")
+_OPTION = re.compile(r" \((?:[a-z_]+=, )?--[a-z-]+\)|(?<![\w-])--([a-z][a-z-]*)")
 
 
 def name_options(sentence: str) -> str:

@@ -33,7 +33,7 @@ def fit_display(
     strongest touch of the recording, for each kind of sensor.
 
     `strongest` is the frame of that touch where it is known. The usual limits stay for a recording
-    without a touch, or that grows.
+    without a touch, or that grows; a touch that cannot be read leaves them unset.
     """
     sensors = {s.sensor_kind.display_group: s for s in (opened.source, opened.target)}
     usual = {
@@ -46,9 +46,12 @@ def fit_display(
     peaks: dict[str, float] = {}
     if opened.recording.refresh is None:
         index = find_contact_frame(opened.stream) if strongest is None else strongest
-        for group, peak_mm in _measure_peaks(opened, index, progress):
-            name = f"{group}_limit_mm"
-            peaks[name] = max(peak_mm, peaks.get(name, 0.0))
+        try:
+            for group, peak_mm in _measure_peaks(opened, index, progress):
+                name = f"{group}_limit_mm"
+                peaks[name] = max(peak_mm, peaks.get(name, 0.0))
+        except TouchError:  # which the frame on screen says; fitted once it can be read
+            return display
     fitted = {
         name: min(round_up(peaks[name]), list_settings(display)[name][1].high)
         if peaks.get(name)
@@ -64,13 +67,10 @@ def _measure_peaks(
     """Yield the kind of sensor and how far its surface moves in a frame, mm."""
     source = opened.source.sensor_kind.display_group
     target = opened.target.sensor_kind.display_group
-    try:
-        frame = opened.stream.frame(index)
-        observed = opened.read_target_observation(index)
-        stages = [name for name in opened.stages if name in _FITTED]
-        results = opened.evaluate(frame, stages, progress)
-    except TouchError:
-        return  # which the frame on screen says
+    frame = opened.stream.frame(index)
+    observed = opened.read_target_observation(index)
+    stages = [name for name in opened.stages if name in _FITTED]
+    results = opened.evaluate(frame, stages, progress)
     yield source, _measure_frame(frame)
     if observed is not None:
         yield target, _measure_frame(observed[0])

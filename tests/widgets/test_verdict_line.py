@@ -58,3 +58,11 @@ def test_an_empty_verdict_takes_no_room(line):
     assert line.isVisible()
     line.show_verdict("", "")
     assert not line.isVisible()
+
+
+def test_the_buttons_of_a_verdict_leave_with_it(line, qtbot):
+    line.show_verdict("warning", "Frame 5 is 0.36 mm off.", choices=[("Show where", lambda: None)])
+    (button,) = line.buttons
+    qtbot.waitUntil(button.isVisible)
+    line.show_verdict("", "Frame 6: no warning.")
+    assert not button.isVisible()

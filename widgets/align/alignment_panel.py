@@ -140,7 +140,9 @@ class AlignmentPanel(VerticalScrollArea):
 
     def add_command(self, action: QAction) -> None:
         """Add a button for a command at the top."""
-        self._files.addWidget(make_command_button(action), 1)
+        button = make_command_button(action)
+        button.setAutoRaise(False)  # a word without an icon looks like a title
+        self._files.addWidget(button, 1)
         self.updateGeometry()
 
     def show_empty(self) -> None:

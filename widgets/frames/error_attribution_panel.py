@@ -44,9 +44,7 @@ def make_bars(
         rows.append(WaterfallBar(title=name, begin=left, end=left - share))
         left -= share
     if rest is not None:
-        rows.append(
-            WaterfallBar(title="what remains with all truth", begin=0.0, end=rest, is_total=True)
-        )
+        rows.append(WaterfallBar(title="left with all truth", begin=0.0, end=rest, is_total=True))
     return tuple(rows)
 
 

@@ -5,10 +5,11 @@ which one is checked.
 from collections.abc import Sequence
 from typing import Any
 
-from PyQt6.QtCore import QSignalBlocker, QSize, Qt
+from PyQt6.QtCore import QEvent, QSignalBlocker, QSize, Qt
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QTabBar, QToolBar, QToolButton, QWidget
 
+from widgets.style.base import EventListener
 from widgets.style.styling import make_single_shot_timer
 
 _Style = Qt.ToolButtonStyle
@@ -31,6 +32,9 @@ class CommandBar(QToolBar):
         """Set which commands get their text, the most important first."""
         buttons = [self.widgetForAction(action) for action in actions]
         self._ordered = tuple(button for button in buttons if isinstance(button, QToolButton))
+        for item in map(self.widgetForAction, self.actions()):
+            if item is not None and item not in self._ordered:  # a tab or a name takes their room
+                EventListener(item, self._fit_soon.start, QEvent.Type.Resize)
         self._fit_soon.start()
 
     def fit_texts(self) -> None:
@@ -56,6 +60,8 @@ class CommandBar(QToolBar):
             style = _Style.ToolButtonTextBesideIcon if fits else _Style.ToolButtonIconOnly
             if button.toolButtonStyle() != style:
                 button.setToolButtonStyle(style)
+        layout.invalidate()  # a button without room is hidden, and does not ask for it
+        layout.activate()
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
         """Fit the texts to the new width."""

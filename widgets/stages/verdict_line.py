@@ -75,6 +75,7 @@ class VerdictLine(QFrame):
         self.list_button.setVisible(bool(findings))
         for button in self.buttons:
             self._row.removeWidget(button)
+            button.hide()  # it lies over what takes its place until it is deleted
             button.deleteLater()
         self.buttons = [make_choice_button(choice, lambda: None) for choice in choices]
         for place, button in enumerate(self.buttons, start=2):

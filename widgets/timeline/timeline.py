@@ -94,7 +94,7 @@ class Timeline(QWidget):
         if self._unit != "frame":
             layout.addWidget(self.slider, 0, 1)
             return
-        layout.addLayout(fill(set_spacing(QHBoxLayout(), 4), (self._figure, 1), self.scale), 1, 0)
+        layout.addLayout(fill(set_spacing(QHBoxLayout(), 12), (self._figure, 1), self.scale), 1, 0)
         layout.addWidget(self.errors, 0, 1, 2, 1)  # its frames are chosen by a click or drag
         layout.addWidget(self._worst, 1, 2)
         for label in (self._figure, self._worst):

@@ -23,7 +23,7 @@ def see_by_frame(source: SensorSpec, frame: TactileFrame) -> SensorSpec:
 
 def check_frame(frame: TactileFrame, source: SensorSpec) -> None:
     """Raise ShapeError for a frame that no method can read."""
-    where = f"frame {frame.index} of {frame.sensor or source.name}"
+    where = f"frame {frame.index} of {source.title}"
     image = frame.image
     reference = frame.reference
     if reference is None:

@@ -66,8 +66,8 @@ if TYPE_CHECKING:
 Times = Literal["as trained", "leading", "trailing"]
 _DRAFT_STEPS = 4
 NOT_SHIPPED = (
-    "no weights of latent diffusion are shipped: it runs the lab's checkpoints, or those of "
-    "`tactoscope train latent`, in commands with --weights"
+    "no weights of latent diffusion are shipped; give the lab's checkpoints, or those of "
+    "`tactoscope train latent`, with --weights"
 )
 OUTSIDE_VIEW = (
     "what a bubble feels outside the source's view is sampled: on small new objects its error "
@@ -96,7 +96,6 @@ class LatentParams:
     guidance: float = setting(
         2.54,
         "Guidance scale",
-        unit="x",
         low=0.0,
         high=MAX_WEIGHT,
         step=0.1,

@@ -135,9 +135,8 @@ def press_object(
         return pose.notes[0]
     if found.misfit > 1.0:
         return (
-            f"the mesh does not fit: pressed where it fits best, it leaves {found.misfit:.1f} "
-            "times as much of the touch unexplained as the depth's own error can be; check the "
-            "mesh and its unit"
+            f"the mesh does not fit: where it fits best, it is {found.misfit:.1f} times as far "
+            "from the touch as the depth's own error allows; check the mesh and its unit"
         )
     posterior = sample_poses(search, pose, params.samples, params.seed)
     touch = _press_poses(

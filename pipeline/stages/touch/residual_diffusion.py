@@ -81,7 +81,6 @@ class DiffusionParams:
     guidance: float = setting(
         1.0,
         "Guidance scale",
-        unit="x",
         low=0.0,
         high=MAX_WEIGHT,
         step=0.1,

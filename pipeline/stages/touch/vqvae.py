@@ -39,9 +39,8 @@ if TYPE_CHECKING:
     from torch import nn
 
 NOT_USED = (
-    "the shipped VQ-VAE is farther off than physics on objects of no catalogue (docs/tables); "
-    "choose it with "
-    "--weights, or fine-tune it with `train vqvae --pairs`"
+    "the shipped VQ-VAE is farther off than physics on new objects; choose it with --weights, or "
+    "fine-tune it with `train vqvae --pairs`"
 )
 NOTE = "image only, from the source image: no depth or membrane is used"
 

@@ -74,6 +74,29 @@ def test_tool_buttons_show_text_where_there_is_room(qtbot, width_px, with_text):
     )
 
 
+def test_a_tab_that_appears_takes_the_room_of_texts_and_no_button(qtbot):
+    window = QMainWindow()
+    qtbot.addWidget(window)
+    bar = CommandBar("Commands", window)
+    window.addToolBar(bar)
+    actions = _checkable(window, "Look", "The recordings of a folder, as one table")
+    tabs = ActionTabs(actions, "layout")
+    bar.addWidget(tabs)
+    (live,) = _checkable(window, "Live, from a sensor")
+    live.setIcon(make_command_icon("live"))
+    bar.addAction(live)
+    bar.set_text_order([live])
+    window.resize(tabs.sizeHint().width() + 80, 200)
+    tabs.offer(actions[1], offered=False)
+    window.show()
+    button = bar.widgetForAction(live)
+    style = Qt.ToolButtonStyle
+    qtbot.waitUntil(lambda: button.toolButtonStyle() == style.ToolButtonTextBesideIcon)
+    tabs.offer(actions[1], offered=True)
+    qtbot.waitUntil(lambda: button.toolButtonStyle() == style.ToolButtonIconOnly)
+    qtbot.waitUntil(button.isVisible)
+
+
 def test_one_icon_has_one_meaning():
     icons = [c.icon for c in chain(*MENUS.values(), THEME_COMMANDS) if c.icon]
     assert len(icons) == len(set(icons)), sorted(icon for icon in icons if icons.count(icon) > 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt
@@ -78,6 +79,23 @@ def test_the_scene_follows_offsets_and_is_made_only_in_a_pane(bubble_window):
     assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
     assert controller.window.scene_panel.isVisible()
     assert _scene_layers(controller)["touch_depth"] is not after["touch_depth"]
+
+
+def test_another_recording_leaves_nothing_of_the_one_before_in_the_scene(open_window, tmp_path):
+    controller = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
+    assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
+    assert {"source", "touch_depth", "object"} <= set(_scene_layers(controller))
+    for k in range(2):  # touches without a reference, which no stage after the source can read
+        shape = (320, 427, 3)
+        image = np.random.default_rng(k).integers(60, 180, shape, dtype=np.uint8)
+        cv2.imwrite(str(tmp_path / f"touch_{k}.png"), image)
+    controller.open_path(tmp_path)
+    assert _scene_layers(controller) == {}
+    assert not wait_until_shown(controller, LIMIT_S)
+    assert "No reference image" in controller.window.banner.text
+    left = set(_scene_layers(controller))
+    assert "source" in left
+    assert not left & {"touch_depth", "recorded", "object"}
 
 
 def test_a_card_replaces_the_scene_and_a_button_brings_it_back(bubble_window):

@@ -81,6 +81,7 @@ def test_no_text_of_the_window_shows_an_internal_name(open_window, qtbot):
     ("sentence", "said"),
     [
         ("choose one (--sensor): 'a.h5'", "choose one: 'a.h5'"),
+        ("choose its image (reference=, --reference)", "choose its image"),
         (
             "name one with --reference, or give --depth-unit mm",
             "name one with the reference, or give the depth unit mm",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -52,3 +53,13 @@ def test_a_fitted_limit_is_one_that_can_be_set(target):
         settings = list_settings(fit_display(opened, DisplayParams()))
     for value, setting in (settings[name] for name in names):
         assert setting.low <= value <= setting.high
+
+
+def test_a_touch_that_cannot_be_read_leaves_the_limits_for_when_it_can(tmp_path):
+    for k in range(2):  # without a reference
+        image = np.random.default_rng(k).integers(60, 180, (320, 427, 3), dtype=np.uint8)
+        cv2.imwrite(str(tmp_path / f"touch_{k}.png"), image)
+    request = Request(recording=tmp_path, source="gelslim", target="soft_bubble")
+    display = DisplayParams()
+    with open_translation(request) as opened:
+        assert fit_display(opened, display, strongest=0) is display
