@@ -18,13 +18,14 @@ The `tactoscope` command starts here as well (`main`).
 
 from __future__ import annotations
 
+import functools
 import importlib
 import importlib.util
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, cast, get_args
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias, TypeVar, cast, get_args
 
 if TYPE_CHECKING:
     from importlib.machinery import ModuleSpec
@@ -90,6 +91,8 @@ __all__ = [
 ]
 
 PathLike: TypeAlias = "str | os.PathLike[str]"
+_Args = ParamSpec("_Args")
+_Result = TypeVar("_Result")
 
 # Name -> module that defines it: imported on first use, so that `import tactoscope` loads no
 # library.
@@ -138,6 +141,23 @@ def __dir__() -> list[str]:
     return sorted(__all__)
 
 
+def _name_arguments(act: Callable[_Args, _Result]) -> Callable[_Args, _Result]:
+    """Let errors name the arguments of a function where they name options of the command line."""
+
+    @functools.wraps(act)
+    def call(*args: _Args.args, **kwargs: _Args.kwargs) -> _Result:
+        from pipeline.core.errors import TouchError, name_options
+
+        try:
+            return act(*args, **kwargs)
+        except TouchError as error:
+            error.args = (name_options(str(error), act.__annotations__),)
+            raise
+
+    return call
+
+
+@_name_arguments
 def open(  # noqa: A001 - `ts.open` reads as it should
     recording: PathLike | Recording | ArrayLike | Sequence[ArrayLike],
     target: str,
@@ -242,6 +262,7 @@ def open(  # noqa: A001 - `ts.open` reads as it should
     return translation
 
 
+@_name_arguments
 def live(
     source: str,
     target: str,
@@ -302,6 +323,7 @@ def _make_recording(
     return make_recording(images, cast("Any", reference), load_sensor(sensor))
 
 
+@_name_arguments
 def depth(
     image: ArrayLike,
     reference: PathLike | ArrayLike,
@@ -333,6 +355,7 @@ def depth(
     return opened.with_(stage="depth", method=method, **settings)[0].depth
 
 
+@_name_arguments
 def simulate(
     shape: PathLike,
     sensors: str | Sequence[str],
@@ -383,6 +406,7 @@ def simulate(
     return make_recording(first)
 
 
+@_name_arguments
 def align(touches: Translation, frames: Iterable[int] | None = None) -> Refinement:
     """Refine the alignment of two sensors on touches that both recorded.
 
@@ -419,6 +443,7 @@ def save_alignment(touches: Translation, path: PathLike) -> None:
     )
 
 
+@_name_arguments
 def calibrate(
     images: Sequence[ArrayLike],
     reference: PathLike | ArrayLike,
@@ -455,6 +480,7 @@ def calibrate(
     return calibrate_sensor(presses, rest, spec, diameter_mm, pixel_mm=pixel_mm)
 
 
+@_name_arguments
 def track(
     touches: Translation, stage: str = "depth", frames: Iterable[int] | None = None
 ) -> TrackRecord:
@@ -479,6 +505,7 @@ def track(
     return track_recording(touches, stage, range(len(touches)) if frames is None else list(frames))
 
 
+@_name_arguments
 def train(
     what: str,
     out: PathLike,

@@ -120,8 +120,8 @@ def show_window(
 
     It is on screen before the recording is read and OpenGL is loaded.
 
-    `catalogue` defaults to the built-in stages, methods and routes. `restore` uses the saved theme
-    and geometry, and offers the session of a window that did not close normally.
+    `catalogue` defaults to the built-in stages, methods and routes. `restore` uses the saved theme,
+    device and geometry, and offers the session of a window that did not close normally.
     """
     from PyQt6.QtCore import QTimer
     from PyQt6.QtWidgets import QApplication
@@ -133,6 +133,7 @@ def show_window(
     from app.window.main_window import MainWindow
     from pipeline.lab.tasks.trial_rows import is_rollout_folder
     from pipeline.lab.tracking.track_record import is_track_folder
+    from pipeline.stages.networks.devices import AUTO
     from pipeline.translation.catalogue import BUILT_IN
     from pipeline.translation.reports.folder_overview import list_recordings
     from widgets.style.base import set_text_size
@@ -141,13 +142,17 @@ def show_window(
     if not isinstance(QApplication.style(), PlainTextStyle):
         QApplication.setStyle(PlainTextStyle())
     set_text_size()
-    theme = Preferences().theme if restore else "dark"
+    preferences = Preferences()
+    theme = preferences.theme if restore else "dark"
+    if restore and session.device == AUTO:
+        session = session.with_device(preferences.device)
     apply_theme(theme)
     catalogue = catalogue or BUILT_IN
     window = MainWindow(
         [("source", "Source"), *((stage.name, stage.title) for stage in catalogue.stages)]
     )
     controller = SessionController(window, catalogue)
+    controller.session = controller.session.with_device(session.device)
     autosave = connect(controller, theme)
     if restore:
         autosave.restore_geometry()

@@ -315,3 +315,29 @@ def test_a_written_alignment_is_read_back(touches, tmp_path):
     ts.save_alignment(touches.with_alignment(alignment), tmp_path / "a.toml")
     with ts.open(SAMPLE, "gelslim", source="digit", alignment=tmp_path / "a.toml") as opened:
         np.testing.assert_allclose(opened.alignment.target_from_alignment, shifted, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("act", "said"),
+    [
+        (
+            lambda _: ts.open(SAMPLE, "gelslim", source="digit", device="toaster"),
+            "another (device=)",
+        ),
+        (lambda file: ts.open(file, "gelslim"), "source"),
+        (lambda _: ts.simulate("sphere", "digit", n=0), "n must"),
+        (lambda _: ts.simulate("sphere", "digit", seed=-1), "seed must"),
+        (lambda _: ts.simulate("sphere", ["digit", "digit"]), "sensors must"),
+        (
+            lambda file: ts.train("t2t", file.parent, recipe="t2t_bubble", workers=-1),
+            "workers must",
+        ),
+    ],
+)
+def test_errors_name_arguments_and_no_options(act, said, tmp_path):
+    file = tmp_path / "touch.png"
+    cv2.imwrite(str(file), np.full((50, 40, 3), 90, np.uint8))
+    with pytest.raises(ts.TouchError) as caught:
+        act(file)
+    assert said in str(caught.value)
+    assert "--" not in str(caught.value)

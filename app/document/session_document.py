@@ -107,8 +107,10 @@ class SessionDocument(QObject):
         )
 
     def restore_session(self, session: Session, text: str) -> None:
-        """Replace the session, with its cameras and section line, as one undo step."""
-        self.push_session(session, text)
+        """Replace the session, with its cameras and section line, as one undo step; the device
+        stays.
+        """
+        self.push_session(session.with_device(self.session.device), text)
         self.set_cameras(session.cameras)
         self.set_section(session.section)
         self.set_tick(session.tick)

@@ -1,4 +1,4 @@
-"""Preferences of the program between two starts: recent files, last folder, theme, window
+"""Preferences of the program between two starts: recent files, last folder, theme, device, window
 geometry.
 """
 
@@ -8,6 +8,8 @@ from typing import Literal, cast, get_args
 
 from PyQt6.QtCore import QByteArray, QSettings
 
+from pipeline.stages.networks.devices import AUTO
+
 Theme = Literal["light", "dark", "system"]
 _MAX_RECENT = 12
 # raise it when docks or tool bars change their object names: old window states then do not apply
@@ -15,7 +17,7 @@ _STATE_VERSION = 3
 
 
 class Preferences:
-    """The program's settings file; nothing in it changes a result."""
+    """The program's settings file; of what it holds the device alone reaches results."""
 
     def __init__(self) -> None:
         kind = QSettings.Format.IniFormat
@@ -80,6 +82,15 @@ class Preferences:
     @theme.setter
     def theme(self, theme: Theme) -> None:
         self._settings.setValue("theme", theme)
+
+    @property
+    def device(self) -> str:
+        """Device that networks run on, unchecked; "auto" unless chosen."""
+        return str(self._settings.value("device", AUTO))
+
+    @device.setter
+    def device(self, device: str) -> None:
+        self._settings.setValue("device", device)
 
     def write(self) -> None:
         """Write the settings to disk now."""

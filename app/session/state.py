@@ -19,6 +19,7 @@ from pipeline.core.params import list_settings, replace_value
 from pipeline.core.typed_data import FileName, Name, Note, Number, Plain, convert, to_plain
 from pipeline.io.formats import DepthUnit
 from pipeline.sensors.alignment import Offsets
+from pipeline.stages.networks.devices import AUTO
 from pipeline.stages.stage import TRUTH
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.cross_section import SectionLine
@@ -47,8 +48,8 @@ _PLAIN_FIELDS = (
     "cameras",
     "tick",
 )
-# fields that a session and a request share
-REQUEST_FIELDS = (*PATH_FIELDS, *_TEXT_FIELDS, "depth_unit")
+# fields that a session and a request share; the device is the machine's, and in no file
+REQUEST_FIELDS = (*PATH_FIELDS, *_TEXT_FIELDS, "depth_unit", "device")
 # offsets are valid only for these values
 _OFFSET_FIELDS = frozenset({"source", "target", "stream", "alignment"})
 
@@ -71,6 +72,7 @@ class Session:
     mesh: Path | None = None
     mesh_unit: str = "auto"
     depth_unit: DepthUnit = "auto"  # of depth arrays whose file states no unit
+    device: str = AUTO  # that networks run on
     # TOML with T_S->A and T_A->T; None = of the recording or the sensors
     alignment: Path | None = None
     offsets: Offsets = field(default_factory=Offsets)  # motion added by hand or by refinement
@@ -131,6 +133,11 @@ class Session:
             new.recording != self.recording and self.alignment is None
         )
         return replace(new, offsets=Offsets()) if is_other_alignment else new
+
+    def with_device(self, device: str) -> Session:
+        """Copy whose networks, and those of session B, run on another device."""
+        other = self.variant and self.variant.with_device(device)
+        return replace(self, device=device, variant=other)
 
     def with_draft_params(self, methods: Iterable[Method]) -> Session:
         """Copy with the draft parameters of these methods, for previews while a parameter is

@@ -21,6 +21,7 @@ from app.frames.verdict import VerdictController
 from app.live.live import LiveController
 from app.session.preferences import Theme
 from app.session.state import DISPLAY_KEY
+from app.shell.device_choice import DeviceController
 from app.shell.layouts import LayoutController
 from app.shell.mending import MendingController
 from app.shell.panels import add_panels
@@ -94,6 +95,7 @@ def connect(controller: SessionController, theme: Theme = "dark") -> AutosaveCon
     autosave = AutosaveController(controller)
     welcome = WelcomeController(controller, autosave)
     ThemeController(controller, autosave, theme)
+    device = DeviceController(controller, autosave)
     export = ExportController(controller, autosave, comparison)
     rollouts = RolloutController(controller)
     RolloutAttributionController(controller, rollouts)
@@ -116,6 +118,7 @@ def connect(controller: SessionController, theme: Theme = "dark") -> AutosaveCon
         step_scrubber.show_session,  # iterations of the chosen stage
         frame_ranking.show_session,  # notes
         comparison.show_session,  # computes the visible tab
+        device.show_session,  # remembers it
         autosave.show_session,  # schedules the recovery file
         mending.show_session,  # drops the offers for another recording
         reference.show_session,  # which one is chosen

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -42,15 +42,23 @@ def hint_decimal_comma(text: str) -> str:
     return f"; use a decimal point: {found[0].replace(',', '.')}" if found else ""
 
 
-_OPTION = re.compile(r" \((?:[a-z_]+=, )?--[a-z-]+\)|(?<![\w-])--([a-z][a-z-]*)")
+_OPTION = re.compile(r" \((?:[a-z_]+=, )?--([a-z-]+)\)|(?<![\w-])--([a-z][a-z-]*)")
+# option -> argument of another name in Python
+_ARGUMENTS = {"sensor": "source", "method": "methods", "poses": "n", "tools": "shape"}
 
 
-def name_options(sentence: str) -> str:
-    """Return a sentence that names options of the command line in words, for the window."""
+def name_options(sentence: str, arguments: Container[str] = ()) -> str:
+    """Return a sentence that names options of the command line in words, for the window, or as the
+    `arguments` of a function that has them.
+    """
 
     def say(option: re.Match[str]) -> str:
-        name = option[1]
-        return f"the {name.replace('-', ' ')}" if name else ""
+        name = (option[1] or option[2]).replace("-", "_")
+        name = name if name in arguments else _ARGUMENTS.get(name, name)
+        if name in arguments:
+            return f" ({name}=)" if option[1] else name
+        words = (option[2] or "").replace("-", " ")
+        return words and f"the {words}"
 
     return _OPTION.sub(say, sentence)
 

@@ -29,11 +29,13 @@ def check_device(asked: str) -> None:
     """Raise SettingProblem for a device that is unknown or not there."""
     if not _FORM.fullmatch(asked):
         raise SettingProblem(
-            f"--device must be auto, cpu, cuda, cuda:1 (of several) or mps, got {asked!r}"
+            f"there is no device {asked!r}; choose another (--device): auto, cpu, cuda, cuda:1 (of "
+            "several) or mps"
         )
-    if asked not in (AUTO, "cpu") and asked not in (there := _list_devices()):
+    if asked not in (AUTO, "cpu") and asked not in (there := list_devices()):
         raise SettingProblem(
-            f"there is no device {asked!r} on this machine; there are {', '.join(there)}"
+            f"there is no device {asked!r} on this machine; choose another (--device): "
+            f"{', '.join(there)}"
         )
 
 
@@ -46,11 +48,11 @@ def choose_placement(asked: str, n_parameters: int, *, by_opencv: bool) -> str:
     is_large = n_parameters >= _N_PUBLISHED
     if by_opencv or asked == "cpu" or (asked == AUTO and not is_large):
         return PROCESSOR
-    device = asked if asked != AUTO else _list_devices()[-1]
+    device = asked if asked != AUTO else list_devices()[-1]
     return f"{device} {_HALF}" if is_large and device != "cpu" else f"{device} float32"
 
 
-def _list_devices() -> tuple[str, ...]:
+def list_devices() -> tuple[str, ...]:
     """Return the devices of this machine: the processor, then cards."""
     import torch
 
