@@ -273,7 +273,8 @@ def live(
         and `plan`.
 
     Raises:
-        TouchError: The source, a sensor or the route is not known.
+        TouchError: The source, a sensor or the route is not known, or the loop has waited for ten
+            seconds for a sensor that is not there.
     """
     from pipeline.io.live.source_parsing import parse_source
     from pipeline.translation.live_translation import LIVE, translate_live
