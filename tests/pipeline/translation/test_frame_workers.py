@@ -136,6 +136,13 @@ def test_a_loop_over_a_sensor_that_is_not_there_ends_with_a_sentence(tmp_path, m
         ts.open(RECORDINGS_FOLDER / "digit_gelslim.h5", "gelslim", device=None)
 
 
+def test_each_loop_has_a_recording_of_its_own(monkeypatch):
+    monkeypatch.setattr(live_translation, "translate_live", lambda *given: given)
+    (first, one, _), (other, two, _) = (ts.live("simulated", "digit") for _ in range(2))
+    assert first is not other
+    assert one.recording != two.recording
+
+
 def test_a_block_holds_one_value_and_one_that_is_too_large_goes_through_the_pipe():
     block = SharedBlock(1 << 16)
     other = SharedBlock(name=block.name)
