@@ -294,15 +294,17 @@ def live(
         and `plan`.
 
     Raises:
-        TouchError: The source, a sensor or the route is not known.
+        TouchError: The source, a sensor or the route is not known, or the loop has waited for ten
+            seconds for a sensor that is not there.
     """
     from pipeline.io.live.source_parsing import parse_source
-    from pipeline.translation.live_translation import LIVE, translate_live
+    from pipeline.translation.live_translation import translate_live
     from pipeline.translation.translate import Request
 
     opened = parse_source([source], sensor=sensor, tool=shape, rate_hz=rate_hz or 15.0)
+    name = Path(f"live:/{id(opened)}")  # two loops at once are of two sensors
     return translate_live(
-        opened, Request(recording=LIVE, target=target, route=route, device=device), rate_hz
+        opened, Request(recording=name, target=target, route=route, device=device), rate_hz
     )
 
 

@@ -13,7 +13,14 @@ from PyQt6.QtGui import QUndoStack
 
 from app.session.file_fingerprints import describe_changed_files, fingerprint_files
 from app.session.layout import Layout
-from app.session.state import AUTO_FRAME, SESSION_SUFFIX, Session, load_session, save_session
+from app.session.state import (
+    AUTO_FRAME,
+    SESSION_SUFFIX,
+    Session,
+    describe_removed_params,
+    load_session,
+    save_session,
+)
 from app.session.undo import MAX_UNDO_STEPS, SessionChange
 from app.window import dialogs
 from app.window.logs import describe_error, log
@@ -209,7 +216,10 @@ class SessionDocument(QObject):
             self.session_file = path
             self._file_fingerprint = compute_fingerprint(path)
             self.restore_session(opened, "open session")
-            for sentence in describe_changed_files(path, opened):
+            for sentence in (
+                *describe_removed_params(path),
+                *describe_changed_files(path, opened),
+            ):
                 log.warning("%s", sentence)
                 self.window.banner.show_problem(sentence)
 

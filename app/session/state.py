@@ -273,6 +273,8 @@ def _parse_session(data: object, path: Path, catalogue: Catalogue) -> Session:
     )
 
 
+# parameters of older sessions that are none any more, with the value that they were left at
+_REMOVED: Mapping[str, Plain] = {"boundary": "flat"}
 # pages of older sessions, and what does now what they did
 _RENAMED = {
     "sweep": "compare",
@@ -292,6 +294,19 @@ def _rename_pages(data: Mapping[str, object]) -> dict[str, object]:
             old = cast("dict[str, object]", part).get(key)
             renamed[field_name] = {**part, key: _RENAMED.get(str(old), old)}
     return renamed
+
+
+def describe_removed_params(path: Path) -> tuple[str, ...]:
+    """List one sentence per parameter that the session at `path` has changed and that is none any
+    more.
+    """
+    said = cast("dict[str, dict[str, dict[str, Plain]]]", read_json(path, "the session"))
+    return tuple(
+        f"{method}: {name} is no setting any more; the session opens without its {value!r}"
+        for method, values in said.get("params", {}).items()
+        for name, value in values.items()
+        if value != _REMOVED.get(name, value)
+    )
 
 
 def _relative(value: Path, folder: Path) -> str:
@@ -321,6 +336,8 @@ def _params(
             )
         params[key] = defaults[key]
         for name, value in values.items():
+            if name in _REMOVED:
+                continue
             try:
                 params[key] = replace_value(params[key], name, value)
             except SettingProblem as error:

@@ -75,6 +75,7 @@ def open_atomic(path: Path, what: str, read: FileReader | None) -> Generator[Bin
     part = place.with_name(_name_part())
     if place.exists() and not place.is_file():
         raise FileProblem(f"cannot write {what} (a folder or a device of this name is there)", path)
+    _check_unprotected(path)
     try:
         _remove_leftovers(place.parent)
         with _create_part(part), (part / place.name).open("w+b") as file:
@@ -260,7 +261,14 @@ def check_folder_for(path: Path) -> None:
     """Make sure that the file `path` can be written, before long work."""
     if path.is_dir():
         raise FileProblem("this is a folder, not a file; choose another name", path)
+    _check_unprotected(path)
     check_folder(path.parent)
+
+
+def _check_unprotected(path: Path) -> None:
+    """Refuse to replace a file that the user may not write, which the system would allow."""
+    if path.exists() and not os.access(path, os.W_OK):
+        raise FileProblem("this file is write-protected; choose another name", path)
 
 
 @contextlib.contextmanager

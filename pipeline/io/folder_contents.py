@@ -89,11 +89,11 @@ def find_recording(folder: Path) -> RecordingFiles:
             return _image_files(
                 folder, presses, references + _nearby_references(at), notes, choices
             )
-        inner = [f for f in here.folders if _holds_recording(f)]
+        inner = [f for f in here.folders if not _is_open(f) or _holds_recording(f)]
         if not inner:
             break
-        # before what was derived from it
-        inner.sort(key=lambda f: not _TACTILE_FOLDER.search(f.name))
+        # before what was derived from it, and that before what cannot be read
+        inner.sort(key=lambda f: (not _is_open(f), not _TACTILE_FOLDER.search(f.name)))
         if len(inner) > 1:
             notes += _note_choice(inner, folder)
         choices = choices or _list_choices(inner)
@@ -115,6 +115,15 @@ class _Contents:
         self.references = [p for p in images if is_reference_file(p)]
         self.images = [p for p in images if not is_reference_file(p)]
         self.files = [p for p in files if p.suffix.lower() in list_suffixes()]
+
+
+def _is_open(folder: Path) -> bool:
+    """Whether the user may list a folder."""
+    try:
+        next(folder.iterdir(), None)
+    except OSError:
+        return False
+    return True
 
 
 def _list_entries(folder: Path) -> list[Path]:
@@ -167,7 +176,7 @@ def _single_images(folders: Iterable[Path]) -> list[Path]:
     """
     out: list[Path] = []
     for folder in folders:
-        entries = _list_entries(folder)
+        entries = _list_entries(folder) if _is_open(folder) else []
         images = [p for p in entries if is_image_file(p) and not is_reference_file(p)]
         if len(images) > 1 or folder.name in _FRAME_FOLDERS:
             return []
@@ -185,7 +194,9 @@ def _holds_recording(folder: Path) -> bool:
     level = [folder]
     suffixes = list_suffixes()
     for _ in range(_MAX_LEVELS):
-        entries = [p for f in level for p in f.iterdir() if not p.name.startswith(".")]
+        entries = [
+            p for f in level if _is_open(f) for p in f.iterdir() if not p.name.startswith(".")
+        ]
         if any(p.suffix.lower() in suffixes or is_image_file(p) for p in entries):
             return True
         level = [

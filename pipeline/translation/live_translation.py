@@ -21,7 +21,7 @@ from pipeline.core.errors import TouchError
 from pipeline.core.values.frames import Stream, TactileFrame
 from pipeline.core.values.results import GeneratedTouch, ObjectPose, SealedMembrane
 from pipeline.io.live.reader import LiveReader
-from pipeline.io.live.source import LiveSource
+from pipeline.io.live.source import LiveSource, LiveSourceLost
 from pipeline.io.mounts import mount, unmount
 from pipeline.sensors.spec import load_sensor
 from pipeline.translation.frame_selection import select_context_frames
@@ -33,6 +33,7 @@ LIVE = Path("live:/1")  # a name by which a sensor opens like a file
 _POSE = "pose"
 _POLL_S = 0.005  # between looks for a newer frame while a worker is idle
 _WAIT_S = 1.0  # for results, and for the reader's thread to end
+_PATIENCE_S = 10.0  # with a problem and no result
 _MAX_GAP_S = 0.5  # after which a pose is searched anew
 _KEPT_TOUCHES = 24  # from which those are chosen that determine the light
 
@@ -249,7 +250,8 @@ def translate_live(
 ) -> Generator[LiveResult]:
     """Yield what a sensor shows, translated, until the generator is closed.
 
-    The request's recording is a name by which the sensor opens meanwhile, like a file.
+    The request's recording is a name by which the sensor opens meanwhile, like a file. Raises
+    LiveSourceLost where a sensor is not there, or no frame can be translated, for a while.
     """
     load_sensor(request.target)  # a wrong name is said before anything starts
     reader = LiveReader(source)
@@ -257,11 +259,24 @@ def translate_live(
     mount(request.recording, lambda: reader.make_recording(request.recording))
     try:
         reader.start()
-        while not reader.has_reference:
-            time.sleep(_POLL_S)
-        live = LiveTranslation(open_translation(request), reader, rate_hz=rate_hz)
+        came_s = time.monotonic()
         while True:
-            yield from live.poll(_WAIT_S)
+            if live is None and reader.has_reference:
+                live = LiveTranslation(open_translation(request), reader, rate_hz=rate_hz)
+            if live is None:
+                time.sleep(_POLL_S)
+            for result in [] if live is None else live.poll(_WAIT_S):
+                yield result
+                came_s = time.monotonic()
+            status = reader.status()
+            problem = "" if live is None else live.problem
+            if status.state != "running":
+                problem = status.message
+            if not problem:
+                came_s = time.monotonic()
+            elif time.monotonic() - came_s > _PATIENCE_S:
+                why = problem.removesuffix("; trying again")
+                raise LiveSourceLost(f"{source.title}: nothing for {_PATIENCE_S:g} s: {why}")
     finally:
         unmount(request.recording)
         if live is not None:

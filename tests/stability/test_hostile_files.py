@@ -23,7 +23,7 @@ from app.session.layout import ComparisonSettings, Layout
 from app.session.state import Session, load_session, save_session
 from pipeline.calibration import calibration_file
 from pipeline.core.entry_points import load_entry_points
-from pipeline.core.errors import TouchError
+from pipeline.core.errors import FileProblem, TouchError
 from pipeline.core.values.frames import TactileFrame
 from pipeline.io import formats, open_recording
 from pipeline.io.formats import FORMATS
@@ -157,6 +157,11 @@ def test_repro_bundles(tmp_path, monkeypatch):
         )
 
     try_all(lambda: repro_bundle.replay_bundle(folder), make, 2.0)
+    usable = {**plain, "request": {**plain["request"], "weights": {}}}
+    removed = json.dumps({**usable, "settings": ["depth.boundary=free"]})
+    (folder / "bundle.json").write_text(removed)
+    with pytest.raises(FileProblem, match=r"'boundary'.*\"settings\".*bundle\.json"):
+        repro_bundle.replay_bundle(folder)
 
 
 @pytest.mark.filterwarnings("ignore:Initializing zero-element tensors")

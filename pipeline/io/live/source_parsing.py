@@ -229,6 +229,7 @@ def parse_source(
 
     Raises SettingProblem.
     """
+    check_range("the rate", rate_hz, *RATE_RANGE_HZ, "Hz")
     if sensor:
         sensor = sensor if sensor.endswith(".toml") else load_sensor(sensor).name
     match words[0].split(maxsplit=1) if len(words) == 1 else list(words):

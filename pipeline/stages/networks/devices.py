@@ -27,7 +27,7 @@ _HALF = "bfloat16"  # of published sizes on a card; float16 overflows, and the p
 
 def check_device(asked: str) -> None:
     """Raise SettingProblem for a device that is unknown or not there."""
-    if not _FORM.fullmatch(asked):
+    if not _FORM.fullmatch(str(asked)):
         raise SettingProblem(
             f"there is no device {asked!r}; choose another (--device): auto, cpu, cuda, cuda:1 (of "
             "several) or mps"

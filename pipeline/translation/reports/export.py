@@ -88,6 +88,7 @@ def export_file(asked: ExportRequest, progress: Progress = SILENT) -> ExportOutc
         request.mesh,
         request.alignment,
     )
+    _check_options(asked)
     require_separate(asked.path, [*filter(None, inputs), *(file for _, file in request.weights)])
     check_folder_for(asked.path)
     with open_translation(
@@ -106,6 +107,26 @@ def export_file(asked: ExportRequest, progress: Progress = SILENT) -> ExportOutc
         write(work)
     problems = tuple(f"frame {index}: {problem}" for index, problem in work.problems.items())
     return ExportOutcome(fallbacks=tuple(sorted(work.replaced)), problems=problems)
+
+
+def _check_options(asked: ExportRequest) -> None:
+    """Refuse options that the pane has not, before anything is computed."""
+    is_view = asked.pane in (SCENE, PRESENTATION)
+    if is_view and asked.content != "computed":
+        raise SettingProblem(
+            f"a {asked.pane} has no {asked.content}; leave --content out, or name a stage as --pane"
+        )
+    if asked.size_px is None:
+        return
+    if not is_view:
+        raise SettingProblem(
+            f"only a {SCENE} or {PRESENTATION} has a size; leave --size out for {asked.pane}"
+        )
+    width, height = asked.size_px
+    if not (_LEAST_PX <= width <= _MOST_PX and _LEAST_PX <= height <= _MOST_PX):
+        raise SettingProblem(
+            f"a size is {_LEAST_PX} to {_MOST_PX} pixels either way, got {width} x {height}"
+        )
 
 
 class _Work:
@@ -196,10 +217,6 @@ class _Work:
         is_scene = self.asked.pane == SCENE
         usual = scene_film.DEFAULT_SIZE_PX if is_scene else PRESENTED_PX
         width, height = self.asked.size_px or usual
-        if not (_LEAST_PX <= width <= _MOST_PX and _LEAST_PX <= height <= _MOST_PX):
-            raise SettingProblem(
-                f"a size is {_LEAST_PX} to {_MOST_PX} pixels either way, got {width} x {height}"
-            )
         return width // 2 * 2, height // 2 * 2
 
     def render_pane(self, index: int) -> sheet.RenderedPane:

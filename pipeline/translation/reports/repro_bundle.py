@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline import __version__
-from pipeline.core.errors import FileProblem
+from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.files import (
     read_arrays,
     read_json,
@@ -163,7 +163,15 @@ def replay_bundle(folder: Path, progress: Progress = SILENT) -> ReplayResult:
     """
     said = _read(folder)
     request = _request(said.request, folder)
-    with _open(request, said.settings) as translation:
+    try:
+        opened = _open(request, said.settings)
+    except SettingProblem as error:
+        raise FileProblem(
+            f'the bundle cannot be opened ({error}); take that out of its "request" or '
+            '"settings", or replay it with the program that wrote it',
+            folder / "bundle.json",
+        ) from error
+    with opened as translation:
         frame, results, metrics = _translate(translation, progress)
     now = collect_stage_arrays(frame, results)
     kept = read_arrays(folder / "expected.npz", "the expected results")

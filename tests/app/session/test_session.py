@@ -10,7 +10,7 @@ import pytest
 from PyQt6.QtGui import QUndoStack
 
 from app.session.layout import ComparisonSettings, Layout
-from app.session.state import Session, load_session, save_session
+from app.session.state import Session, describe_removed_params, load_session, save_session
 from app.session.undo import SessionChange
 from pipeline.core.errors import FileProblem
 from pipeline.core.params import replace_value
@@ -68,6 +68,22 @@ def test_what_an_older_session_says_of_pages_that_are_gone_is_ignored(tmp_path):
     assert replace(
         session, layout=Layout(), comparison=a_session(tmp_path).comparison
     ) == a_session(tmp_path)
+
+
+def test_a_setting_that_is_gone_costs_no_session_and_is_said_where_it_was_changed(tmp_path):
+    path = tmp_path / "s.touch.json"
+    save_session(a_session(tmp_path), path)
+    data = json.loads(path.read_text())
+    data["params"]["depth/physics"] = {"boundary": "flat", "sensitivity": 2.0}
+    path.write_text(json.dumps(data))
+    assert load_session(path).params["depth/physics"].sensitivity == 2.0
+    assert describe_removed_params(path) == ()
+    data["params"]["depth/physics"]["boundary"] = "free"
+    path.write_text(json.dumps(data))
+    assert load_session(path).params["depth/physics"].sensitivity == 2.0
+    assert describe_removed_params(path) == (
+        "depth/physics: boundary is no setting any more; the session opens without its 'free'",
+    )
 
 
 def test_paths_are_relative_to_the_session_file(tmp_path):

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from pipeline.core import files
 from pipeline.core.errors import FileProblem, escape_text
 from pipeline.core.files import (
+    check_folder_for,
     open_atomic,
     read_bytes,
     read_cached_arrays,
@@ -141,6 +142,20 @@ def test_a_temporary_folder_made_anew_under_a_leftovers_name_is_kept(tmp_path, m
     monkeypatch.setattr(files.fcntl, "flock", replace_leftover)
     write_json(tmp_path / "report.json", 1)
     assert leftover.is_dir()
+
+
+def test_a_write_protected_file_is_not_replaced(tmp_path, monkeypatch):
+    path = tmp_path / "a.csv"
+    path.write_bytes(b"kept")
+    path.chmod(0o444)
+    # a superuser may write all
+    monkeypatch.setattr(os, "access", lambda of, _: bool(Path(of).stat().st_mode & 0o222))
+    with pytest.raises(FileProblem, match="write-protected"), open_atomic(path, "it", None):
+        pass
+    with pytest.raises(FileProblem, match="write-protected"):
+        check_folder_for(path)
+    assert path.read_bytes() == b"kept"
+    assert [one.name for one in tmp_path.iterdir()] == ["a.csv"]
 
 
 def test_a_replaced_file_keeps_its_permissions_and_a_link_stays_one(tmp_path):

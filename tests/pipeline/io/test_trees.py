@@ -43,6 +43,25 @@ def test_of_several_recordings_the_first_opens_and_the_others_are_named(tmp_path
     )
 
 
+def test_a_folder_that_cannot_be_read_hides_none_beside_it(tmp_path: Path, monkeypatch):
+    for name in ("a", "digit", "z"):
+        (tmp_path / name).mkdir()
+        np.savez(tmp_path / name / "touches.npz", depth_mm=np.full((6, 14, 17), 80.0))
+    listed = Path.iterdir
+
+    def refuse_one(folder: Path):
+        if folder.name == "digit":
+            raise PermissionError(13, "Permission denied")
+        return listed(folder)
+
+    monkeypatch.setattr(Path, "iterdir", refuse_one)
+    recording = open_recording(tmp_path)
+    assert recording.streams[0].n_frames == 6
+    assert [path.name for path in recording.alternatives] == ["a", "z", "digit"]
+    with pytest.raises(FileProblem, match="Permission denied"):
+        open_recording(tmp_path / "digit")
+
+
 @pytest.fixture
 def slide(tmp_path: Path) -> Path:
     """YCB-Slide: frames next to a film, webcam images, drawings and pickles."""

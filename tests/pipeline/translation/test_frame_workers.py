@@ -1,5 +1,6 @@
 """Frames of a live sensor on worker processes: the values of one process, in order, none invented."""
 
+import math
 import multiprocessing
 import os
 import signal
@@ -122,6 +123,24 @@ def test_a_live_sensor_is_a_loop_in_python():
         ts.live("a wish", "gelslim")
     with pytest.raises(TouchError, match="cuda:99"):
         ts.open(RECORDINGS_FOLDER / "digit_gelslim.h5", "gelslim", device="cuda:99")
+
+
+def test_a_loop_over_a_sensor_that_is_not_there_ends_with_a_sentence(tmp_path, monkeypatch):
+    monkeypatch.setattr(live_translation, "_PATIENCE_S", 0.1)
+    with pytest.raises(TouchError, match=r"nothing for .*no folder '[^']*gone'$"):
+        next(ts.live(f"folder {tmp_path / 'gone'}", "gelslim", sensor="digit"))
+    for rate_hz in (-1.0, math.nan):
+        with pytest.raises(TouchError, match="rate"):
+            ts.live(f"folder {tmp_path}", "gelslim", sensor="digit", rate_hz=rate_hz)
+    with pytest.raises(TouchError, match="device"):
+        ts.open(RECORDINGS_FOLDER / "digit_gelslim.h5", "gelslim", device=None)
+
+
+def test_each_loop_has_a_recording_of_its_own(monkeypatch):
+    monkeypatch.setattr(live_translation, "translate_live", lambda *given: given)
+    (first, one, _), (other, two, _) = (ts.live("simulated", "digit") for _ in range(2))
+    assert first is not other
+    assert one.recording != two.recording
 
 
 def test_a_block_holds_one_value_and_one_that_is_too_large_goes_through_the_pipe():

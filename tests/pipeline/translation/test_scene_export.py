@@ -18,6 +18,7 @@ from pipeline.translation.reports.export_request import (
     format_command,
 )
 from pipeline.translation.reports.scene_film import FILM_RATE_HZ
+from pipeline.translation.reports.video import count_frames, write_video
 from pipeline.translation.translate import Request
 from pipeline.views.press_motion import DURATION_S
 
@@ -85,7 +86,20 @@ def test_what_a_scene_cannot_be_is_told(tmp_path):
         _export(tmp_path / "scene.ply")
     with pytest.raises(SettingProblem, match="64 to 8192 pixels"):
         _export(tmp_path / "scene.png", size_px=(10, 300))
+    with pytest.raises(SettingProblem, match="--size out for depth"):
+        _export(tmp_path / "depth.png", "depth", size_px=(100, 300))
+    with pytest.raises(SettingProblem, match="presentation has no truth"):
+        _export(tmp_path / "shown.png", PRESENTATION, content="truth")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("levels", [[0], [0, 0], [0, 0, 9, 9]])
+def test_an_animation_may_be_of_one_image_or_of_equal_ones(tmp_path, levels):
+    path = tmp_path / "still.webp"
+    write_video(path, (np.full((64, 64, 3), 20 * level, np.uint8) for level in levels), 10.0)
+    assert count_frames(path) == len(set(levels))
+    path.write_bytes(path.read_bytes()[:-8])
+    assert count_frames(path) == 0
 
 
 def test_the_command_names_the_size():
