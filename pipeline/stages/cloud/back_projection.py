@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats, Indices, ensure_float, freeze
-from pipeline.core.errors import ShapeError
+from pipeline.core.errors import ShapeError, describe_no_contact
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import MIN_DEPTH_MM
 from pipeline.core.params import setting
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.results import Cloud, DepthMap
 from pipeline.sensors.alignment import Alignment
-from pipeline.stages.depth.gel.drift import describe_no_contact
 
 _EMPTY = "the cloud is empty"
 MAX_DEPTH_MM = 1e9  # depths beyond are ignored for the median depth

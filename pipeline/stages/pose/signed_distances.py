@@ -13,13 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.core.arrays import Doubles, freeze
-from pipeline.core.errors import SettingProblem
+from pipeline.core.errors import SettingProblem, describe_no_contact
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.params import setting
 from pipeline.core.progress import SILENT, Progress, SubProgress
 from pipeline.core.values.results import DepthMap, ObjectPose, PressedMembrane
-from pipeline.stages.depth.gel.drift import describe_no_contact
 from pipeline.stages.pose.icp import register_icp
 from pipeline.stages.pose.registration.gauss_newton import CentredPoints, NotDetermined
 from pipeline.stages.pose.registration.model import prepare_object

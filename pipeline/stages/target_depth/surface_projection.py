@@ -15,14 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Floats, Indices, Mask, freeze
-from pipeline.core.errors import AlignmentWarning, ShapeError, StageWarning
+from pipeline.core.errors import AlignmentWarning, ShapeError, StageWarning, describe_no_contact
 from pipeline.core.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.core.geometry.membrane import Membrane
 from pipeline.core.params import setting
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.results import SAME_SURFACE_MM, Cloud, TargetDepth
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth.gel.drift import describe_no_contact
 
 _SPACING_SAMPLES = 1024  # neighbour pairs that the point spacing is estimated from
 

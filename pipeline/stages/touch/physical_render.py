@@ -20,6 +20,7 @@ from pipeline.core.errors import (
     ShapeError,
     StageWarning,
     UnseenObjectWarning,
+    describe_no_contact,
 )
 from pipeline.core.geometry.camera import MIN_DEPTH_MM
 from pipeline.core.params import setting
@@ -35,7 +36,6 @@ from pipeline.physics import bubble, gel, lattice, optics
 from pipeline.physics.sensor_images import render_reference
 from pipeline.sensors.kinds import BubbleSensor, GelSensor, KindTable
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth.gel.drift import describe_no_contact
 
 _REFERENCE = "the target's reference image"
 _MISSED = (

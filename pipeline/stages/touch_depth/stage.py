@@ -8,6 +8,7 @@ the target's depth method, which shows how much of a touch the image preserves.
 
 from dataclasses import replace
 
+from pipeline.core.errors import describe_no_contact
 from pipeline.core.graph import Fallback, Method, skip_if_exact
 from pipeline.core.params import NoParams
 from pipeline.core.progress import SILENT, Progress
@@ -16,7 +17,6 @@ from pipeline.core.values.results import DepthMap, GeneratedTouch
 from pipeline.physics.sensor_images import render_reference
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
-from pipeline.stages.depth.gel.drift import describe_no_contact
 from pipeline.stages.depth.photometric import DepthParams
 from pipeline.stages.ground_truth import make_depth_stage
 
