@@ -147,7 +147,7 @@ assert "torch" not in sys.modules
 
 
 _UNITS = {"mm": "mm", "um": "um", "px": "px", "deg": "deg", "ms": "ms"}
-_NO_UNIT = {"seed"}  # a name more than a number
+_NO_UNIT = {"guidance", "seed"}  # a name more than a number
 
 
 def _all_settings():
