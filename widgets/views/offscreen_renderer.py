@@ -220,7 +220,8 @@ class OffscreenRenderer:
             if camera is None:
                 camera = shared[sight.frame] = _camera(sight)
             self.renderers[column].SetActiveCamera(camera)
-            corner = np.array(sight.centre_mm) + sight.radius_mm * np.array([-0.62, 0.66, 0.0])
+            # the arrows end above the caption
+            corner = np.array(sight.centre_mm) + sight.radius_mm * np.array([-0.72, 0.5, 0.0])
             origin = corner if sight.origin_mm is None else sight.origin_mm
             for actor in self._axes[column]:
                 actor.SetPosition(*origin)
