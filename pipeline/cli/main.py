@@ -14,7 +14,7 @@ from dataclasses import fields, is_dataclass
 from itertools import pairwise
 from pathlib import Path
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, UnknownOptionError
 
 from pipeline import __version__
 from pipeline.cli.terminal import print_error
@@ -214,11 +214,12 @@ def run_app(app: App, tokens: list[str] | None = None) -> int:
         code = command(*bound.args, **bound.kwargs)
     except (CycloptsError, TouchError) as error:
         text = str(error)
-        print_error(
-            text.removesuffix(".") + hint_decimal_comma(text)
-            if text.endswith("into float.")
-            else text
-        )
+        if text.endswith("into float."):
+            text = text.removesuffix(".") + hint_decimal_comma(text)
+        if isinstance(error, UnknownOptionError):
+            command = " ".join((app.name[0], *(error.command_chain or ())))
+            text = f"{text} '{command} --help' lists the options"
+        print_error(text)
         return EXIT_USER_ERROR
     except KeyboardInterrupt:
         sys.stderr.write("\ntactoscope: interrupted; finished frames are complete\n")

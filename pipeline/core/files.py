@@ -59,6 +59,8 @@ _TOML_FILES = {  # a key that only such a file has -> what reads it, and what a 
 # the share of them above which it is stored as it is
 _SAMPLE_BYTES = 4096
 _SHRUNK_SHARE = 0.6
+# of files, which no folder of results is meant to have
+_FILE_SUFFIXES = (".csv", ".h5", ".json", ".mcap", ".mp4", ".npz", ".pdf", ".ply", ".png", ".rrd")
 _MAX_TRIES = 10  # of making or replacing a folder while other processes do
 
 
@@ -233,8 +235,14 @@ def check_folder(folder: Path) -> None:
 
     Nothing is left where that work fails.
 
-    Raises FileProblem otherwise.
+    Raises FileProblem otherwise, and for the name of a file.
     """
+    if folder.suffix.lower() in _FILE_SUFFIXES and not folder.exists():
+        raise FileProblem(
+            f"the results are a folder, which does not end in {folder.suffix}; leave that out, or "
+            "write one file by 'tactoscope export'",
+            folder,
+        )
     try:
         with tempfile.TemporaryDirectory(prefix=".ready", dir=_find_existing(folder.absolute())):
             pass

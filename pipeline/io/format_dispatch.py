@@ -63,7 +63,8 @@ def open_recording(
     try:
         path.stat()
     except (OSError, ValueError) as error:
-        raise FileProblem(f"no such file or folder ({describe_os_error(error)})", path) from error
+        reason = "" if isinstance(error, FileNotFoundError) else f" ({describe_os_error(error)})"
+        raise FileProblem(f"no such file or folder{reason}", path) from error
     if reference is not None:
         require_file(reference, "the reference image")
     try:

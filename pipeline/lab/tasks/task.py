@@ -43,8 +43,12 @@ class Disturbance:
 def parse_disturbance(assignments: Iterable[str]) -> Disturbance:
     """A disturbance from `name=value` each; raises SettingProblem."""
     disturbance = Disturbance()
+    given = set[str]()
     for assignment in assignments:
         name, _, value = (part.strip() for part in assignment.partition("="))
+        if name in given:
+            raise SettingProblem(f"--disturb gives {name} more than once; give it once")
+        given.add(name)
         try:
             disturbance = replace_value(disturbance, name, value)
         except SettingProblem as error:

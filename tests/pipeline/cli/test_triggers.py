@@ -758,6 +758,32 @@ def test_a_mistake_is_one_sentence_and_leaves_nothing_behind(name, tmp_path, cap
     )
 
 
+@pytest.mark.parametrize(
+    ("words", "remedy"),
+    [
+        (
+            ("translate", "REC", "--target", "digit", "--out", "OUT", "--scheduler", "x"),
+            "translate --help'",
+        ),
+        (
+            ("translate", "REC", "--target", "digit", "--out", "OUT.rrd"),
+            "leave that out, or write one",
+        ),
+        (("task", "insertion", "--disturb", "slip=1,slip=2"), "slip more than once"),
+        (("inspect", "OUT"), "no such file or folder: '"),
+    ],
+)
+def test_a_mistake_names_its_remedy_once(words, remedy, tmp_path, capfd):
+    places = {
+        "REC": str(SAMPLE),
+        "OUT": str(tmp_path / "out"),
+        "OUT.rrd": str(tmp_path / "out.rrd"),
+    }
+    assert run_app(build_app(), [places.get(word, word) for word in words]) == EXIT_USER_ERROR
+    assert remedy in capfd.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def contents(folder):
     """Files below a folder and their sizes, without following what they link to."""
     return {
