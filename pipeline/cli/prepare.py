@@ -85,14 +85,13 @@ def _translate_sample(
 
 
 def _build_geometry() -> None:
-    """Build the distance grid of a mesh, and a rest surface from a mesh."""
-    from pipeline.core.geometry import distance_grid, membrane
+    """Build the distance grids of a closed and of an open mesh."""
+    from pipeline.core.geometry import distance_grid
     from pipeline.core.geometry.meshes import Mesh
     from pipeline.physics.simulation import shapes
 
     corners = np.array([[x, y, 20.0] for y in (-5.0, 5.0) for x in (-5.0, 5.0)])
     sheet = Mesh(vertices_mm=corners, triangles=np.array([[0, 1, 2], [1, 3, 2]], np.int32))
-    membrane.make_mesh_membrane(sheet)
     for mesh in (shapes.make_shape(_TOOL).mesh, sheet):
         distance_grid.build_grid(mesh)
 

@@ -144,8 +144,6 @@ def compute_fingerprint(path: Path) -> str:
     Beyond 64 MiB the size and 64 evenly spread blocks count: fast for recordings of many gigabytes,
     but a change between two blocks is missed.
     """
-    import xxhash
-
     state = xxhash.xxh3_128()
     try:
         if path.is_dir():

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Container, Iterable
+from collections.abc import Container, Generator, Iterable
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -128,6 +129,15 @@ class SensorMismatch(ShapeError):
 
 class CalibrationError(TouchError):
     """A sensor description, look-up, intrinsic matrix or alignment cannot be used."""
+
+
+@contextmanager
+def naming_file(path: Path) -> Generator[None]:
+    """Name the file in the sentence of a CalibrationError of the block."""
+    try:
+        yield
+    except CalibrationError as error:
+        raise CalibrationError(f"{error}: '{path}'") from error
 
 
 class SettingProblem(TouchError):

@@ -36,19 +36,17 @@ _MOST_HELD_BYTES = 1 << 30  # of what is held in memory at once of one file, unf
 MOST_NETWORK_BYTES = 1_400_000_000  # of a network's numbers; the largest that is known takes 1.3 GB
 MOST_TEXT_BYTES = 16 << 20  # of a description, an alignment or a session, which are a few kB
 _POINTER_START = b"version https://git-lfs"
+_DESCRIPTION = (
+    "the sensor description",
+    "the description of a sensor, to be given as --sensor or --target",
+)
 _TOML_FILES = {  # a key that only such a file has -> what reads it, and what a user does with it
     "alignment_from_source": (
         "the alignment",
         "an alignment, to be given as --alignment or dropped on the window",
     ),
-    "kind": (
-        "the sensor description",
-        "the description of a sensor, to be given as --sensor or --target",
-    ),
-    "extends": (
-        "the sensor description",
-        "the description of a sensor, to be given as --sensor or --target",
-    ),
+    "kind": _DESCRIPTION,
+    "extends": _DESCRIPTION,
     "task": (
         "the recipe",
         "the recipe of a training, to be given to 'tactoscope train' as --recipe",
@@ -65,6 +63,15 @@ _MAX_TRIES = 10  # of making or replacing a folder while other processes do
 
 
 @contextlib.contextmanager
+def name_os_error(problem: str, path: Path) -> Generator[None, None, None]:
+    """Raise FileProblem, with `problem` and the system's reason, for an OSError of the block."""
+    try:
+        yield
+    except OSError as error:
+        raise FileProblem(f"{problem} ({describe_os_error(error)})", path) from error
+
+
+@contextlib.contextmanager
 def open_atomic(path: Path, what: str, read: FileReader | None) -> Generator[BinaryIO, None, None]:
     """Yield a temporary file that replaces `path` when the block succeeds and is removed otherwise.
 
@@ -78,7 +85,7 @@ def open_atomic(path: Path, what: str, read: FileReader | None) -> Generator[Bin
     if place.exists() and not place.is_file():
         raise FileProblem(f"cannot write {what} (a folder or a device of this name is there)", path)
     _check_unprotected(path)
-    try:
+    with name_os_error(f"cannot write {what}", path):
         _remove_leftovers(place.parent)
         with _create_part(part), (part / place.name).open("w+b") as file:
             if place.exists():
@@ -89,8 +96,6 @@ def open_atomic(path: Path, what: str, read: FileReader | None) -> Generator[Bin
             if read is not None:
                 read_back(part / place.name, path, what, read)
             (part / place.name).replace(place)
-    except OSError as error:
-        raise FileProblem(f"cannot write {what} ({describe_os_error(error)})", path) from error
 
 
 def read_back(written: Path, path: Path, what: str, read: FileReader) -> None:
@@ -113,17 +118,14 @@ def write_folder(folder: Path, fill: Callable[[Path], None], own: Collection[str
     part, before = (folder.with_name(_name_part()) for _ in range(2))
     require_own(folder, own)
     try:
-        _remove_leftovers(folder.parent)
-        with _create_part(part):
-            fill(part)
-            require_own(folder, own)
-            _replace_folder(part, folder, before)
+        with name_os_error("cannot write the results", folder):
+            _remove_leftovers(folder.parent)
+            with _create_part(part):
+                fill(part)
+                require_own(folder, own)
+                _replace_folder(part, folder, before)
     except FileProblem as error:
         raise error.relocate(folder, instead_of=part) from error
-    except OSError as error:
-        raise FileProblem(
-            f"cannot write the results ({describe_os_error(error)})", folder
-        ) from error
     finally:
         _remove(before)
 
@@ -171,10 +173,10 @@ def _get_boot() -> str:
     """Return a digest of this machine's name and start: the locks of its processes can be seen
     from here.
     """
+    boot = f"{platform.node()} {uuid.getnode()}"
     with contextlib.suppress(OSError):
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
-        return hashlib.sha256(boot.encode()).hexdigest()[:12]
-    return hashlib.sha256(f"{platform.node()} {uuid.getnode()}".encode()).hexdigest()[:12]
+    return hashlib.sha256(boot.encode()).hexdigest()[:12]
 
 
 @contextlib.contextmanager
@@ -286,12 +288,10 @@ def open_growing_file(path: Path, what: str) -> Generator[BinaryIO, None, None]:
     The writer keeps it valid at every moment. Raises FileProblem, also for an OSError of the block
     itself.
     """
-    try:
+    with name_os_error(f"cannot write {what}", path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("w+b") as file:
             yield file
-    except OSError as error:
-        raise FileProblem(f"cannot write {what} ({describe_os_error(error)})", path) from error
 
 
 def open_lock(path: Path) -> BinaryIO:
@@ -299,13 +299,11 @@ def open_lock(path: Path) -> BinaryIO:
 
     Raises FileProblem.
     """
-    try:
+    with name_os_error("cannot lock this file", path):
         path.parent.mkdir(parents=True, exist_ok=True)
         lock = path.open("wb")
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        raise FileProblem(f"cannot lock this file ({describe_os_error(error)})", path) from error
-    return lock
+        return lock
 
 
 def set_aside(path: Path) -> Path:
@@ -315,13 +313,8 @@ def set_aside(path: Path) -> Path:
         for n in itertools.count()
         if not (place := path.with_name(f"{path.name}.unread{n or ''}")).exists()
     )
-    try:
-        path.rename(aside)
-    except OSError as error:
-        raise FileProblem(
-            f"cannot put this file aside ({describe_os_error(error)})", path
-        ) from error
-    return aside
+    with name_os_error("cannot put this file aside", path):
+        return path.rename(aside)
 
 
 def write_text(path: Path, text: str, what: str, read: FileReader | None) -> None:
@@ -339,13 +332,10 @@ def write_together(
     `read` reads the folder. Raises FileProblem.
     """
     part = folder / _name_part()
-    try:
-        with _create_part(part):
-            for name, content in contents.items():
-                (part / name).write_bytes(content)
-            read_back(part, folder, what, read)
-    except OSError as error:
-        raise FileProblem(f"cannot write {what} ({describe_os_error(error)})", folder) from error
+    with name_os_error(f"cannot write {what}", folder), _create_part(part):
+        for name, content in contents.items():
+            (part / name).write_bytes(content)
+        read_back(part, folder, what, read)
     with contextlib.ExitStack() as stack:
         for name, content in contents.items():
             file = stack.enter_context(open_atomic(folder / name, what, None))
@@ -475,10 +465,8 @@ def read_bytes(path: Path, what: str, most_bytes: int = MOST_BYTES) -> bytes:
     Raises FileProblem "cannot read `what`" with the reason.
     """
     require_file(path, what, most_bytes)
-    try:
+    with name_os_error(f"cannot read {what}", path):
         return path.read_bytes()
-    except OSError as error:
-        raise FileProblem(f"cannot read {what} ({describe_os_error(error)})", path) from error
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:

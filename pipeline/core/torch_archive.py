@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.core.errors import FileProblem, is_utf8_encodable
-from pipeline.core.files import describe_os_error, require_budget, require_file
+from pipeline.core.files import name_os_error, require_budget, require_file
 
 SIGNATURE = b"PK\x03\x04"  # first bytes of an archive
 PICKLE_SIGNATURE = b"\x80"  # a pickle's protocol mark: torch before 1.6 wrote several
@@ -42,11 +42,8 @@ def load_torch_file(path: Path, *, only_tensors: bool = False) -> Any:
     Raises FileProblem.
     """
     require_file(path, "the tensors", most_bytes=1 << 50)
-    try:
-        with path.open("rb") as file:
-            head = file.read(len(SIGNATURE))
-    except OSError as error:
-        raise FileProblem(f"cannot read the tensors ({describe_os_error(error)})", path) from error
+    with name_os_error("cannot read the tensors", path), path.open("rb") as file:
+        head = file.read(len(SIGNATURE))
     if head[:1] == PICKLE_SIGNATURE:
         raise FileProblem(
             "this file was saved by torch before 1.6 or without an archive; load it with torch and "

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Floats, freeze
-from pipeline.core.errors import CalibrationError, FileProblem, escape_text
+from pipeline.core.errors import FileProblem, escape_text, naming_file
 from pipeline.core.files import read_arrays
 from pipeline.core.geometry.camera import Camera, make_camera
 from pipeline.core.values.frames import Recording, Stream, TactileFrame
@@ -242,10 +242,8 @@ def _stack_arrays(
     if "K" in arrays:
         if arrays["K"].dtype.kind not in "fiu":
             raise FileProblem(f"K must hold real numbers, got {arrays['K'].dtype}", path, field="K")
-        try:
+        with naming_file(path):
             camera = make_camera(arrays["K"], images.shape[1], images.shape[2], what="K")
-        except CalibrationError as error:
-            raise CalibrationError(f"{error}: '{path}'") from error
     unused = escape_text(", ".join(sorted(arrays.keys() - {key, "K", "frame", *_TIME_KEYS})))
     return _DepthStack(
         key=key,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, freeze
-from pipeline.core.errors import CalibrationError, FileProblem, TouchError, escape_text
+from pipeline.core.errors import FileProblem, TouchError, escape_text, naming_file
 from pipeline.core.files import require_file
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import Camera, make_camera
@@ -255,10 +255,8 @@ def _read_camera(group: Any, path: Path) -> Camera:
     rows, cols = group["frames"].shape[1:3]
     key = f"{group.name}/camera_matrix".lstrip("/")
     matrix = layout.require_dataset(group, "camera_matrix", "px", layout.REAL_KINDS, (3, 3), path)
-    try:
+    with naming_file(path):
         return make_camera(matrix[()], rows, cols, what=key)
-    except CalibrationError as error:
-        raise CalibrationError(f"{error}: '{path}'") from error
 
 
 def _read_mesh(group: Any, path: Path) -> Mesh:
@@ -313,12 +311,10 @@ def _read_pairing(pairs: Any, key: str, path: Path) -> Pairing:
     dataset = layout.require_dataset(pairs, key, "mm", layout.FLOAT_KINDS, (4, 4), path)
     source = layout.read_text_line(dataset, "source", path)
     target = layout.read_text_line(dataset, "target", path)
-    try:
+    with naming_file(path):
         matrix = rigid.validate_within_reach(
             dataset[()], f"target_from_source of {source!r} and {target!r}"
         )
-    except CalibrationError as error:
-        raise CalibrationError(f"{error}: '{path}'") from error
     return Pairing(source=source, target=target, target_from_source=freeze(matrix))
 
 

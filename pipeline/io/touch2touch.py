@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.core.arrays import Doubles, freeze
-from pipeline.core.errors import CalibrationError, FileProblem
+from pipeline.core.errors import CalibrationError, FileProblem, naming_file
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import make_camera
 from pipeline.core.geometry.meshes import Mesh, load_mesh
@@ -225,10 +225,8 @@ def _bubble_frame(tensors: Mapping[str, Any], finger: int, index: int, file: Pat
             field="bubble_depth_ref",
         )
     k = torch_files.require_tensor_rows(tensors, "K", file, (3, 3)).double().numpy()
-    try:
+    with naming_file(file):
         full = make_camera(k[min(finger, len(k) - 1)], _FULL_ROWS, _FULL_COLS, what="K")
-    except CalibrationError as error:
-        raise CalibrationError(f"{error}: '{file}'") from error
     return TactileFrame(
         sensor="soft_bubble",
         image=freeze(((reference - imprint) * _MM_PER_M).astype(np.float32)),
@@ -270,7 +268,7 @@ def _read_pose(tensors: Mapping[str, Any], finger: int, file: Path) -> Truth | N
     """
     if any(key not in tensors for key in _POSE_KEYS):
         return None
-    try:
+    with naming_file(file):
         sensors, tools = (
             _parse_transforms(torch_files.require_tensor_rows(tensors, key, file, (7,)))
             for key in _POSE_KEYS
@@ -284,8 +282,6 @@ def _read_pose(tensors: Mapping[str, Any], finger: int, file: Path) -> Truth | N
         pose = rigid.validate_within_reach(
             rigid.invert(base_from_sensor) @ base_from_tool, "the tool in the bubble's frame"
         )
-    except CalibrationError as error:
-        raise CalibrationError(f"{error}: '{file}'") from error
     return Truth(sensor_from_object=freeze(pose), grasp_from_sensor=grasp_from_sensor)
 
 

@@ -102,8 +102,7 @@ def read_description(path: Path, children: tuple[Path, ...] = ()) -> dict[str, A
         )
     for key, value in data.items():
         before = merged.get(key)
-        # another kind replaces
-        if isinstance(before, dict) and isinstance(value, dict) and "kind" not in value:
+        if isinstance(before, dict) and isinstance(value, dict):
             merged[key] = {**before, **value}
         else:
             merged[key] = value

@@ -63,7 +63,7 @@ class SensorKind(ABC):
     def parse_membrane(
         self, section: GetSection, camera: Camera, parts: dict[str, Any], /
     ) -> Membrane:
-        """Return the membrane that the description gives as numbers; raises CalibrationError."""
+        """Return the membrane of the description; raises CalibrationError."""
 
     @abstractmethod
     def find_image_problem(self, image: NDArray[Any]) -> str:

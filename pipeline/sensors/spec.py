@@ -7,27 +7,21 @@ gives it. `extends = "other"` starts from another sensor's file.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-import msgspec
 import numpy as np
-from msgspec import Meta
 
 from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.derived import DERIVED, derive_once
-from pipeline.core.digests import UNDIGESTED, compute_cached_digest, compute_digest
+from pipeline.core.digests import UNDIGESTED
 from pipeline.core.errors import CalibrationError, SettingProblem, TouchError
-from pipeline.core.files import read_bytes
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import MOST_FOCAL_PX, WIDEST_VIEW, Camera
-from pipeline.core.geometry.membrane import Membrane, load_membrane
-from pipeline.core.typed_data import FileName, convert
+from pipeline.core.geometry.membrane import Membrane
 from pipeline.sensors import descriptions
 from pipeline.sensors.descriptions import (
-    DESCRIPTION,
     DescriptionSection,
     find_descriptions,
     read_description,
@@ -122,8 +116,8 @@ def list_sensor_titles() -> dict[str, str]:
 def load_sensor(name_or_file: str) -> SensorSpec:
     """The sensor of this name or TOML file; the same object until the file changes.
 
-    Raises SettingProblem for an unknown name, CalibrationError, FileProblem or MeshProblem for an
-    invalid description.
+    Raises SettingProblem for an unknown name, CalibrationError or FileProblem for an invalid
+    description.
     """
     path = Path(name_or_file)
     if path.suffix != ".toml":
@@ -135,12 +129,11 @@ def load_sensor(name_or_file: str) -> SensorSpec:
             )
         path = known[name_or_file]
     data = read_description(path)
-    surface = load_rest_membrane(data, path)
-    key = load_sensor, path, repr(data), compute_cached_digest(surface)
-    return DERIVED.get_or_make(key, lambda: (_build(path.stem, data, path, surface),))[0]
+    key = load_sensor, path, repr(data)
+    return DERIVED.get_or_make(key, lambda: (_build(path.stem, data, path),))[0]
 
 
-def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None) -> SensorSpec:
+def _build(name: str, data: dict[str, Any], path: Path) -> SensorSpec:
     assumed: list[str] = []
     sections: dict[str, DescriptionSection] = {}
 
@@ -170,8 +163,7 @@ def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None
     cx_px, cy_px = (lens.read_number(k, "px", -MOST_FOCAL_PX, MOST_FOCAL_PX) for k in ("cx", "cy"))
     camera = Camera(rows=rows, cols=cols, fx_px=fx_px, fy_px=fy_px, cx_px=cx_px, cy_px=cy_px)
     parts = kind.parse_parts(section, data, path)
-    if surface is None:
-        surface = kind.parse_membrane(section, camera, parts)
+    surface = kind.parse_membrane(section, camera, parts)
     shift_mm = align.read_vector(
         "translation", "mm", -rigid.MAX_TRANSLATION_MM, rigid.MAX_TRANSLATION_MM
     )
@@ -194,39 +186,6 @@ def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None
         assumed_keys=tuple(assumed),
         **parts,
     )
-
-
-class _RestMesh(msgspec.Struct, kw_only=True, frozen=True):
-    """[rest] with a mesh.
-
-    [rest]
-    kind = "mesh"
-    file = "membrane.stl"  # relative to the description
-    unit = "mm"            # of the file: mm, cm, m or in
-    step = 0.5             # mm, lattice step; optional
-    """
-
-    kind: Literal["mesh"]
-    file: FileName
-    unit: Literal["mm", "cm", "m", "in", "inch"]
-    step: Annotated[float, Meta(ge=0.01, le=10.0)] = 0.5  # mm
-
-
-def load_rest_membrane(data: Mapping[str, Any], path: Path) -> Membrane | None:
-    """The membrane of `[rest] kind = "mesh"`; None where the section gives numbers.
-
-    Raises CalibrationError or FileProblem for an invalid section or file, MeshProblem for the mesh
-    in it.
-    """
-    section: Any = data.get("rest")
-    if not isinstance(section, dict) or "kind" not in section:
-        return None
-    descriptions.refuse_unknown_keys(section, _RestMesh.__struct_fields__, path, "rest.")
-    rest = convert(section, _RestMesh, DESCRIPTION, path, within="rest")
-    mesh = path.parent / rest.file
-    digest = compute_digest(read_bytes(mesh, "the mesh"))
-    key = load_membrane, mesh, digest, rest.unit, rest.step
-    return DERIVED.get_or_make(key, lambda: (load_membrane(mesh, rest.unit, rest.step),))[0]
 
 
 _MAX_RATIO = 3.0  # between two cameras of one kind of sensor; a factor of ten is a unit

@@ -20,7 +20,7 @@ from pipeline.core import disk_store
 from pipeline.core.arrays import Doubles, Floats, Indices, freeze
 from pipeline.core.digests import compute_digest
 from pipeline.core.errors import MeshProblem
-from pipeline.core.geometry.meshes import Mesh
+from pipeline.core.geometry.meshes import Mesh, compute_normals
 from pipeline.core.memo import Memo
 from pipeline.core.progress import SILENT, Progress
 
@@ -125,8 +125,7 @@ def _corners(mesh: Mesh) -> Doubles:
 
 
 def _area_mm2(corners: Doubles) -> float:
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return float(np.linalg.norm(across, axis=1).sum()) / 2.0
+    return float(np.linalg.norm(compute_normals(corners), axis=1).sum()) / 2.0
 
 
 def _choose_lattice(corners: Doubles) -> tuple[Doubles, float, tuple[int, int, int]]:

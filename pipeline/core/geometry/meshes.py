@@ -98,7 +98,7 @@ def sample_surface(mesh: Mesh, n: int, seed: int) -> tuple[Doubles, Doubles]:
     Equal seeds give equal bytes.
     """
     corners = mesh.vertices_mm[mesh.triangles]  # (m, 3, 3)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = compute_normals(corners)
     doubled = np.linalg.norm(normals, axis=1)
     if not doubled.sum() > 0:
         raise MeshProblem(f"the mesh {mesh.name!r} has no surface to sample")
@@ -110,6 +110,11 @@ def sample_surface(mesh: Mesh, n: int, seed: int) -> tuple[Doubles, Doubles]:
     v = np.where(folded, 1.0 - v, v)[:, None]
     a, b, c = (corners[chosen, k] for k in range(3))
     return freeze(a + u * (b - a) + v * (c - a)), freeze(normals[chosen] / doubled[chosen, None])
+
+
+def compute_normals(corners: Doubles) -> Doubles:
+    """The normals (m, 3) of triangles (m, 3, 3), twice their area long."""
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 @derive_once
@@ -145,9 +150,7 @@ def _clean_mesh(vertices: Doubles, triangles: Indices, path: Path) -> Mesh:
     _, first, same = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
     kept = vertices[first]
     joined = same.reshape(-1)[triangles]
-    a, b, c = (kept[joined[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    joined = joined[area > 0]
+    joined = joined[np.linalg.norm(compute_normals(kept[joined]), axis=1) > 0]
     if not joined.size:
         raise MeshProblem(f"no triangle of the mesh has an area: '{path}'")
     used, renumbered = np.unique(joined, return_inverse=True)

@@ -75,10 +75,6 @@ def test_a_users_sensor_may_extend_one_of_the_project(tmp_path):
             '[rest]\ndepth = {value = 20.0, unit = "mm", from = "measured", asumed = true}',
             "unknown field asumed",
         ),
-        (
-            '[rest]\nkind = "mesh"\nfile = "a.stl"\nunit = "mm"\nstap = 0.1',
-            r"rest\.stap; do you mean rest\.step",
-        ),
     ],
 )
 def test_a_misspelled_key_is_named_with_the_one_that_is_meant(tmp_path, text, words):
@@ -98,14 +94,6 @@ def test_an_edited_description_is_read_again(tmp_path):
     assert load_sensor(child).rest_depth_mm.mean() == pytest.approx(31.0)
     own(tmp_path, 'extends = "parent"\ntitle = "yours"\n')
     assert load_sensor(child).title == "yours"
-
-
-def test_a_rest_surface_with_an_edited_mesh_is_read_again(tmp_path):
-    text = 'extends = "digit"\n[rest]\nkind = "mesh"\nfile = "rest.obj"\nunit = "mm"\n'
-    corners = "".join(f"v {x} {y} {{z}}\n" for x, y in ((-20, -20), (20, -20), (20, 20), (-20, 20)))
-    for z in (25, 26):
-        own(tmp_path, corners.format(z=z) + "f 1 2 3\nf 1 3 4\n", name="rest.obj")
-        assert load_sensor(own(tmp_path, text)).rest_depth_mm.mean() == pytest.approx(z)
 
 
 @pytest.mark.parametrize("name", list_sensor_names())
