@@ -24,7 +24,9 @@ def escape_text(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(
-        c if c.isprintable() or unicodedata.category(c) == "Zs" else _escape_character(c)
+        c
+        if c.isprintable() or unicodedata.category(c) == "Zs"
+        else c.encode("unicode_escape").decode("ascii")
         for c in text
     )
 
@@ -67,10 +69,6 @@ def name_options(sentence: str, arguments: Container[str] = ()) -> str:
 def is_utf8_encodable(name: str) -> bool:
     """Return whether a file name is valid UTF-8, as some libraries require."""
     return not any("\ud800" <= c <= "\udfff" for c in name)
-
-
-def _escape_character(character: str) -> str:
-    return character.encode("unicode_escape").decode("ascii")
 
 
 class TouchError(Exception):

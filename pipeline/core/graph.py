@@ -265,11 +265,19 @@ class Graph:
             part = SubProgress(progress, index / len(order), 1.0 / len(order), method.title)
             part.step(0.0, "")
             if method.stage in inputs:
-                result = _make_given_result(
-                    method.stage, values[method.stage], digests[method.stage]
+                value = values[method.stage]
+                result = StageResult(
+                    name=method.stage,
+                    method=None,
+                    output=value,
+                    state="given",
+                    ms=0.0,
+                    notes=tuple(getattr(value, "notes", ())),
+                    digest=digests[method.stage],
                 )
             else:
-                own = _select_params(params, method) if method in self.methods else method.params()
+                own = params.get(method.stage) if method in self.methods else None
+                own = own if isinstance(own, method.params) else method.params()
                 evaluate = self._evaluate_chain if method.nodes else self._evaluate_method
                 result = evaluate(method, values, digests, own, fresh, part)
                 if is_draft(own) or drafts.intersection(method.reads):
@@ -432,18 +440,6 @@ class Graph:
             fallback=instead,
             ends_chain=isinstance(answer, EarlyAnswer),
         )
-
-
-def _select_params(params: Mapping[str, object], method: Method) -> object:
-    given = params.get(method.stage)
-    return given if isinstance(given, method.params) else method.params()
-
-
-def _make_given_result(stage: str, value: object, made: str) -> StageResult:
-    notes = tuple(getattr(value, "notes", ()))
-    return StageResult(
-        name=stage, method=None, output=value, state="given", ms=0.0, notes=notes, digest=made
-    )
 
 
 def _key(method: Method, params: object, reads: Sequence[str]) -> str:

@@ -21,7 +21,7 @@ from pipeline.io.formats import (
     list_formats,
 )
 from pipeline.io.mounts import open_mounted
-from pipeline.sensors.spec import SensorSpec, load_sensor
+from pipeline.sensors.spec import load_sensor
 
 _HEAD_BYTES = 16  # enough for every signature
 _MAX_NAMES = 3  # in a message
@@ -138,11 +138,10 @@ def _override(recording: Recording, options: ReadOptions) -> Recording:
         file = options.reference
         if file is None:
             return _use_own_frames(recording, options)
-        is_depth = not image_files.is_image_file(file) or depth_arrays.is_depth_image(file)
         image = (
-            depth_arrays.read_depth_image(file, options.depth_unit)
-            if is_depth
-            else image_files.read_rgb(file)
+            image_files.read_rgb(file)
+            if image_files.is_image_file(file) and not depth_arrays.is_depth_image(file)
+            else depth_arrays.read_depth_image(file, options.depth_unit)
         )
         return with_reference(recording, image, file, options.stream)
     except Exception:
@@ -191,15 +190,18 @@ def with_sensor(recording: Recording, sensor: str, stream: str = "") -> Recordin
     meant = asked or (list(recording.streams) if len(recording.streams) == 1 else [])
     if not meant:
         meant = [s for s in recording.streams if not s.sensor]
-        meant = meant if len(meant) < 2 else [s for s in meant if _has_size(s, spec)]
-    streams = tuple(_replace_sensor(s, name) if s in meant else s for s in recording.streams)
+        if len(meant) > 1:
+            shape = spec.camera.shape
+            meant = [s for s in meant if s.n_frames and s.frame(0).image.shape[:2] == shape]
+    streams = tuple(
+        replace(_map_frames(s, lambda frame: replace(frame, sensor=name)), sensor=name)
+        if s in meant
+        else s
+        for s in recording.streams
+    )
     replaced = [s.sensor for s in meant if s.sensor not in ("", name)]
     note = (f"the file names the sensor {replaced[0]}; {name} is used instead",) if replaced else ()
     return replace(recording, streams=streams, notes=recording.notes + note)
-
-
-def _has_size(stream: Stream, spec: SensorSpec) -> bool:
-    return stream.n_frames > 0 and stream.frame(0).image.shape[:2] == spec.camera.shape
 
 
 def with_reference(
@@ -254,14 +256,5 @@ def _replace_reference(
     )
 
 
-def _replace_sensor(stream: Stream, sensor: str) -> Stream:
-    return replace(_map_frames(stream, lambda frame: replace(frame, sensor=sensor)), sensor=sensor)
-
-
 def _map_frames(stream: Stream, change: Callable[[TactileFrame], TactileFrame]) -> Stream:
-    read = stream.frame
-
-    def frame(index: int) -> TactileFrame:
-        return change(read(index))
-
-    return replace(stream, frame=frame)
+    return replace(stream, frame=lambda index: change(stream.frame(index)))

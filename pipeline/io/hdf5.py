@@ -86,15 +86,12 @@ def _read_recording(file: Any, path: Path, notes: list[str]) -> Recording:
     streams = tuple(_read_stream(group, name, path, lost) for name, group in groups)
     if not streams:
         raise FileProblem("the recording has no streams", path, field="streams")
-    mesh = (
-        _read_or_default(lambda: _read_mesh(file["object"], path), None, "the object mesh", lost)
-        if "object" in file
-        else None
-    )
+    body = file.get("object", {})
+    mesh = _read_or_default(lambda: _read_mesh(body, path), None, "the object mesh", lost)
     symmetry = None
     if mesh is not None:
         symmetry = _read_or_default(
-            lambda: _read_symmetry(file["object"], path), None, "the object's symmetry", lost
+            lambda: _read_symmetry(body, path), None, "the object's symmetry", lost
         )
     pairs = file.get("pairings", {})
     pairings = tuple(_read_pairing(pairs, key, path) for key in pairs)
@@ -116,32 +113,22 @@ def _read_stream(group: Any, name: str, path: Path, lost: list[str]) -> Stream:
     n, dtype = _validate_stream(group, path)
     grows = bool(group.file.swmr_mode)
     if grows:  # a frame that is partly written does not count
-        n = min(
-            [
-                n,
-                *(
-                    len(group[key])
-                    for key in ("timestamps", "reference_index", "truth/known")
-                    if key in group
-                ),
-            ]
-        )
+        tables = ("timestamps", "reference_index", "truth/known")
+        n = min([n, *(len(group[key]) for key in tables if key in group)])
     sensor = layout.read_sensor_name(group, path)
     shown = escape_text(name)
 
-    def table(key: str, kinds: str, default: float, what: str) -> NDArray[Any]:
-        stored = layout.require_dataset(
-            group, key, layout.UNITS[key], kinds, (None if grows else n,), path
-        )
-        stored_type = np.float64 if kinds == layout.FLOAT_KINDS else np.int64
+    def table(key: str, kinds: str, default: NDArray[Any], what: str) -> NDArray[Any]:
+        length = None if grows else n
+        stored = layout.require_dataset(group, key, layout.UNITS[key], kinds, (length,), path)
         what = f"{what} of {shown!r}"
-        return _read_or_default(
-            lambda: stored[:n].astype(stored_type), np.full(n, default, stored_type), what, lost
-        )
+        return _read_or_default(lambda: stored[:n].astype(default.dtype), default, what, lost)
 
-    times = table("timestamps", layout.FLOAT_KINDS, np.nan, "the timestamps")
-    rows = table("reference_index", layout.INTEGER_KINDS, -1, "the table of references")
-    known_truth = table("truth/known", layout.INTEGER_KINDS, 0, TRUTH_TABLE_TITLE)
+    times = table("timestamps", layout.FLOAT_KINDS, np.full(n, np.nan), "the timestamps")
+    rows = table("reference_index", layout.INTEGER_KINDS, np.full(n, -1), "the table of references")
+    known_truth = table(
+        "truth/known", layout.INTEGER_KINDS, np.zeros(n, np.int64), TRUTH_TABLE_TITLE
+    )
     camera = _read_camera(group, path) if "camera_matrix" in group else None
 
     # consecutive frames mostly share their reference
@@ -203,27 +190,19 @@ def _validate_stream(group: Any, path: Path) -> tuple[int, type]:
     Raises FileProblem where a dataset differs from the layout.
     """
     frames = group["frames"]
-    unit, kinds, dtype = (
-        ("rgb", layout.UINT8_KINDS, np.uint8)
+    unit, kinds, dtype, colours = (
+        ("rgb", layout.UINT8_KINDS, np.uint8, (3,))
         if frames.ndim == 4
-        else ("mm", layout.REAL_KINDS, np.float32)
+        else ("mm", layout.REAL_KINDS, np.float32, ())
     )
-    image_shape = (None, None, 3) if frames.ndim == 4 else (None, None)
-    n, *shape = layout.require_dataset(
-        group, "frames", unit, kinds, (None, *image_shape), path
-    ).shape
+    want = (None, None, None, *colours)
+    n, *shape = layout.require_dataset(group, "frames", unit, kinds, want, path).shape
     layout.require_dataset(group, "references", unit, kinds, (None, *shape), path)
     for field in layout.TRUTH_FIELDS:
         if field.key in group:
             kinds = layout.REAL_KINDS if field.shape is None else layout.FLOAT_KINDS
-            layout.require_dataset(
-                group,
-                field.key,
-                layout.UNITS[field.key],
-                kinds,
-                (None, *(field.shape or shape[:2])),
-                path,
-            )
+            want = (None, *(field.shape or shape[:2]))
+            layout.require_dataset(group, field.key, layout.UNITS[field.key], kinds, want, path)
     return int(n), dtype
 
 
@@ -259,13 +238,16 @@ def _read_camera(group: Any, path: Path) -> Camera:
         return make_camera(matrix[()], rows, cols, what=key)
 
 
-def _read_mesh(group: Any, path: Path) -> Mesh:
-    vertices = layout.require_dataset(group, "vertices", "mm", layout.FLOAT_KINDS, (None, 3), path)[
-        ()
-    ].astype(np.float64)
-    triangles = layout.require_dataset(
-        group, "triangles", "1", layout.INTEGER_KINDS, (None, 3), path
-    )[()].astype(np.int64)
+def _read_mesh(group: Any, path: Path) -> Mesh | None:
+    if not group:
+        return None
+    vertices, triangles = (
+        layout.require_dataset(group, key, unit, kinds, (None, 3), path)[()].astype(dtype)
+        for key, unit, kinds, dtype in (
+            ("vertices", "mm", layout.FLOAT_KINDS, np.float64),
+            ("triangles", "1", layout.INTEGER_KINDS, np.int64),
+        )
+    )
     validate_mesh(vertices, triangles, path)
     return Mesh(
         vertices_mm=freeze(vertices),

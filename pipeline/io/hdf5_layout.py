@@ -51,15 +51,11 @@ Coding = Literal["plain", "row differences"]
 UNITS: Mapping[str, str] = {
     "reference_index": "1",
     "timestamps": "s",
-    "camera_matrix": "px",
     "truth/known": "1",
     "truth/indentation": "mm",
     "truth/contact": "1",
     "truth/sensor_from_object": "mm",
     "truth/force": "N",
-    "vertices": "mm",
-    "triangles": "1",
-    "pairing": "mm",
     "symmetry/rotations": "1",
     "symmetry/axis": "1",
 }

@@ -144,22 +144,17 @@ def find_bright_start(read: Callable[[int], Image], n_frames: int) -> int:
     before = -np.inf
     for index, image in read_each(read, range(n_frames)):
         blocks = compute_block_means(image, _BLOCKS_ALONG)
-        ratio = _compute_brightness_ratio(blocks, usual) if blocks.shape == usual.shape else 0.0
-        if (
-            ratio >= _BRIGHT_RATIO
-            and (blocks >= _WHITE_GREY).mean() > (usual >= _WHITE_GREY).mean() + _WHITE_SHARE
-        ):
-            continue
+        lit = usual > _BLACK_GREY
+        same_size = blocks.shape == usual.shape
+        ratio = float(np.median(blocks[lit] / usual[lit])) if same_size else 0.0
         if ratio >= _BRIGHT_RATIO:
+            if (blocks >= _WHITE_GREY).mean() > (usual >= _WHITE_GREY).mean() + _WHITE_SHARE:
+                continue
             return index
         if index and before > _DARK_RATIO and ratio < before + _RISE:
             return 0  # a light that was changed later
         before = ratio
     return 0
-
-
-def _compute_brightness_ratio(blocks: Floats, usual: Floats) -> float:
-    return float(np.median(blocks[usual > _BLACK_GREY] / usual[usual > _BLACK_GREY]))
 
 
 def sample_frames(

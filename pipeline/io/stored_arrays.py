@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,24 +23,6 @@ _COLOURS = (3, 4, 6)  # of one image: RGB, RGBA, RGB of two sensors
 _MAX_SENSORS = 8  # whose frames are in one array; a stack is longer
 
 
-class StoredArray(Protocol):
-    """An array in memory or in a file."""
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Length of each axis."""
-        ...
-
-    @property
-    def dtype(self) -> Any:
-        """Type of its numbers."""
-        ...
-
-    def __getitem__(self, key: Any, /) -> Any:
-        """A part of it, read where it lies in a file."""
-        ...
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageStack:
     """The images of one sensor in an array."""
@@ -51,8 +33,9 @@ class ImageStack:
     read: Callable[[int], NDArray[np.generic]]  # (rows, cols, 3) as stored
 
 
-def split_stacks(array: StoredArray) -> tuple[ImageStack, ...]:
-    """The images of every sensor in an array of colour images; () where it holds none.
+def split_stacks(array: NDArray[Any]) -> tuple[ImageStack, ...]:
+    """The images of every sensor in an array of colour images, in memory or in a file (h5py's);
+    () where it holds none.
 
     Axes are (frames, rows, cols, colours) or (frames, colours, rows, cols), of one frame without
     the first; an axis of length 1 before them counts for nothing, another one of a few sensors,
@@ -115,7 +98,7 @@ def find_colour_axis(shape: tuple[int, ...]) -> int | None:
     return None
 
 
-def is_grey(array: StoredArray) -> bool:
+def is_grey(array: NDArray[Any]) -> bool:
     """Whether an array holds images of one channel of 8 bits (or masks), which are neither
     colour nor depth.
     """
@@ -223,7 +206,10 @@ def infer_grey_scale(
     if (
         unit
         and low < 0
-        and (_is_difference(numbers, low, high, unit) or _DIFFERENCE_KEY.search(key))
+        and (
+            (-low > _MAX_NEGATIVE_SHARE * high and _is_quiet(numbers, unit))
+            or _DIFFERENCE_KEY.search(key)
+        )
     ):
         white = "1 is white" if unit == 1.0 else "255 is white"
         note = f"{shown} has negative values, most of them near 0: {white}, and 0 is no change"
@@ -255,10 +241,6 @@ def _find_unit(largest: float, is_whole: bool) -> float:
     if not is_whole and largest <= _MAX_UNIT:
         return 1.0
     return WHITE if (is_whole or largest >= _MIN_GREY) and largest <= WHITE * _MAX_UNIT else 0.0
-
-
-def _is_difference(numbers: Floats, low: float, high: float, unit: float) -> bool:
-    return -low > _MAX_NEGATIVE_SHARE * high and _is_quiet(numbers, unit)
 
 
 def _is_quiet(numbers: Floats, unit: float) -> bool:

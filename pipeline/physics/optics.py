@@ -225,14 +225,8 @@ def pack_leds(optics: Optics, camera: Camera) -> tuple[Floats, Floats]:
         elevation = math.radians(led.elevation_deg)
         cos_a = math.cos(azimuth)
         sin_a = math.sin(azimuth)
-        directions.append(
-            (
-                math.cos(elevation) * cos_a,
-                math.cos(elevation) * sin_a,
-                math.sin(elevation),
-                *led.rgb,
-            )
-        )
+        flat = math.cos(elevation)
+        directions.append((flat * cos_a, flat * sin_a, math.sin(elevation), *led.rgb))
         # The strength is 1 at the LED's side and 1 - falloff at the far side, linear between.
         per_px = 0.5 * optics.falloff / (half_w * abs(cos_a) + half_h * abs(sin_a))
         first = (
@@ -270,13 +264,9 @@ def _render_light(sensor: SensorSpec, optics: Optics, height_mm: Floats) -> Floa
         light,
     )
     light = light.reshape(*camera.shape, 3)
-    if _casts_shadow(optics, height_mm):
+    if optics.shadow > 0 and float(height_mm.max()) > _NO_SHADOW_MM:
         apply_shadows(light, optics, sensor.camera, height_mm, sensor.pixel_mm)
     return light
-
-
-def _casts_shadow(optics: Optics, height_mm: Floats) -> bool:
-    return optics.shadow > 0 and float(height_mm.max()) > _NO_SHADOW_MM
 
 
 def apply_shadows(

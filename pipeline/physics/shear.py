@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.core.arrays import Doubles, Floats, Mask, freeze
+from pipeline.core.arrays import Doubles, Floats, freeze
 from pipeline.core.errors import SettingProblem
 from pipeline.core.geometry.camera import Camera
 from pipeline.physics.gel import find_fast_length
@@ -56,7 +56,6 @@ class ShearResult:
     """The dragged surface; vectors point right and down."""
 
     motion_mm: Floats  # (rows, cols, 2) of the material at each pixel
-    slipping: Mask  # (rows, cols) contact at the friction limit
     force_n: tuple[float, float]
     steps: int
     converged: bool
@@ -82,16 +81,9 @@ def solve_shear(
         response, np.full((*pressure.shape, 2), load.displacement_mm, np.float32), limit
     )
     move = response.compute_motion(traction)
-    size = np.hypot(traction[..., 0], traction[..., 1])
     force = traction.sum(axis=(0, 1), dtype=np.float64) * (cell * pixel_mm) ** 2 * _KPA_TO_N_MM2
     return ShearResult(
         motion_mm=freeze(_interpolate_cells(move, cell, shape)),
-        slipping=freeze(
-            _interpolate_cells(
-                ((size >= 0.999 * limit) & (limit > 0)).astype(np.float32), cell, shape
-            )
-            > 0.5
-        ),
         force_n=(float(force[0]), float(force[1])),
         steps=steps,
         converged=converged,

@@ -112,7 +112,6 @@ def reverse_translation(translation: Translation, depth: DepthMap) -> Translatio
     )
 
 
-N_FEATURES = 7
 _USUAL_SHARE = 0.95  # of the training touches, that are nearer than 1
 _WHAT = "the described training touches"
 _KEY = "features"
@@ -120,7 +119,7 @@ _SMALL_MM = 0.02  # added to lengths before the logarithm: depths below it are n
 
 
 def describe_touch(contact: Mask, indentation_mm: Floats, pixel_mm: float) -> Doubles | None:
-    """Describe a contact (rows, cols) with pixels of this size in `N_FEATURES` numbers.
+    """Describe a contact (rows, cols) with pixels of this size in seven numbers.
 
     None without contact.
 

@@ -6,7 +6,7 @@ Initial alignments by grid search in the plane: outlines have many local minima.
 """
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,7 +58,8 @@ def list_initial_alignments(
     few = [thin_points(t, _POINTS) for t in touches[:: max(1, -(-len(touches) // _TOUCHES))]]
     x, y, normal = start[:3, :3].T
     ranked: list[tuple[float, int, float, float, Doubles]] = []
-    for n, (right, down, turn) in enumerate(_grid()):
+    grid = itertools.product(_TURNS_DEG, _SHIFTS_MM, _SHIFTS_MM)
+    for n, (turn, right, down) in enumerate(grid):
         if n % 50 == 0:
             progress.step(0.0, "searching for an initial alignment")
         motion = compose_motion(pivot_mm, np.deg2rad(turn) * normal, right * x + down * y)
@@ -81,13 +82,6 @@ def list_initial_alignments(
         if len(found) > many:
             break
     return found
-
-
-def _grid() -> Iterator[tuple[float, float, float]]:
-    for turn in _TURNS_DEG:
-        for right in _SHIFTS_MM:
-            for down in _SHIFTS_MM:
-                yield float(right), float(down), float(turn)
 
 
 def _lift_mm(touches: Sequence[Evidence], target_from_source: Doubles) -> float:

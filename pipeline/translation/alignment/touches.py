@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.calibration.calibration_table import Calibration
 from pipeline.core.arrays import Doubles
 from pipeline.core.errors import SettingProblem
 from pipeline.core.progress import SILENT, Progress
@@ -67,23 +66,16 @@ def load_paired_touch(
             f"scoring an alignment needs a recording of both sensors"
         )
     frame, (target_frame, target_truth) = translation.stream.frame(index), other
-    maps: list[DepthMap] = []
-    for seen, spec, truth, look_up in (
-        (
-            frame,
-            translation.source,
-            translation.read_source_truth(index) if exact else None,
-            translation.calibration,
-        ),
-        (target_frame, translation.target, target_truth, None),
-    ):
-        maps.append(
-            _make_exact(seen, spec, truth) if exact else _measure(seen, spec, look_up, params)
-        )
+    if exact:
+        source = _make_exact(frame, translation.source, translation.read_source_truth(index))
+        target = _make_exact(target_frame, translation.target, target_truth)
+    else:
+        source = estimate_depth(frame, translation.source, translation.calibration, params)
+        target = estimate_depth(target_frame, translation.target, None, params)
     return AlignmentTouch(
         index=index,
-        source=maps[0],
-        target=maps[1],
+        source=source,
+        target=target,
         source_shift_mm=estimate_camera_shift_mm(frame, translation.source),
         target_shift_mm=estimate_camera_shift_mm(target_frame, translation.target),
     )
@@ -117,12 +109,6 @@ def load_paired_touches(
             f"{translation.target.name}; choose other frames"
         )
     return tuple(touches)
-
-
-def _measure(
-    frame: TactileFrame, spec: SensorSpec, look_up: Calibration | None, params: DepthParams
-) -> DepthMap:
-    return estimate_depth(frame, spec, look_up, params)
 
 
 def _make_exact(frame: TactileFrame, spec: SensorSpec, truth: Truth | None) -> DepthMap:

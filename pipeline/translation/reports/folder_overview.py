@@ -23,7 +23,7 @@ from pipeline.core.values.frames import Recording, TactileFrame
 from pipeline.io import open_recording
 from pipeline.io.folder_contents import find_recording
 from pipeline.io.inspection.recording_report import inspect_recording
-from pipeline.sensors.spec import SensorSpec, list_sensor_names, load_sensor
+from pipeline.sensors.spec import SensorSpec, list_sensor_titles, load_sensor
 from pipeline.translation.colour_limits import round_up
 from pipeline.translation.error_attribution import DEFAULT_METRIC
 from pipeline.translation.frame_selection import compare_with_reference
@@ -148,14 +148,17 @@ def _make_row(path: Path, progress: Progress) -> RecordingRow:
 def _look_at(recording: Recording, warnings: Iterable[str]) -> RecordingRow:
     """Return the row of an open recording: its first stream is the source."""
     stream = recording.streams[0]
-    known = load_sensor(stream.sensor) if stream.sensor in list_sensor_names() else None
+    titles = list_sensor_titles()
+    known = load_sensor(stream.sensor) if stream.sensor in titles else None
     limit = math.inf if known is None else known.limits.no_contact_change
     changes = [(frame, float(change.max())) for frame, change in compare_with_reference(stream)]
     touched = [(frame, change) for frame, change in changes if change >= limit]
     peak = max((change for _, change in touched), default=0.0)
     shown = (touched or changes)[0][0] if changes else stream.frame(0)
     return RecordingRow(
-        sensors=", ".join(dict.fromkeys(_get_title(s.sensor) for s in recording.streams)),
+        sensors=", ".join(
+            dict.fromkeys(titles.get(s.sensor, "unknown sensor") for s in recording.streams)
+        ),
         n_frames=stream.n_frames,
         contact_share=len(touched) / len(changes) if changes and known else math.nan,
         first_touch=touched[0][0].index if touched else -1,
@@ -164,23 +167,17 @@ def _look_at(recording: Recording, warnings: Iterable[str]) -> RecordingRow:
     )
 
 
-def _get_title(sensor: str) -> str:
-    return load_sensor(sensor).title if sensor in list_sensor_names() else "unknown sensor"
-
-
 def _draw_thumbnail(frame: TactileFrame, sensor: SensorSpec | None, peak: float) -> Image:
     """Return the small image of a frame; of depth, by a scale that the recording's peak fills."""
     import cv2
 
     if frame.is_depth and sensor is None:
         return RecordingRow().thumbnail
-    pixels = np.asarray(frame.image, np.uint8) if sensor is None else None
+    pixels = np.asarray(frame.image, np.uint8)
     if sensor is not None:
         limit_mm = round_up(max(peak, _LEAST_LIMIT_MM)) if frame.is_depth else 0.0
-        pixels = make_recorded_preview(frame, sensor, DisplayParams(bubble_limit_mm=limit_mm))[
-            0
-        ].pixels
-    assert pixels is not None
+        display = DisplayParams(bubble_limit_mm=limit_mm)
+        pixels = make_recorded_preview(frame, sensor, display)[0].pixels
     rows, cols = pixels.shape[:2]
     share = min(THUMBNAIL_PX[0] / cols, THUMBNAIL_PX[1] / rows)
     size = max(1, round(share * cols)), max(1, round(share * rows))

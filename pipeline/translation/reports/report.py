@@ -117,17 +117,14 @@ def write_report(out: Path, translation: Translation, frames: Sequence[FrameRepo
             "target": translation.target.name,
             "notes": translation.notes,
             "metrics": {
-                name: asdict(METRICS[name.partition(".")[2]]) for name in _figure_names(frames)
+                name: asdict(METRICS[name.partition(".")[2]])
+                for name in sorted({name for frame in frames for name in frame.metrics})
+                if name.partition(".")[2] in METRICS
             },
             "frames": [_to_json(f) for f in frames],
         },
     )
     return path
-
-
-def _figure_names(frames: Sequence[FrameReport]) -> list[str]:
-    names = {name for frame in frames for name in frame.metrics}
-    return sorted(name for name in names if name.partition(".")[2] in METRICS)
 
 
 def _to_json(frame: FrameReport) -> dict[str, object]:
