@@ -45,11 +45,8 @@ def attribute(
     with open_translation(request, settings=settings, cache_bytes=_CACHE_BYTES) as translation:
         if json is not None:
             check_folder_for(json)
-        indices = (
-            parse_frames("", translation.n_frames)
-            if frame is None
-            else [translation.check_index(frame)]
-        )
+        listed = "" if frame is None else str(translation.check_index(frame))
+        indices = parse_frames(listed, translation.n_frames)
         with open_progress_bar() as progress:
             results: list[ErrorAttribution] = []
             for k, index in enumerate(indices):

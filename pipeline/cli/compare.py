@@ -163,7 +163,7 @@ def _parse_variant(text: str) -> _VariantOptions:
         *,
         target: str = "",
         options: TranslationOptions = DEFAULT_OPTIONS,
-        settings: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+        settings: _Settings = (),
     ) -> _VariantOptions:
         return _VariantOptions(
             recording=recording, target=target, options=options, settings=settings
@@ -185,10 +185,9 @@ def _with_base(
 ) -> _VariantOptions:
     """The base translation with the variant's options in place of its own."""
     changed = {
-        field.name: getattr(variant.options, field.name) for field in fields(TranslationOptions)
-    }
-    changed = {
-        name: value for name, value in changed.items() if value != getattr(DEFAULT_OPTIONS, name)
+        field.name: value
+        for field in fields(TranslationOptions)
+        if (value := getattr(variant.options, field.name)) != field.default
     }
     changed["methods"] = (*base.methods, *variant.options.methods)
     return replace(

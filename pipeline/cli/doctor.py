@@ -8,6 +8,7 @@ import platform
 import shutil
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from ctypes.util import find_library
 from itertools import chain
 from pathlib import Path
@@ -128,12 +129,7 @@ def _check_project() -> Iterator[tuple[bool, str]]:
         )
     for path in samples:
         try:
-            recording = open_recording(path)
-            yield (
-                True,
-                f"sample {path.name}: "
-                + ", ".join(f"{s.n_frames} frames of {s.sensor}" for s in recording.streams),
-            )
-            recording.close()
+            with closing(open_recording(path)) as recording:
+                yield True, f"sample {recording!r}"
         except TouchError as error:
             yield False, str(error)

@@ -159,6 +159,17 @@ _ROLLOUT = {
 }
 
 
+_GROUPS = {  # "" = the program itself
+    "": ("", _COMMANDS),
+    "calibrate": (
+        "Calibrate a sensor by presses of a ball, and its force by weighed presses.",
+        _CALIBRATE,
+    ),
+    "align": ("Score, refine and fit the alignment of two sensors.", _ALIGN),
+    "rollout": ("List, attribute, film and bundle recorded rollouts of tasks.", _ROLLOUT),
+}
+
+
 def build_app(name: str = "tactoscope") -> App:
     """Command line with all headless commands."""
     app = App(
@@ -168,25 +179,12 @@ def build_app(name: str = "tactoscope") -> App:
         version_flags=["--version"],
         suppress_keyboard_interrupt=False,  # `run_app` reports an interruption
     )
-    calibrate = App(
-        name="calibrate",
-        help="Calibrate a sensor by presses of a ball, and its force by weighed presses.",
-    )
-    align = App(name="align", help="Score, refine and fit the alignment of two sensors.")
-    rollout = App(
-        name="rollout", help="List, attribute, film and bundle recorded rollouts of tasks."
-    )
-    for group, commands in (
-        (app, _COMMANDS),
-        (calibrate, _CALIBRATE),
-        (align, _ALIGN),
-        (rollout, _ROLLOUT),
-    ):
+    for group, (help_text, commands) in _GROUPS.items():
+        inner = App(name=group, help=help_text) if group else app
         for command, (path, text) in commands.items():
-            group.command(f"pipeline.cli.{path}", name=command, help=text)
-    app.command(calibrate)
-    app.command(align)
-    app.command(rollout)
+            inner.command(f"pipeline.cli.{path}", name=command, help=text)
+        if group:
+            app.command(inner)
     return app
 
 

@@ -74,14 +74,12 @@ def _translate_sample(
     from pipeline.translation.translate import Request, open_translation
 
     recording = None
-    frame = _FRAME
     if not SAMPLE_RECORDING.exists():  # an installed package brings no samples
         plan = SimulationPlan(sensors=(source,), object_source=_TOOL, n_poses=1, seed=0)
         recording = make_recording(plan)
-        frame = 0
     request = Request(recording=SAMPLE_RECORDING, source=source, target=target, methods=methods)
     with open_translation(request, recording=recording, settings=settings) as opened:
-        opened.evaluate(frame)
+        opened.evaluate(_FRAME if recording is None else 0)
 
 
 def _build_geometry() -> None:

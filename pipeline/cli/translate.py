@@ -1,5 +1,6 @@
 """`tactoscope translate`: frame by frame, each complete on disk before the next begins."""
 
+import math
 import os
 import re
 from collections.abc import Generator, Iterator, Mapping, Sequence
@@ -11,10 +12,10 @@ from typing import Annotated
 
 from cyclopts import Parameter
 from rich.console import Console
-from rich.table import Table
+from rich.text import Text
 
 from pipeline.calibration.force_scale import UNKNOWN_SCALE
-from pipeline.cli.terminal import open_progress_bar, print_error, print_line
+from pipeline.cli.terminal import open_progress_bar, print_error, print_line, print_table
 from pipeline.cli.translation_options import (
     DEFAULT_OPTIONS,
     Flag,
@@ -121,7 +122,9 @@ def translate(
         compiling.report_compiling(status.update),
     ):
         indices = range(translation.n_frames) if all_frames else [_select_frame(translation, frame)]
-    translation = _identify_object(translation, indices[0], meshes, console)
+    if meshes is not None:
+        with open_progress_bar(1, console) as bar:
+            translation = take_likeliest_mesh(translation, meshes, indices[0], bar)
     length = _FOLLOWED_FRAMES if follow else 1
     whole = _Run(
         indices=tuple(indices),
@@ -157,14 +160,8 @@ def translate(
     if len(failed) == len(reports) == 1:
         return _exit_code(failed)  # the tables below would be empty
     for note in translation.notes:
-        console.print(
-            escape_text(f"note: {note}"),
-            style="dim",
-            highlight=False,
-            markup=False,
-            emoji=False,
-            soft_wrap=True,
-        )
+        line = Text(escape_text(f"note: {note}"), style="dim")
+        console.print(line, highlight=False, soft_wrap=True)
     print_stage_table(reports)
     for line in (
         *list_fallbacks(reports),
@@ -176,16 +173,6 @@ def translate(
         print_line(f"{n_resumed} of them were finished by an earlier run and are kept")
     print_line(f"{len(reports) - len(failed)} of {len(reports)} frames written to {os.fspath(out)}")
     return _exit_code(failed)
-
-
-def _identify_object(
-    translation: Translation, index: int, meshes: Path | None, console: Console
-) -> Translation:
-    """The translation with the likeliest mesh of a folder as its object, by the frame `index`."""
-    if meshes is None:
-        return translation
-    with open_progress_bar(1, console) as bar:
-        return take_likeliest_mesh(translation, meshes, index, bar)
 
 
 def _check_options(
@@ -213,21 +200,14 @@ def print_stage_table(reports: Sequence[FrameReport]) -> None:
     """Print per stage the median and largest time in ms, how often it was skipped, and its
     errors.
     """
-    table = Table(
-        "stage", "median ms", "largest ms", "skipped", "error against ground truth", title=None
-    )
     done = [report for report in reports if report.results]
+    rows: list[tuple[str, ...]] = []
     for name in done[0].results if done else ():
         ms = sorted(report.results[name].ms for report in done)
         skipped = sum(report.results[name].state == "skipped" for report in done)
-        table.add_row(
-            name,
-            f"{ms[len(ms) // 2]:.2f}",
-            f"{ms[-1]:.2f}",
-            f"{skipped} of {len(done)}",
-            _format_metrics(name, done),
-        )
-    Console().print(table)
+        times = (f"{ms[len(ms) // 2]:.2f}", f"{ms[-1]:.2f}")
+        rows.append((name, *times, f"{skipped} of {len(done)}", _format_metrics(name, done)))
+    print_table(("stage", "median ms", "largest ms", "skipped", "error against ground truth"), rows)
 
 
 def list_fallbacks(reports: Sequence[FrameReport]) -> list[str]:
@@ -289,14 +269,12 @@ def _describe_force(
         return [_FORCE_SKIPPED] if list_force_metrics(translation) else []
     out: list[str] = []
     remark = f"; {UNKNOWN_SCALE}" if translation.force_scale is None else ""
-    for name, title in zip(
-        list_force_metrics(translation), ("normal force", "shear force"), strict=False
-    ):
+    titles = ("normal force", "shear force")
+    for name, title in zip(list_force_metrics(translation), titles, strict=False):
         forces = [report.metrics[name] for report in reports if name in report.metrics]
         if any(forces):
-            low = f"{min(forces):.2f}"
-            high = f"{max(forces):.2f}"
-            out.append(f"{title} {high if low == high else f'{low} to {high}'} N{remark}")
+            ends = dict.fromkeys(f"{end:.2f}" for end in (min(forces), max(forces)))
+            out.append(f"{title} {' to '.join(ends)} N{remark}")
     return out
 
 
@@ -434,14 +412,14 @@ def _select_frame(translation: Translation, frame: int | None) -> int:
 
 def _format_metrics(name: str, reports: Sequence[FrameReport]) -> str:
     """Median of every metric of a stage."""
-    keys = sorted(
-        {key for report in reports for key in report.metrics if key.startswith(f"{name}.")}
+    found: dict[str, list[float]] = {}
+    for report in reports:
+        for key, value in report.metrics.items():
+            stage, _, metric = key.partition(".")
+            if stage == name and not math.isnan(value):
+                found.setdefault(metric, []).append(value)
+    medians = (
+        f"{metric} {sorted(values)[len(values) // 2]:.3g}"
+        for metric, values in sorted(found.items())
     )
-    parts: list[str] = []
-    for key in keys:
-        values = sorted(
-            r.metrics[key] for r in reports if key in r.metrics and r.metrics[key] == r.metrics[key]
-        )
-        if values:
-            parts.append(f"{key.partition('.')[2]} {values[len(values) // 2]:.3g}")
-    return ", ".join(parts) or "no ground truth"
+    return ", ".join(medians) or "no ground truth"

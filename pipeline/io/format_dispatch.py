@@ -257,4 +257,7 @@ def _replace_reference(
 
 
 def _map_frames(stream: Stream, change: Callable[[TactileFrame], TactileFrame]) -> Stream:
-    return replace(stream, frame=lambda index: change(stream.frame(index)))
+    def frame(index: int) -> TactileFrame:
+        return change(stream.frame(index))
+
+    return replace(stream, frame=frame)

@@ -86,9 +86,14 @@ def list_grasps(root: Path) -> GraspFolder:
         grasp = Grasp(tool=parse_tool(file), split=split, number=int(match["number"]))
         found[grasp][sensor].setdefault(folder, file)
     chosen, notes = _choose_folders(found)
+    depth_folder = f"{chosen.get(BUBBLE, '')}{_DEPTH}"
     grasps = [
-        GraspFiles(grasp=g, files=_pick(f, chosen), bubble_depth=_pick_depth(f, chosen))
-        for g, f in found.items()
+        GraspFiles(
+            grasp=grasp,
+            files={s: f[s][folder] for s, folder in chosen.items() if folder in f[s]},
+            bubble_depth=f[BUBBLE].get(depth_folder),
+        )
+        for grasp, f in found.items()
     ]
     grasps = [g for g in grasps if g.files]
     sensors = tuple(s for s in SENSORS if any(s in g.files for g in grasps))
@@ -150,14 +155,12 @@ def is_training_split(split: str) -> bool:
 def _locate(file: Path, root: Path) -> tuple[str, str, str]:
     """(sensor, its folder, split) of a file; sensor "" = neither."""
     parts = file.relative_to(root).parts[:-1]
-    for k, part in enumerate(parts):
+    for k, part in enumerate((*parts, root.name)):
         match = _SENSOR_FOLDER.match(part)
         if match:
-            folder = "" if _TOOL_FOLDER.match(part) else part
-            return (BUBBLE if match["sensor"] == "bubble" else GEL), folder, "/".join(parts[:k])
-    match = _SENSOR_FOLDER.match(root.name)
-    if match:
-        return (BUBBLE if match["sensor"] == "bubble" else GEL), root.name, ""
+            folder = "" if k < len(parts) and _TOOL_FOLDER.match(part) else part
+            split = "/".join(parts[:k]) if k < len(parts) else ""
+            return (BUBBLE if match["sensor"] == "bubble" else GEL), folder, split
     tensors = torch_files.load_tensors(file)
     return next((s for key, s in _KEYS.items() if key in tensors), ""), "", "/".join(parts)
 
@@ -188,14 +191,6 @@ def _choose_folders(found: Mapping[Grasp, _Found]) -> tuple[dict[str, str], list
     return chosen, notes
 
 
-def _pick(found: _Found, chosen: Mapping[str, str]) -> dict[str, Path]:
-    return {s: found[s][folder] for s, folder in chosen.items() if folder in found[s]}
-
-
-def _pick_depth(found: _Found, chosen: Mapping[str, str]) -> Path | None:
-    return found[BUBBLE].get(f"{chosen.get(BUBBLE, '')}{_DEPTH}")
-
-
 def _apply_split_file(grasps: list[GraspFiles], root: Path) -> tuple[list[GraspFiles], list[str]]:
     """The grasps with the splits of `split.json`, if there is one.
 
@@ -207,18 +202,17 @@ def _apply_split_file(grasps: list[GraspFiles], root: Path) -> tuple[list[GraspF
     split_of = read_split_file(file)
     one_folder = len({g.grasp.split for g in grasps}) == 1
     out: list[GraspFiles] = []
-    used: set[tuple[str, int]] = set()
+    missing = dict.fromkeys(split_of)
     for g in grasps:
         key = g.grasp.tool, g.grasp.number
         if key in split_of and (one_folder or is_training_split(g.grasp.split)):
-            used.add(key)
-            grasp = replace(g.grasp, split=split_of[key])
-            g = replace(g, grasp=grasp)  # noqa: PLW2901 - the same grasp
-        out.append(g)
-    missing = [f"{tool} {number}" for tool, number in split_of if (tool, number) not in used]
+            missing.pop(key, None)
+            out.append(replace(g, grasp=replace(g.grasp, split=split_of[key])))
+        else:
+            out.append(g)
     return out, [
         f"splits are those of {file.name}",
-        *_count(f"grasps of {file.name} are not in the folder", missing),
+        *_count(f"grasps of {file.name} are not in the folder", [f"{t} {n}" for t, n in missing]),
     ]
 
 

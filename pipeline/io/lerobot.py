@@ -55,9 +55,7 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
         read_json(path / _INFO, "the data set's description"), _Info, "the data set", path / _INFO
     )
     kinds = {
-        name: feature.dtype
-        for name, feature in info.features.items()
-        if feature.dtype in ("video", "image")
+        name: one.dtype for name, one in info.features.items() if one.dtype in ("video", "image")
     }
     if not kinds:
         raise FileProblem("the data set has no camera", path / _INFO, field="features")
@@ -85,9 +83,8 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
                 "wrong"
             ),
         )
-    notes += (
-        (f"{info.total_episodes} episodes follow each other",) if info.total_episodes > 1 else ()
-    )
+    if info.total_episodes > 1:
+        notes += (f"{info.total_episodes} episodes follow each other",)
     return Recording(
         path=path,
         format="LeRobot data set",
@@ -136,9 +133,7 @@ class _TableImages:
     """
 
     def __init__(self, root: Path, name: str) -> None:
-        parquet, error_class = import_parquet()
-        self._parquet: Any = parquet
-        self._error = error_class
+        parquet, error_class = self._parquet, self._error = import_parquet()
         self._name = name
         self._rows = list[_Rows]()
         end = 0
@@ -155,11 +150,7 @@ class _TableImages:
                 self._rows.append(_Rows(file, group, end))
         if not end:
             raise FileProblem(f"the data set lacks the images of {name}", root, field=name)
-
-    @property
-    def n_frames(self) -> int:
-        """Number of rows of all tables."""
-        return self._rows[-1].end
+        self.n_frames = end  # rows of all tables
 
     def frame(self, index: int) -> Image:
         """(rows, cols, 3) RGB."""
@@ -264,12 +255,12 @@ def list_episodes(root: Path, name: str) -> list[Episode]:
     """The episodes of a camera in order; [] where no table lists them. Raises FileProblem."""
     files = list_videos(root, name)
     found = dict[int, Episode]()
-    keys = [f"videos/{name}/{key}" for key in _PLACE_KEYS]
+    chunk_key, file_key, start_key = keys = [f"videos/{name}/{key}" for key in _PLACE_KEYS]
     for row in _read_rows(root, (*_KEYS, *keys)):
         number = int(row["episode_index"])
-        start_s = row.get(keys[2], 0.0)
-        stem = f"file-{int(row[keys[1]]):03d}" if keys[1] in row else f"episode_{number:06d}"
-        chunk = f"chunk-{int(row[keys[0]]):03d}" if keys[0] in row else ""
+        start_s = row.get(start_key, 0.0)
+        stem = f"file-{int(row[file_key]):03d}" if file_key in row else f"episode_{number:06d}"
+        chunk = f"chunk-{int(row[chunk_key]):03d}" if chunk_key in row else ""
         file = next((p for p in files if p.stem == stem and (not chunk or chunk in p.parts)), None)
         if file is None:
             raise FileProblem(
@@ -282,7 +273,7 @@ def list_episodes(root: Path, name: str) -> list[Episode]:
                 f"episode {number} of {name} has no valid place in its video", root, field=name
             )
         found[number] = Episode(file=file, start_s=start_s, n_frames=int(row["length"]))
-    return [found[number] for number in sorted(found)]
+    return [episode for _, episode in sorted(found.items())]
 
 
 def _read_rows(root: Path, columns: Sequence[str]) -> list[dict[str, float]]:

@@ -106,7 +106,7 @@ def is_grey(array: NDArray[Any]) -> bool:
     is_image = (
         len(sides) == 2 and min(sides) >= _MIN_SIDE_PX and find_colour_axis(array.shape) is None
     )
-    return is_image and (array.dtype.kind == "b" or array.dtype in (np.uint8, np.int8))
+    return is_image and array.dtype.itemsize == 1 and array.dtype.kind in "biu"
 
 
 WHITE = 255.0  # grey level

@@ -23,6 +23,7 @@ from pipeline.io.inspection.synchrony import ContactSignature
 from pipeline.sensors.spec import SensorSpec, list_sensor_names, load_sensor
 
 T = TypeVar("T")
+_TRUTH_FIELDS = ("indentation_mm", "contact", "sensor_from_object")
 _STATE_LABELS = {"pass": "ok  ", "fail": "FAIL", "unknown": "?   "}
 
 
@@ -137,10 +138,11 @@ def _check_grasps(recording: Recording) -> Iterator[Check]:
     """Check that the files of every grasp belong together; names those that do not."""
     if not recording.grasps:
         return
-    found = (
-        (grasp, recording.find_pair_problem(index)) for index, grasp in enumerate(recording.grasps)
-    )
-    problems = [f"{grasp.name}: {problem}" for grasp, problem in found if problem]
+    problems = [
+        f"{grasp.name}: {problem}"
+        for index, grasp in enumerate(recording.grasps)
+        if (problem := recording.find_pair_problem(index))
+    ]
     good = f"the files of {len(recording.grasps)} grasps belong together"
     yield Check(
         name="grasps", state="fail" if problems else "pass", text="; ".join(problems) or good
@@ -165,30 +167,25 @@ def _check_moments(
     for names in dict.fromkeys([*((streams[0].name, s.name) for s in streams[1:]), *known]):
         one, other = (by_name[name] for name in names)
         pairs = pair_frames(one, other)
+        name = f"{one.name} with {other.name}"
         if pairs.note:
             state = "fail" if isinstance(pairs.note, StageWarning) else "unknown"
-            yield Check(
-                name=f"{one.name} with {other.name}",
-                state=state,
-                text=f"{pairs.note}: '{recording.path}'",
-            )
+            yield Check(name=name, state=state, text=f"{pairs.note}: '{recording.path}'")
         result = synchrony.compare_moments(pairs, signatures[one.name], signatures[other.name])
-        if result is not None:
-            good = f"strength and place of {result.n_moments} moments agree"
-            state = (
-                "pass" if result.warning is None else ("fail" if result.lag_frames else "unknown")
-            )
-            text = good if result.warning is None else f"{result.warning}: '{recording.path}'"
-            yield Check(name=f"{one.name} with {other.name}", state=state, text=text)
+        if result is not None and result.warning is not None:
+            state = "fail" if result.lag_frames else "unknown"
+            yield Check(name=name, state=state, text=f"{result.warning}: '{recording.path}'")
+        elif result is not None:
+            text = f"strength and place of {result.n_moments} moments agree"
+            yield Check(name=name, state="pass", text=text)
 
 
 def _find_sensor(name: str, stated: str) -> SensorSpec | None:
     """The description of a stream's sensor: the stated one if the names agree, else a known one,
     else None.
     """
-    stated_sensor = load_sensor(stated) if stated else None
-    if stated_sensor is not None and stated_sensor.name == name:
-        return stated_sensor
+    if stated and load_sensor(stated).name == name:
+        return load_sensor(stated)
     return load_sensor(name) if name in list_sensor_names() else None
 
 
@@ -217,11 +214,7 @@ def _inspect_stream(
             checker.add_frame(frame)
             signatures[index] = synchrony.compute_frame_signature(frame)
         if truth is not None:
-            known |= {
-                n
-                for n in ("indentation_mm", "contact", "sensor_from_object")
-                if getattr(truth, n) is not None
-            }
+            known |= {n for n in _TRUTH_FIELDS if getattr(truth, n) is not None}
             checker.add_truth(index, truth)
             if recording.object_mesh is not None and spec is not None:
                 checker.add_contact_offset(
@@ -296,10 +289,10 @@ def measure_contact_offset_mm(truth: Truth, sensor: SensorSpec, mesh: Mesh) -> f
 def _check_size(mesh: Mesh, path: str) -> Check:
     extent = np.ptp(mesh.vertices_mm[np.unique(mesh.triangles)], axis=0)
     text = f"{' x '.join(f'{e:.3g}' for e in extent)} mm, {len(mesh.triangles)} triangles"
-    if not SMALLEST_MM <= extent.max() <= LARGEST_MM:
+    is_good = SMALLEST_MM <= extent.max() <= LARGEST_MM
+    if not is_good:
         text = f"the mesh is {text}; objects measure {SMALLEST_MM:g} to {LARGEST_MM:g} mm: '{path}'"
-        return Check(name="object size", state="fail", text=text)
-    return Check(name="object size", state="pass", text=text)
+    return Check(name="object size", state="pass" if is_good else "fail", text=text)
 
 
 def _check_surface(mesh: Mesh, path: str) -> Check:
@@ -311,7 +304,6 @@ def _check_surface(mesh: Mesh, path: str) -> Check:
     n_open = int((~np.isin(forward, end * n + start)).sum())
     n_doubled = len(forward) - len(np.unique(forward))
     volume_mm3 = float(np.linalg.det(mesh.vertices_mm[t]).sum()) / 6.0
-    problem = ""
     if n_open:
         problem = f"{n_open} of its edges have no neighbour: it has holes and no inside"
     elif n_doubled:
@@ -321,8 +313,7 @@ def _check_surface(mesh: Mesh, path: str) -> Check:
         )
     elif volume_mm3 <= 0:
         problem = f"its triangles face inward (volume {volume_mm3:.3g} mm³); flip them"
-    if problem:
-        return Check(name="object surface", state="fail", text=f"the mesh: {problem}: '{path}'")
-    return Check(
-        name="object surface", state="pass", text=f"closed and facing outward, {volume_mm3:.3g} mm³"
-    )
+    else:
+        text = f"closed and facing outward, {volume_mm3:.3g} mm³"
+        return Check(name="object surface", state="pass", text=text)
+    return Check(name="object surface", state="fail", text=f"the mesh: {problem}: '{path}'")

@@ -71,25 +71,19 @@ def export_file(asked: ExportRequest, progress: Progress = SILENT) -> ExportOutc
 
     Raises TouchError.
     """
-    write = _WRITERS.get(asked.path.suffix.lower())
-    if asked.section:
-        write = _section
-        if asked.path.suffix.lower() != ".csv":
-            raise FileProblem("a section is written as a table, .csv", asked.path)
+    suffix = asked.path.suffix.lower()
+    if asked.section and suffix != ".csv":
+        raise FileProblem("a section is written as a table, .csv", asked.path)
+    write = _section if asked.section else _WRITERS.get(suffix)
     if write is None:
         raise FileProblem(
             f"nothing is written as this kind of file; known are {', '.join(_WRITERS)}", asked.path
         )
     request = asked.request
-    inputs = (
-        request.recording,
-        request.reference,
-        request.calibration,
-        request.mesh,
-        request.alignment,
-    )
+    inputs = (request.recording, request.reference, request.calibration, request.mesh)
+    files = (file for _, file in request.weights)
     _check_options(asked)
-    require_separate(asked.path, [*filter(None, inputs), *(file for _, file in request.weights)])
+    require_separate(asked.path, filter(None, (*inputs, request.alignment, *files)))
     check_folder_for(asked.path)
     with open_translation(
         request, settings=asked.stage_settings, cache_bytes=_CACHE_BYTES
@@ -99,9 +93,9 @@ def export_file(asked: ExportRequest, progress: Progress = SILENT) -> ExportOutc
             panes = (SCENE, PRESENTATION, *panes)
         for pane in asked.pane.split(",") if asked.section else [asked.pane]:
             if pane not in panes:
-                known = ", ".join(panes)
                 raise SettingProblem(
-                    f"no pane {pane!r} as {asked.path.suffix} on this route; there are {known}"
+                    f"no pane {pane!r} as {asked.path.suffix} on this route; there are "
+                    f"{', '.join(panes)}"
                 )
         work = _Work(asked, translation, progress)
         write(work)
@@ -170,11 +164,10 @@ class _Work:
         self, index: int, *, every: bool = False
     ) -> tuple[TactileFrame, dict[str, StageResult]]:
         """Return a frame and its stages up to the requested one, or `every` one."""
-        stages = self.translation.stages
+        stages = (SOURCE, *self.translation.stages)
         if self.asked.pane in stages and not every:
             stages = stages[: stages.index(self.asked.pane) + 1]
-        elif self.asked.pane == SOURCE and not every:
-            stages = ()
+        stages = stages[1:]
         frame = self.translation.stream.frame(self.translation.check_index(index))
         results = self.translation.evaluate(frame, stages, self.progress) if stages else {}
         self.replaced |= {
@@ -182,22 +175,15 @@ class _Work:
         }
         return frame, results
 
-    def compute_all_metrics(
-        self, results: Mapping[str, StageResult], index: int
-    ) -> Mapping[str, float]:
-        """Return the metrics of a frame, with its force."""
-        force = measure_force(results, index, self.translation)
-        return {**self.translation.compute_metrics(results, index), **force}
-
     def draw_figure(self, index: int) -> Figure:
         """Return the sheet or the pane of a frame."""
         frame, results = self.evaluate_frame(index)
         if self.asked.pane == SHEET:
-            from pipeline.translation.reports.sheet import draw_sheet
-
             metrics = self.translation.compute_metrics(results, index)
             report = FrameReport(index=index, results=results, metrics=metrics)
-            return draw_sheet(frame, report, self.translation, display=self.display, timed=False)
+            return sheet.draw_sheet(
+                frame, report, self.translation, display=self.display, timed=False
+            )
         if self.asked.pane == SCENE:
             return self.make_scene(frame, results).draw_figure(self.size_px)
         if self.asked.pane == PRESENTATION:
@@ -264,11 +250,7 @@ def _points(work: _Work) -> None:
 def _arrays(work: _Work) -> None:
     frame, results = work.evaluate_frame(work.translation.check_index(work.asked.frame))
     pane = work.asked.pane
-    wanted = (
-        results
-        if pane == SHEET
-        else {name: result for name, result in results.items() if name == pane}
-    )
+    wanted = {name: result for name, result in results.items() if pane in (SHEET, name)}
     write_arrays(work.asked.path, collect_stage_arrays(frame, wanted))
 
 
@@ -280,7 +262,8 @@ def _table(work: _Work) -> None:
 
     def make_row(index: int) -> tuple[int, float, Mapping[str, float]]:
         frame, results = work.evaluate_frame(index, every=work.asked.pane == SOURCE)
-        return index, frame.time_s, work.compute_all_metrics(results, index)
+        metrics = work.translation.compute_metrics(results, index)
+        return index, frame.time_s, metrics | measure_force(results, index, work.translation)
 
     rows = list(work.make_each(make_row))
     names = sorted({name for _, _, metrics in rows for name in metrics})
@@ -331,12 +314,11 @@ def _section(work: _Work) -> None:
 def _video(work: _Work) -> None:
     """Write the frames at the recording's own rate, or their presses in motion."""
     if work.asked.pane == SCENE:
-        asked = replace(work.asked, frames=work.asked.frames or str(work.asked.frame))
-        work.asked = asked
+        work.asked = replace(work.asked, frames=work.asked.frames or str(work.asked.frame))
         films = work.make_each(
             lambda index: work.make_scene(*work.evaluate_frame(index)).draw_film(work.size_px)
         )
-        write_video(asked.path, chain.from_iterable(films), scene_film.FILM_RATE_HZ)
+        write_video(work.asked.path, chain.from_iterable(films), scene_film.FILM_RATE_HZ)
         return
     images = work.make_each(lambda index: _rgb(work.draw_figure(index)))
     write_video(work.asked.path, images, _rate_hz(work.translation, work.frame_indices))

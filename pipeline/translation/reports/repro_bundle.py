@@ -15,7 +15,7 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -128,9 +128,9 @@ def write_bundle(
         def fill(part: Path) -> None:
             inside = _copy_inputs(translation, part)
             _record(translation, index, part / "frame.h5")
-            values = {name: getattr(inside, name) for name in _WORDS}
-            values |= {name: getattr(getattr(inside, name), "name", None) for name in _FILES}
-            values |= {
+            values: dict[str, object] = {
+                **{name: getattr(inside, name) for name in _WORDS},
+                **{name: getattr(getattr(inside, name), "name", None) for name in _FILES},
                 "methods": dict(inside.methods),
                 "weights": {stage: file.name for stage, file in inside.weights},
             }
@@ -203,8 +203,11 @@ def _write_results(
 
 def _open(request: Request, settings: tuple[str, ...]) -> Translation:
     """Open a bundle's translation; settings of the display change no result."""
-    of_stages = [line for line in settings if not line.startswith("display.")]
-    return open_translation(request, settings=of_stages, cache_bytes=_CACHE_BYTES)
+    return open_translation(request, settings=_of_stages(settings), cache_bytes=_CACHE_BYTES)
+
+
+def _of_stages(settings: tuple[str, ...]) -> list[str]:
+    return [line for line in settings if not line.startswith("display.")]
 
 
 def _translate(
@@ -304,9 +307,7 @@ def _translating(request: Request, settings: tuple[str, ...]) -> str:
         word.removeprefix(str(request.recording.parent.absolute()) + "/")
         for word in format_options(request)
     ]
-    sets = [
-        word for line in settings if not line.startswith("display.") for word in ("--set", line)
-    ]
+    sets = [word for line in _of_stages(settings) for word in ("--set", line)]
     return shlex.join(["tactoscope", "translate", *words, *sets, "--frame", "0", "--out", "out"])
 
 
@@ -340,36 +341,31 @@ def _gap(now: NDArray[Any] | None, kept: NDArray[Any] | None) -> float:
 
 def _read(folder: Path) -> _BundleFile:
     path = folder / "bundle.json"
-    said: object = read_json(path, "the repro bundle")
-    known = cast("dict[str, Any]", said) if isinstance(said, dict) else {}
-    if _VERSION_KEY not in known:
+    said: Any = read_json(path, "the repro bundle")
+    if not isinstance(said, dict) or _VERSION_KEY not in said:
         raise FileProblem(
             "this folder holds no repro bundle; `tactoscope bundle` writes one", folder
         )
-    if known[_VERSION_KEY] != _VERSION:
+    version: Any = said[_VERSION_KEY]
+    if version != _VERSION:
         raise FileProblem(
-            f"the repro bundle has version {known[_VERSION_KEY]!r}, this program reads {_VERSION}",
-            path,
+            f"the repro bundle has version {version!r}, this program reads {_VERSION}", path
         )
-    return convert(known, _BundleFile, "the repro bundle", path)
+    return convert(said, _BundleFile, "the repro bundle", path)
 
 
 def _request(asked: _RequestFile, folder: Path) -> Request:
     def inside(name: str) -> Path:
         return folder / Path(name).name
 
-    words = {name: getattr(asked, name) for name in _WORDS}
-    for side in ("source", "target"):
-        if words[side].endswith(".toml"):
-            words[side] = str(inside(words[side]))
-    files = {
-        name: None if getattr(asked, name) is None else inside(getattr(asked, name))
-        for name in _FILES
-    }
-    weights = tuple((stage, inside(name)) for stage, name in asked.weights.items())
+    given: dict[str, Any] = {name: getattr(asked, name) for name in (*_WORDS, *_FILES)}
+    for name, text in given.items():
+        if text is not None and name in _FILES:
+            given[name] = inside(text)
+        elif name in ("source", "target") and text.endswith(".toml"):
+            given[name] = str(inside(text))
     return Request(
-        **cast("Any", files),
-        **cast("Any", words),
+        **given,
         methods=tuple(asked.methods.items()),
-        weights=weights,
+        weights=tuple((stage, inside(name)) for stage, name in asked.weights.items()),
     )

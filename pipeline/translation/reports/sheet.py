@@ -219,14 +219,12 @@ def render_pane(
         title = f"{title}, {shown}"
         true = build_truth_view(name, view, picture, truths, seen)
         assert true is not None
-        if shown == "truth":
-            picture = true.truth
-        elif true.difference_to_truth is not None:
-            picture = true.difference_to_truth
-        else:
+        drawn = true.truth if shown == "truth" else true.difference_to_truth
+        if drawn is None:
             raise SettingProblem(
                 f"what was computed of {name} and its truth cannot be subtracted; show one of them"
             )
+        picture = drawn
     points_mm, rgb = _points(value, picture)
     return RenderedPane(title=title, preview=picture, points_mm=points_mm, rgb=rgb)
 
