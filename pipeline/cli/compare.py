@@ -13,7 +13,7 @@ from cyclopts import App, CycloptsError, Parameter
 from pipeline.cli.terminal import open_progress_bar, print_line, print_table
 from pipeline.cli.translation_options import DEFAULT_OPTIONS, TargetName, TranslationOptions
 from pipeline.core.errors import SettingProblem
-from pipeline.core.params import replace_value
+from pipeline.core.params import replace_value, split_assignment
 from pipeline.lab.evaluation.comparison_tiles import Comparison, check_tiles_folder, write_tiles
 from pipeline.lab.evaluation.grid_comparison import GridPlan, compare_grid, parse_axis
 from pipeline.lab.evaluation.method_comparison import SortOrder, compare_methods
@@ -136,10 +136,11 @@ def _parse_settings(
     display = DisplayParams()
     methods = {method.stage: method for method in translation.methods}
     for line in settings:
-        name, equals, value = (part.strip() for part in line.partition("="))
+        what = "a setting is written stage.parameter=value"
+        name, value = split_assignment(line, what)
         key, _, parameter = name.rpartition(".")
-        if not equals or not key:
-            raise SettingProblem(f"a setting is written stage.parameter=value, got {line!r}")
+        if not key:
+            raise SettingProblem(f"{what}, got {line!r}")
         if key == _DISPLAY:
             display = replace_value(display, parameter, value)
             continue

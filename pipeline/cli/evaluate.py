@@ -4,6 +4,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import date
+from functools import reduce
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -98,9 +99,7 @@ def evaluate(
             to the recorded ones.
         folder: Folder of the simulated touches; default: the user's cache.
     """
-    chosen: dict[str, str] = {}
-    for assignment in stage_methods:
-        chosen = with_method(chosen, assignment)
+    chosen = reduce(with_method, stage_methods, dict[str, str]())
     files = parse_weights(weights)
     trained = (
         find_trained_hold_out(files) if recordings is not None and hold_out is None else hold_out

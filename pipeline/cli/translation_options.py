@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import closing
 from dataclasses import dataclass
+from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -94,12 +95,8 @@ class TranslationOptions:
         from pipeline.translation.catalogue import with_method, with_weights
         from pipeline.translation.translate import Request
 
-        methods: dict[str, str] = {}
-        for assignment in self.methods:
-            methods = with_method(methods, assignment)
-        weights: dict[str, Path] = {}
-        for assignment in self.weights:
-            weights = with_weights(weights, assignment)
+        methods = reduce(with_method, self.methods, dict[str, str]())
+        weights = reduce(with_weights, self.weights, dict[str, Path]())
         return Request(
             recording=recording,
             target=target,

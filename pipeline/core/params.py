@@ -126,6 +126,14 @@ def replace_value(params: P, name: str, value: Value) -> P:
     return cast("P", replace(cast("Any", params), **{name: new}))
 
 
+def split_assignment(text: str, what: str) -> tuple[str, str]:
+    """(name, value) of `name=value`; raises SettingProblem that says `what` is written so."""
+    name, equals, value = (part.strip() for part in text.partition("="))
+    if not (name and equals):
+        raise SettingProblem(f"{what}, got {text!r}")
+    return name, value
+
+
 def check_range(name: str, value: float, low: float, high: float, unit: str = "") -> None:
     """Raise SettingProblem for a value outside [low, high], and for NaN."""
     if not low <= value <= high:

@@ -20,6 +20,7 @@ from pipeline.core.errors import FileProblem, SettingProblem, StageWarning
 from pipeline.core.files import read_bytes, read_json, require_budget, require_file
 from pipeline.core.typed_data import Name, convert
 from pipeline.core.values.frames import Recording
+from pipeline.core.values.pairing import find_nearest
 from pipeline.io.formats import ReadOptions, RecordingFiles
 from pipeline.io.gel_streams import ImageSource, make_film, make_streams
 from pipeline.io.image_files import decode_rgb
@@ -210,11 +211,8 @@ class Episode:
         NO_FRAME where it has none.
         """
         wanted_s = self.start_s + np.arange(self.n_frames) / rate_hz
-        after = np.clip(np.searchsorted(times_s, wanted_s), 1, max(len(times_s) - 1, 1))
-        around = np.stack([after - 1, np.minimum(after, len(times_s) - 1)])
-        gaps_s = np.abs(times_s[around] - wanted_s)
-        nearest = np.take_along_axis(around, gaps_s.argmin(axis=0)[None], axis=0)[0]
-        nearest[gaps_s.min(axis=0) > 0.5 / rate_hz] = NO_FRAME
+        nearest, gaps_s = find_nearest(times_s, wanted_s)
+        nearest[gaps_s > 0.5 / rate_hz] = NO_FRAME
         return freeze(nearest.astype(np.int32))
 
 

@@ -9,7 +9,7 @@ import base64
 import json
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -43,14 +43,6 @@ _MAX_STEPS_BACK = 10
 _MAX_CLOCK_GAP_NS = 10 * _NS_PER_S
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _StampedImage:
-    """One image message, and the time in its header."""
-
-    message: McapMessage
-    stamp_ns: int  # 0 = none
-
-
 def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     """Every topic of colour images that records touch as one stream, by its name.
 
@@ -74,13 +66,13 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
         if not topics:
             raise FileProblem(_describe_lack(others, file.notes), path)
         times_ns, notes = _choose_times(topics)
-        start_ns = min((t for of_topic in times_ns.values() for t in of_topic.values()), default=0)
+        start_ns = min((t for of_topic in times_ns.values() for t in of_topic), default=0)
         cameras = {
             topic.strip("/"): partial(
                 _make_topic,
                 file,
-                _sort_images(images),
-                {k: (t - start_ns) / _NS_PER_S for k, t in times_ns[topic].items()},
+                images,
+                [(t - start_ns) / _NS_PER_S for t in times_ns[topic]],
                 decoders,
                 path,
             )
@@ -170,17 +162,16 @@ def _decode_json(content: bytes) -> Any:
 
 def _list_images(
     file: McapFile, decoders: Decoders
-) -> tuple[dict[str, list[_StampedImage]], dict[str, str]]:
+) -> tuple[dict[str, list[McapMessage]], dict[str, str]]:
     """(topic -> its images in the order of the file, topic -> schema of everything else)."""
-    topics = dict[str, list[_StampedImage]]()
+    topics = dict[str, list[McapMessage]]()
     others = dict[str, str]()
     for message, content in file.iterate():
         schema = "" if message.channel.schema is None else message.channel.schema.name
         if schema in IMAGE_SCHEMAS:
             stamp_ns = read_stamp_ns(message.channel, content, decoders)
-            topics.setdefault(message.channel.topic, []).append(
-                _StampedImage(message=message, stamp_ns=stamp_ns)
-            )
+            stamped = replace(message, stamp_ns=stamp_ns)
+            topics.setdefault(message.channel.topic, []).append(stamped)
         else:
             others[message.channel.topic] = schema
     return topics, others
@@ -204,47 +195,35 @@ def read_stamp_ns(channel: McapChannel, content: bytes, decoders: Decoders) -> i
         return 0
 
 
-def _sort_images(images: Sequence[_StampedImage]) -> list[McapMessage]:
-    """Messages by stamp where all have one, then sequence number, then place in the file."""
-    by_stamp = _has_stamps(images)
-    return [
-        image.message
-        for image in sorted(
-            images,
-            key=lambda i: (i.stamp_ns if by_stamp else i.message.log_time_ns, i.message.sequence),
-        )
-    ]
-
-
 def _tells_times(times_ns: Sequence[int]) -> bool:
     """Whether times tell one moment from another."""
     return min(times_ns) >= 0 and (len(times_ns) == 1 or len(set(times_ns)) > 1)
 
 
-def _has_stamps(images: Sequence[_StampedImage]) -> bool:
+def _has_stamps(images: Sequence[McapMessage]) -> bool:
     """Whether all headers tell their time; a clock may begin at 0, which else means "not set"."""
     stamps_ns = [image.stamp_ns for image in images]
     return _tells_times(stamps_ns) and stamps_ns.count(0) < 2 and not _is_set_back(images)
 
 
-def _is_set_back(images: Sequence[_StampedImage]) -> bool:
+def _is_set_back(images: Sequence[McapMessage]) -> bool:
     """Whether the clock of the headers was set back while that of the log went on."""
-    if len(images) < 2 or not _tells_times([image.message.log_time_ns for image in images]):
+    if len(images) < 2 or not _tells_times([image.log_time_ns for image in images]):
         return False
-    written = sorted(images, key=lambda image: (image.message.log_time_ns, image.message.sequence))
+    written = sorted(images, key=lambda image: (image.log_time_ns, image.sequence))
     steps_ns = np.diff([image.stamp_ns for image in written])
     return bool(steps_ns.min() < -_MAX_STEPS_BACK * np.median(np.abs(steps_ns)))
 
 
 def _choose_times(
-    topics: Mapping[str, Sequence[_StampedImage]],
-) -> tuple[dict[str, dict[int, int]], tuple[str, ...]]:
-    """(topic -> id of a message -> its time in ns, notes): one clock for all topics.
+    topics: Mapping[str, Sequence[McapMessage]],
+) -> tuple[dict[str, list[int]], tuple[str, ...]]:
+    """(topic -> times of its images in ns, notes): one clock for all topics.
 
-    {} where none tells the time.
+    [] where none tells the time.
     """
     stamps = {topic: [i.stamp_ns for i in images] for topic, images in topics.items()}
-    logs = {topic: [i.message.log_time_ns for i in images] for topic, images in topics.items()}
+    logs = {topic: [i.log_time_ns for i in images] for topic, images in topics.items()}
     has_stamps = all(map(_has_stamps, topics.values()))
     has_logs = all(map(_tells_times, logs.values()))
     gaps_ns = [float(np.median(np.subtract(stamps[topic], logs[topic]))) for topic in topics]
@@ -261,21 +240,16 @@ def _choose_times(
             "used",
         )
     if has_stamps and is_one_clock:
-        chosen = stamps
-    elif has_logs:
-        chosen = logs
-    else:
-        chosen = {
-            topic: stamps[topic]
-            if _has_stamps(images)
-            else logs[topic]
-            if _tells_times(logs[topic])
-            else []
-            for topic, images in topics.items()
-        }
+        return stamps, notes
+    if has_logs:
+        return logs, notes
     return {
-        topic: {id(image.message): t for image, t in zip(topics[topic], times, strict=False)}
-        for topic, times in chosen.items()
+        topic: stamps[topic]
+        if _has_stamps(images)
+        else logs[topic]
+        if _tells_times(logs[topic])
+        else []
+        for topic, images in topics.items()
     }, notes
 
 
@@ -306,17 +280,25 @@ def decode_image(message: Any, where: str, path: Path) -> Image:
 
 def _make_topic(
     file: McapFile,
-    messages: Sequence[McapMessage],
-    times_s: Mapping[int, float],
+    images: Sequence[McapMessage],
+    times_s: Sequence[float],
     decoders: Decoders,
     path: Path,
 ) -> ImageSource:
-    """The images of one topic; times since the first image of the file, NaN where no clock tells
-    them.
+    """The images of one topic by stamp where all have one, then sequence number, then place in
+    the file; times since the first image of the file, [] where no clock tells them.
     """
+    by_stamp = _has_stamps(images)
+    order = sorted(
+        range(len(images)),
+        key=lambda k: (
+            images[k].stamp_ns if by_stamp else images[k].log_time_ns,
+            images[k].sequence,
+        ),
+    )
 
     def read(index: int) -> Image:
-        message = messages[index]
+        message = images[order[index]]
         where = f"frame {index}"
         try:
             image = decoders.decode(message.channel, file.read_content(message))
@@ -327,5 +309,5 @@ def _make_topic(
             topic = message.channel.topic
             raise FileProblem(f"{where} of {topic} cannot be read", path, field=where) from error
 
-    times = np.array([times_s.get(id(message), np.nan) for message in messages])
-    return make_film(path, len(messages), read, times)
+    times = np.array([times_s[k] if times_s else np.nan for k in order])
+    return make_film(path, len(images), read, times)

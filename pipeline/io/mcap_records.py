@@ -43,6 +43,7 @@ class McapMessage:
     chunk: int  # offset of its chunk in the file; -1 = it lies in the file itself
     place: int  # number of the record in its chunk, or offset of its content in the file
     n_bytes: int
+    stamp_ns: int = 0  # in its header; 0 = none
 
 
 class McapFile:

@@ -37,9 +37,9 @@ class ResamplingFit:
     """Resampling of gel images of one size to the sensor's size."""
 
     shape: tuple[int, int]  # (rows, cols) of the sensor
-    crop_share: float  # of rows and cols, cropped at each side
-    is_rotated: bool  # by 90 degrees to the left, as DIGIT's driver does
     note: str
+    crop_share: float = 0.0  # of rows and cols, cropped at each side
+    is_rotated: bool = False  # by 90 degrees to the left, as DIGIT's driver does
 
     def resample_image(self, image: Image) -> Image:
         """The image (rows, cols, 3) at the sensor's size."""
@@ -79,30 +79,26 @@ def fit_resampling(
     if _is_close(ratio, sensor_ratio):
         how = f"images of {stored} are {to}"
         cut = _CROP_SHARES.get(spec.name, 0.0)
-        is_cropped = (
-            None
-            if not cut or image is None or shape == _FULL_CAMERA
-            else _find_cropped(image, spec, cut)
-        )
-        if cut and (shape == _FULL_CAMERA or is_cropped is False):
-            how = (
-                f"images of {stored} are the full camera image; a seventh is cropped at each "
-                f"side, the rest is {to}"
-            )
-        elif cut and is_cropped:
-            how = f"{how}; by their vignette they are cropped as by its driver"
-            cut = 0.0
-        elif cut:
-            doubt = (
-                "if they are the full camera image, which their vignette does not tell, "
-                "sizes are 29 % too small"
-            )
-            how = StageWarning(f"{how}; {doubt}: then crop a seventh at each side before")
-            cut = 0.0
-        return ResamplingFit(shape=size, crop_share=cut, is_rotated=False, note=how)
+        share = 0.0
+        if cut:
+            is_cropped = None if image is None else _find_cropped(image, spec, cut)
+            if shape == _FULL_CAMERA or is_cropped is False:
+                share = cut
+                how = (
+                    f"images of {stored} are the full camera image; a seventh is cropped at each "
+                    f"side, the rest is {to}"
+                )
+            elif is_cropped:
+                how = f"{how}; by their vignette they are cropped as by its driver"
+            else:
+                how = StageWarning(
+                    f"{how}; if they are the full camera image, which their vignette does not "
+                    "tell, sizes are 29 % too small: then crop a seventh at each side before"
+                )
+        return ResamplingFit(shape=size, crop_share=share, note=how)
     if _is_close(1 / ratio, sensor_ratio):
         note = f"images of {stored} lie on their side; rotated by 90 degrees to the left and {to}"
-        return ResamplingFit(shape=size, crop_share=0.0, is_rotated=True, note=note)
+        return ResamplingFit(shape=size, is_rotated=True, note=note)
     if ratio == 1.0 and max(shape) <= _MAX_TILE_PX:
         note = StageWarning(
             f"tiles of {stored} have no millimetres: they are taken as whole images squeezed to a "
@@ -110,7 +106,7 @@ def fit_resampling(
             f"to the {size[1]} x {size[0]} px of {spec.name}, so that lengths and depths are not "
             "to scale"
         )
-        return ResamplingFit(shape=size, crop_share=0.0, is_rotated=False, note=note)
+        return ResamplingFit(shape=size, note=note)
     return None
 
 

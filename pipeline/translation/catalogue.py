@@ -6,6 +6,7 @@ for each of its stages and leaves out the others.
 
 from __future__ import annotations
 
+import functools
 import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,7 +16,7 @@ from typing import Any, TypeVar
 from pipeline.core.entry_points import load_entry_points
 from pipeline.core.errors import SettingProblem
 from pipeline.core.graph import Method
-from pipeline.core.params import Value, list_settings, replace_value
+from pipeline.core.params import Value, list_settings, replace_value, split_assignment
 from pipeline.stages.cloud.stage import STAGE as CLOUD
 from pipeline.stages.depth.stage import STAGE as DEPTH
 from pipeline.stages.pose.stage import STAGE as POSE
@@ -87,12 +88,8 @@ class Catalogue:
 
         Raises SettingProblem that lists the stage's methods.
         """
-        for method in self.stage(stage).methods:
-            if method.name == name:
-                return method
-        return _find_by_name(
-            self.list_choices(stage), name, f"method {name!r} for the stage {stage!r}"
-        )
+        what = f"method {name!r} for the stage {stage!r}"
+        return _find_by_name(self.list_choices(stage), name, what)
 
     def list_choices(self, stage: str) -> tuple[Method, ...]:
         """The methods of a stage, and the one that takes the truth of the recording where it can
@@ -125,14 +122,9 @@ class Catalogue:
         )
 
     def _find_fitting(self, stage: str, name: str, kinds: Mapping[SensorRole, str]) -> Method:
-        method = self.method(stage, name)
         entry = self.stage(stage)
         kind = kinds.get(entry.sensor_role, "")
-        return (
-            method
-            if method.fits(kind)
-            else next(other for other in entry.methods if other.fits(kind))
-        )
+        return next(m for m in (self.method(stage, name), *entry.methods) if m.fits(kind))
 
     def add_methods(self, methods: Iterable[Method]) -> Catalogue:
         """Return the catalogue with more methods, after the stages' own.
@@ -220,13 +212,14 @@ def with_setting(params: Mapping[str, object], assignment: str) -> dict[str, obj
 
     Raises SettingProblem.
     """
-    left, equals, value = assignment.partition("=")
-    stage, dot, name = left.strip().partition(".")
-    if not equals or not dot:
-        raise SettingProblem(f"a setting is written stage.parameter=value, got {assignment!r}")
+    what = "a setting is written stage.parameter=value"
+    left, value = split_assignment(assignment, what)
+    stage, dot, name = left.partition(".")
+    if not dot:
+        raise SettingProblem(f"{what}, got {assignment!r}")
     if stage not in params:
         raise SettingProblem(f"no stage {stage!r} on this route; there are {', '.join(params)}")
-    return {**params, stage: replace_parameter(params[stage], stage, name, value.strip())}
+    return {**params, stage: replace_parameter(params[stage], stage, name, value)}
 
 
 def replace_parameter(params: Any, stage: str, name: str, value: Value) -> Any:
@@ -249,10 +242,7 @@ def replace_parameter(params: Any, stage: str, name: str, value: Value) -> Any:
 
 def with_settings(methods: tuple[Method, ...], assignments: Sequence[str]) -> dict[str, object]:
     """`default_params` with every `stage.parameter=value` applied; raises SettingProblem."""
-    params = default_params(methods)
-    for assignment in assignments:
-        params = with_setting(params, assignment)
-    return params
+    return functools.reduce(with_setting, assignments, default_params(methods))
 
 
 def with_weights(given: Mapping[str, Path], assignment: str) -> dict[str, Path]:
@@ -275,7 +265,8 @@ def with_weights(given: Mapping[str, Path], assignment: str) -> dict[str, Path]:
 
 def with_method(chosen: Mapping[str, str], assignment: str) -> dict[str, str]:
     """`chosen` with one `stage=method` of the command line; raises SettingProblem."""
-    stage, equals, name = (part.strip() for part in assignment.partition("="))
-    if not equals or not stage or not name:
-        raise SettingProblem(f"a method is chosen by stage=method, got {assignment!r}")
+    what = "a method is chosen by stage=method"
+    stage, name = split_assignment(assignment, what)
+    if not name:
+        raise SettingProblem(f"{what}, got {assignment!r}")
     return {**chosen, stage: name}

@@ -24,6 +24,7 @@ from pipeline.translation.translate import Translation
 from pipeline.views.preview import PixelPositions, Preview
 
 NO_OFFSETS = Offsets()
+_ROUNDING = 1e-9  # of the share of the neighbours that have a value
 N_SAMPLES = 257  # along a line: finer than the pixels of all described sensors
 _HEIGHTS = "+ toward camera"  # suffix of quantities that are heights over the rest surface
 
@@ -127,22 +128,18 @@ def sample_bilinear(values: NDArray[np.floating], px: Doubles) -> Doubles:
 
     NaN outside the image, and where one of the four neighbours has no value.
     """
+    from scipy.ndimage import map_coordinates
+
+    x, y = px.T
     rows, cols = values.shape
-    x = px[:, 0]
-    y = px[:, 1]
     inside = (x >= 0) & (x <= cols - 1) & (y >= 0) & (y <= rows - 1)  # False for NaN coordinates
-    x = np.where(inside, x, 0.0)
-    y = np.where(inside, y, 0.0)
-    left = np.floor(x).astype(np.intp)
-    top = np.floor(y).astype(np.intp)
-    over = x - left
-    down = y - top
-    found = np.zeros(len(px))
-    for row, tall in ((top, 1.0 - down), (np.minimum(top + 1, rows - 1), down)):
-        for col, wide in ((left, 1.0 - over), (np.minimum(left + 1, cols - 1), over)):
-            share = tall * wide
-            found += np.where(share > 0, share * values[row, col], 0.0)
-    return np.where(inside, found, np.nan)
+    places = np.where(inside, (y, x), 0.0)
+    known = np.isfinite(values)
+    found, share = (
+        np.asarray(map_coordinates(one, places, order=1, mode="nearest", output=np.float64))
+        for one in (np.where(known, values, 0.0), known.astype(np.float64))
+    )
+    return np.where(inside & (share > 1.0 - _ROUNDING), found, np.nan)
 
 
 def cut_section(

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Indices, freeze
 from pipeline.core.errors import SettingProblem, StageWarning
@@ -89,6 +90,15 @@ def compute_interval_s(times_s: Doubles) -> float:
     return float(np.median(steps)) if steps.size else np.nan
 
 
+def find_nearest(times_s: Doubles, wanted_s: Doubles) -> tuple[NDArray[np.intp], Doubles]:
+    """(number of the nearest of rising times for each wanted one, the gap between them)."""
+    after = np.clip(np.searchsorted(times_s, wanted_s), 1, max(len(times_s) - 1, 1))
+    around = np.stack([after - 1, np.minimum(after, len(times_s) - 1)])
+    gaps_s = np.abs(times_s[around] - wanted_s)
+    nearest = np.take_along_axis(around, gaps_s.argmin(axis=0)[None], axis=0)[0]
+    return nearest, gaps_s.min(axis=0)
+
+
 def _get_times(stream: Stream) -> Doubles | None:
     """The times; None where all are equal or unknown and so tell no moment from another."""
     times = stream.times_s
@@ -106,12 +116,8 @@ def _pair_times(times: Doubles, other: Doubles) -> Indices:
     known = np.flatnonzero(np.isfinite(times))
     known_other = np.flatnonzero(np.isfinite(other))
     order = known_other[np.argsort(other[known_other], kind="stable")]
-    after = np.clip(np.searchsorted(other[order], times[known]), 1, max(len(order) - 1, 1))
-    # (2, n) neighbours in time
-    pairs = np.stack([order[after - 1], order[np.minimum(after, len(order) - 1)]])
-    gaps = np.abs(other[pairs] - times[known])
-    nearest = np.take_along_axis(pairs, gaps.argmin(axis=0)[None], axis=0)[0]
-    gap = gaps.min(axis=0)
+    place, gap = find_nearest(other[order], times[known])
+    nearest = order[place]
     intervals = [interval for t in (times, other) if np.isfinite(interval := compute_interval_s(t))]
     reach = 0.5 * min(intervals, default=np.inf) * (1.0 + _ROUNDING)
     closest_first = np.argsort(gap, kind="stable")

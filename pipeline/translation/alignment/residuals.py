@@ -19,6 +19,7 @@ each kind.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -183,17 +184,11 @@ def _outline_points(depth: DepthMap) -> Doubles:
     contact = depth.contact
     rows, cols = contact.shape
     found: list[Doubles] = []
-    for axis in (0, 1):
-        first, second = (
-            (contact[:-1], contact[1:]) if axis == 0 else (contact[:, :-1], contact[:, 1:])
-        )
-        row, col = np.nonzero(first != second)
-        inner_row, inner_col = (
-            (row + ~contact[row, col], col) if axis == 0 else (row, col + ~contact[row, col])
-        )
-        y, x = (row + 0.5, col + 0.0) if axis == 0 else (row + 0.0, col + 0.5)
-        z = depth.depth_mm[inner_row, inner_col]
-        found.append(np.stack([x, y, z], axis=-1).astype(np.float64))
+    for down, right in ((1, 0), (0, 1)):
+        row, col = np.nonzero(contact[: rows - down, : cols - right] != contact[down:, right:])
+        is_free = ~contact[row, col]
+        z = depth.depth_mm[row + down * is_free, col + right * is_free]
+        found.append(np.stack([col + 0.5 * right, row + 0.5 * down, z], axis=-1))
     x, y, z = np.concatenate(found).T
     margin = _BORDER_PX
     kept = (
@@ -288,8 +283,7 @@ class NormalEquations:
     information: Doubles  # (6, 6)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TouchDistances:
+class TouchDistances(NamedTuple):
     """The distances of one touch under one alignment."""
 
     surface: Distances
@@ -308,8 +302,7 @@ def compute_touch_distances(
         )
         found.append(
             TouchDistances(
-                surface=compute_surface_distances(touch, surface),
-                outline=compute_outline_distances(touch, outline),
+                compute_surface_distances(touch, surface), compute_outline_distances(touch, outline)
             )
         )
     return found
