@@ -8,7 +8,17 @@ import griffe
 
 
 class FieldComments(griffe.Extension):
-    """Takes the comment of a field without a docstring as its docstring."""
+    """Takes the comment of a field without a docstring as its docstring, and knows that `frozen`
+    makes a dataclass.
+    """
+
+    def on_class_members(self, *, cls: griffe.Class, **_kwargs: Any) -> None:
+        """Let the arguments of a value be listed."""
+        for decorator in cls.decorators:
+            if decorator.callable_path == "pipeline.core.frozen.frozen":
+                dataclass = griffe.ExprName("dataclass", parent="dataclasses")
+                by_name = griffe.ExprKeyword("kw_only", "True", function=dataclass)
+                decorator.value = griffe.ExprCall(dataclass, [by_name])
 
     def on_attribute(self, *, attr: griffe.Attribute, **_kwargs: Any) -> None:
         """Describe one field, or a name of a module."""

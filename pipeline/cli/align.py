@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -14,6 +13,7 @@ from pipeline.cli.translation_options import Flag
 from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.files import check_folder_for
 from pipeline.core.frame_lists import parse_frames
+from pipeline.core.frozen import frozen
 from pipeline.sensors.alignment import ALIGNMENT_SUFFIX, AlignmentFile, save_alignment
 from pipeline.translation.alignment import refine as refinement
 from pipeline.translation.alignment.refine import (
@@ -41,7 +41,7 @@ _WARN_ROTATION_STD_DEG = 0.75
 
 
 @Parameter(name="*")
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PairedTouchOptions:
     """Touches that both sensors recorded.
 

@@ -4,7 +4,7 @@ import os
 import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +13,7 @@ from cyclopts import App, CycloptsError, Parameter
 from pipeline.cli.terminal import open_progress_bar, print_line, print_table
 from pipeline.cli.translation_options import DEFAULT_OPTIONS, TargetName, TranslationOptions
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.params import replace_value, split_assignment
 from pipeline.lab.evaluation.comparison_tiles import Comparison, check_tiles_folder, write_tiles
 from pipeline.lab.evaluation.grid_comparison import GridPlan, compare_grid, parse_axis
@@ -32,7 +33,7 @@ _OptionText = Annotated[str, Parameter(allow_leading_hyphen=True)]
 _Settings = Annotated[tuple[str, ...], Parameter(name="--set", negative="")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class _VariantOptions:
     """Options inside `--variant "..."`."""
 

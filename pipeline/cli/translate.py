@@ -6,7 +6,7 @@ import re
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -27,6 +27,7 @@ from pipeline.cli.translation_options import (
 from pipeline.core import compiling, user_folders
 from pipeline.core.errors import NotConverged, SettingProblem, TouchError, escape_text
 from pipeline.core.files import check_folder
+from pipeline.core.frozen import frozen
 from pipeline.core.params import check_range
 from pipeline.core.processes import WorkerPool
 from pipeline.core.progress import SILENT, Progress, SubProgress
@@ -63,7 +64,7 @@ _FOLLOWED_FRAMES = 24
 _LISTED_FRAMES = 8  # frame numbers listed behind a warning
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class _Run:
     """Frames that one process translates in a row and writes into the common folder."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from pipeline.core.errors import SettingProblem, UnknownSensor
+from pipeline.core.frozen import frozen
 from pipeline.core.params import MeshUnit
 from pipeline.io.formats import describe_formats
 
@@ -48,7 +48,7 @@ _METHODS = (
 
 
 @Parameter(name="*")
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TranslationOptions:
     """What a translation reads besides the recording.
 

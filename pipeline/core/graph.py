@@ -23,6 +23,7 @@ import xxhash
 from pipeline.core import compiling
 from pipeline.core.digests import DigestCache, compute_digest
 from pipeline.core.errors import ChangeNote, SettingProblem, StageWarning, select_warnings
+from pipeline.core.frozen import frozen
 from pipeline.core.memo import Cache, CacheEntry, measure_bytes
 from pipeline.core.params import is_draft
 from pipeline.core.progress import SILENT, Progress, SubProgress
@@ -42,7 +43,7 @@ else:  # Python 3.11 has no defaults of type variables
 State = Literal["computed", "cached", "unchanged", "skipped", "given"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Skipped(Generic[Output]):
     """What a method returns when the scene needs no work: the exact answer, and why there was
     nothing to do.
@@ -52,7 +53,7 @@ class Skipped(Generic[Output]):
     reason: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Fallback(Generic[Output]):
     """What a method returns when it cannot answer and another did: that one's answer, and why."""
 
@@ -63,7 +64,7 @@ class Fallback(Generic[Output]):
 NODE_MARK = "."  # in the name of a node's value, between stage and node
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class EarlyAnswer(Generic[Output]):
     """What a node returns when its output is already the value of the whole chain: later nodes
     do not run.
@@ -72,7 +73,7 @@ class EarlyAnswer(Generic[Output]):
     output: Output
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Method(Generic[Params, Output, *Reads]):
     """One implementation of a stage: a function without side effects, its parameters, and its
     inputs.
@@ -119,7 +120,7 @@ class Method(Generic[Params, Output, *Reads]):
         return f"{self.stage}/{self.name}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class StageResult:
     """A stage's result, its time, and how it came about."""
 

@@ -9,11 +9,13 @@ import math
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Container, Hashable
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from typing import Any, Generic, ParamSpec, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pipeline.core.frozen import frozen
 
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
@@ -177,7 +179,7 @@ def field_names(kind: type, *, digested: bool = False) -> tuple[str, ...] | None
     return tuple(f.name for f in fields(kind) if not digested or f.metadata.get("digest", True))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class CacheEntry:
     """One stage's output under its key."""
 

@@ -5,10 +5,11 @@ The command line's `--set stage.field=value` and the app's controls are derived 
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import field, fields, replace
 from typing import Any, Literal, TypeVar, cast, get_args
 
 from pipeline.core.errors import SettingProblem, hint_decimal_comma
+from pipeline.core.frozen import frozen
 
 P = TypeVar("P")
 Value = bool | int | float | str
@@ -25,7 +26,7 @@ _YES = {"true", "on", "yes", "1"}
 _NO = {"false", "off", "no", "0"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Setting:
     """Label, limits and help of one parameter."""
 
@@ -53,7 +54,7 @@ def is_draft(params: object) -> bool:
     return bool(getattr(params, "draft", False))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class NoParams:
     """Parameters of a method without settings."""
 

@@ -10,7 +10,7 @@ import contextlib
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pipeline.core.arrays import Doubles, Floats, freeze
 from pipeline.core.errors import FileProblem, escape_text, naming_file
 from pipeline.core.files import read_arrays
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import Camera, make_camera
 from pipeline.core.values.frames import Recording, Stream, TactileFrame
 from pipeline.io import file_names, image_files, resampling, stored_arrays
@@ -214,7 +215,7 @@ def read_depth_image(path: Path, unit: DepthUnit = "auto") -> Floats:
     return compute_median_depth(np.stack([stack.depth_mm(i) for i in range(stack.n_frames)]))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class _DepthStack:
     """Depth images of one file or folder, read on demand."""
 

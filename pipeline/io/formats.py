@@ -8,12 +8,12 @@ the entry point group `tactoscope.formats`, whose value is a `RecordingFormat`, 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from pipeline.core.entry_points import call_package, load_entry_points, load_reference
 from pipeline.core.errors import FileProblem
+from pipeline.core.frozen import frozen
 
 if TYPE_CHECKING:
     from pipeline.core.values.frames import Recording
@@ -24,7 +24,7 @@ DepthUnit = Literal["auto", "mm", "m", "0.1mm", "um"]
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class RecordingFiles:
     """The files of one recording, as found at the path that the user gave."""
 
@@ -37,7 +37,7 @@ class RecordingFiles:
     alternatives: tuple[Path, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ReadOptions:
     """What the user states about a recording."""
 
@@ -50,7 +50,7 @@ class ReadOptions:
     depth_unit: DepthUnit = "auto"  # of depth arrays whose names state none
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class RecordingFormat:
     """One file format. A function given as "module:function" is imported on first use."""
 

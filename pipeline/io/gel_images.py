@@ -7,7 +7,6 @@ described reference is good enough.
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Image, freeze
 from pipeline.core.errors import FileProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.values.frames import TactileFrame
 from pipeline.io import resampling
 from pipeline.io.resampling import ResamplingFit
@@ -60,7 +60,7 @@ def require_colour(images: Iterable[Image], path: Path) -> None:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class GelImageConverter:
     """Converts images of one size to the sensor's; made once for all frames of a stream."""
 

@@ -5,7 +5,7 @@ several cameras, of which those that record touch are chosen by their names.
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import cast
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Image, freeze
 from pipeline.core.errors import FileProblem, SettingProblem, escape_text
+from pipeline.core.frozen import frozen
 from pipeline.core.values.frames import Stream, TactileFrame
 from pipeline.io import image_files
 from pipeline.io.formats import ReadOptions, with_index_check
@@ -41,7 +42,7 @@ _TOUCH = re.compile(
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ImageSource:
     """Stored images of one sensor."""
 

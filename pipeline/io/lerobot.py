@@ -18,6 +18,7 @@ import numpy as np
 from pipeline.core.arrays import Doubles, Image, Indices, freeze
 from pipeline.core.errors import FileProblem, SettingProblem, StageWarning
 from pipeline.core.files import read_bytes, read_json, require_budget, require_file
+from pipeline.core.frozen import frozen
 from pipeline.core.typed_data import Name, convert
 from pipeline.core.values.frames import Recording
 from pipeline.core.values.pairing import find_nearest
@@ -197,7 +198,7 @@ _MAX_ROWS = 1_000_000
 _MAX_LENGTH = 10_000_000
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Episode:
     """The part of a video file that is one episode of a camera."""
 

@@ -10,11 +10,11 @@ import contextlib
 import threading
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
 from pipeline.core.errors import FileProblem, StageWarning
+from pipeline.core.frozen import frozen
 
 MAGIC = b"\x89MCAP0\r\n"
 _MAX_RECORD_BYTES = 1 << 30  # as stated, of a chunk unfolded and of any record that is read
@@ -24,7 +24,7 @@ _CHUNK_HEAD_BYTES = 40  # before its compressed records, without the name of the
 _IN_FILE = -1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class McapChannel:
     """A topic with the type and encoding of its messages."""
 
@@ -33,7 +33,7 @@ class McapChannel:
     schema: Any  # a `mcap.records.Schema`, or None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class McapMessage:
     """Where a message is, and when it was recorded."""
 

@@ -4,7 +4,6 @@ Gel images are resampled to the described size. Depth images are not, since inte
 invent depth across jumps and gaps; their camera is fitted to the image instead.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Floats, Image, freeze
 from pipeline.core.errors import StageWarning
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import Camera
 from pipeline.sensors.parts import compute_reference_light
 from pipeline.sensors.spec import SensorSpec
@@ -32,7 +32,7 @@ _TOF_SHAPE = (171, 224)
 _TOF_CORNER = (20, 25)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ResamplingFit:
     """Resampling of gel images of one size to the sensor's size."""
 

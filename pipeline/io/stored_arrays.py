@@ -8,7 +8,6 @@ none, is refused.
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +16,14 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Floats, Image, freeze
 from pipeline.core.errors import FileProblem, escape_text
+from pipeline.core.frozen import frozen
 
 _MIN_SIDE_PX = 8  # of an image; smaller arrays with three columns are points or matrices
 _COLOURS = (3, 4, 6)  # of one image: RGB, RGBA, RGB of two sensors
 _MAX_SENSORS = 8  # whose frames are in one array; a stack is longer
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ImageStack:
     """The images of one sensor in an array."""
 
@@ -129,7 +129,7 @@ _HALF_RANGE = 0.52  # signed values up to here may be of -0.5 to 0.5 as well as 
 _DIFFERENCE_KEY = re.compile(r"(^|_)(diff|difference|differences|delta)(_|$)", re.IGNORECASE)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class GreyScale:
     """The grey level of a stored value: factor * value + offset."""
 

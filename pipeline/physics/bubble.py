@@ -16,13 +16,14 @@ too steep, and a coarse step.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Floats, Mask, freeze
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.geometry.normals import compute_area_vectors
 from pipeline.core.values.results import SealedMembrane
@@ -42,7 +43,7 @@ _KPA_TO_N_MM2 = 1e-3
 N_HALVINGS = 4  # every lattice side is a multiple of 2^4 steps, so that it can be halved this often
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class BubbleContact:
     """State of the pressed bubble on its lattice."""
 
@@ -65,7 +66,7 @@ class BubbleContact:
         return self.sealed.converged
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ObstacleProblem:
     """Clearance above every node, and which nodes may move."""
 

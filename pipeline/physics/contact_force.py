@@ -8,11 +8,11 @@ weighings determine (`calibration.force_scale`).
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.core.arrays import Floats, Mask
+from pipeline.core.frozen import frozen
 from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import bubble, gel
 from pipeline.sensors.spec import SensorSpec
@@ -23,7 +23,7 @@ _TOLERANCE_MM = 1e-3  # a tenth of the best depth error
 _COVERED_SHARE = 0.5  # of a coarse cell, from which it is in contact
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ContactForce:
     """Force of a contact by the contact model; of one sensor instance up to a scale."""
 
@@ -33,7 +33,7 @@ class ContactForce:
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PressedCells:
     """Pressure of a contact on square cells that reach beyond the image on every side."""
 

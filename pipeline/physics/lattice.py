@@ -6,18 +6,17 @@ along rays. Nothing is rounded to a pixel: triangles are sampled at the lattice'
 meet the bilinear surface to a nanometre.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Indices, Mask, freeze
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.geometry.meshes import make_grid_triangles
 from pipeline.core.geometry.rasterisation import rasterise_triangles
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Lattice:
     """A square x-y grid in the sensor frame, on which a membrane is a height field z(x, y)."""
 

@@ -4,7 +4,6 @@ after corrections.
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Literal, TypeVar, get_args
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from pipeline.core.arrays import Doubles, Image
 from pipeline.core.derived import derive_once
 from pipeline.core.errors import TouchError
+from pipeline.core.frozen import frozen
 from pipeline.physics.optics import render_reference
 from pipeline.sensors.spec import SensorSpec, list_sensor_names, load_sensor
 
@@ -36,7 +36,7 @@ _Number = TypeVar("_Number", bound=np.generic)
 MirrorDirection = Literal["left to right", "top to bottom"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ColourComparison:
     """Similarity of a reference image to its sensor's nominal one."""
 

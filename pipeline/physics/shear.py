@@ -15,7 +15,6 @@ object and is limited to friction times pressure (Coulomb): the contact slips fr
 """
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Floats, freeze
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import Camera
 from pipeline.physics.gel import find_fast_length
 from pipeline.physics.lattice import Lattice
@@ -36,7 +36,7 @@ _LARGEST_X = 40.0
 _KPA_TO_N_MM2 = 1e-3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TangentialLoad:
     """Motion of the object along the surface since first contact."""
 
@@ -51,7 +51,7 @@ class TangentialLoad:
             raise SettingProblem(f"friction must lie between 0 and 10, got {self.friction!r}")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ShearResult:
     """The dragged surface; vectors point right and down."""
 
@@ -106,7 +106,7 @@ def sample_motion_at_pixels(
     return freeze(np.asarray(seen, np.float32))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TangentialResponse:
     """The layer's tangential response as a filter over a padded grid."""
 

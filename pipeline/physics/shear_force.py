@@ -9,12 +9,11 @@ neighbour, or that pressing moved otherwise than modelled, lose weight with thei
 force, whatever its size.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats, Mask, freeze
 from pipeline.core.derived import derive_once
+from pipeline.core.frozen import frozen
 from pipeline.physics.contact_force import PressedCells
 from pipeline.physics.shear import make_response
 from pipeline.sensors.parts import Gel
@@ -33,7 +32,7 @@ _MARKERS_MAX = 1000
 _KPA_TO_N_MM2 = 1e-3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class MarkerMotion:
     """Motion of printed markers since the reference image; right and down."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -15,6 +15,7 @@ from msgspec import Meta
 from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.errors import FileProblem, escape_text
 from pipeline.core.files import read_toml, write_text
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.typed_data import Name, Note, convert
 from pipeline.sensors.spec import SensorSpec
@@ -24,7 +25,7 @@ AlignmentPart = Literal["alignment_from_source", "target_from_alignment"]
 ALIGNMENT_PARTS: tuple[AlignmentPart, ...] = ("alignment_from_source", "target_from_alignment")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Alignment:
     """Rigid transforms from source to target: the paper's T_S->A and T_A->T."""
 
@@ -96,7 +97,7 @@ TranslationMm = tuple[_Mm, _Mm, _Mm]
 RotationDeg = tuple[_Deg, _Deg, _Deg]  # rotation vector: axis times angle
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Offsets:
     """A motion in the target frame after the opened T_S->T: a rotation about a pivot, then a
     translation.
@@ -192,7 +193,7 @@ class _AlignmentTable(msgspec.Struct, kw_only=True, frozen=True):
     target_from_alignment: _Transform
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class AlignmentFile:
     """The content of an alignment file."""
 

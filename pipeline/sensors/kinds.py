@@ -9,7 +9,6 @@ Another package adds its kind by the entry point group `tactoscope.sensor_kinds`
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Floats
 from pipeline.core.entry_points import load_entry_points
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import membrane
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.geometry.membrane import Membrane
@@ -33,7 +33,7 @@ _BLACK_GREY = 2  # grey level; no lit gel is this dark everywhere
 _WHITE_GREY = 254
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SensorKind(ABC):
     """One kind of sensor: how it is described, and what it records."""
 

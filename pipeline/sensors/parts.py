@@ -1,6 +1,6 @@
 """Parts of a sensor description: mechanics, optics, markers and limits."""
 
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, field, fields
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar
 
@@ -10,6 +10,7 @@ from msgspec import Meta
 
 from pipeline.core.arrays import Floats, freeze
 from pipeline.core.derived import derive_once
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.typed_data import convert
 from pipeline.sensors.descriptions import DESCRIPTION, DescriptionSection
@@ -36,7 +37,7 @@ def declare_number(
     return field(default=MISSING if default is None else default, metadata=metadata)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Gel:
     """A bonded elastic layer."""
 
@@ -45,7 +46,7 @@ class Gel:
     poisson: float = declare_number("1", 0.0, 0.5)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Bubble:
     """A pre-stretched membrane over an elliptic rim, inflated with sealed air."""
 
@@ -57,7 +58,7 @@ class Bubble:
     depth_noise_mm: float = declare_number("mm", 0.0, 50.0)  # standard deviation of one depth value
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class DepthCamera:
     """Errors of a bubble's depth camera.
 
@@ -82,7 +83,7 @@ class DepthCamera:
     step_mm: float = declare_number("mm", 0.0, 100.0, 0.0)  # quantisation of depth
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Led:
     """An LED at the gel's edge: the direction it shines from, and its light."""
 
@@ -92,7 +93,7 @@ class Led:
     rgb: tuple[LightNumber, LightNumber, LightNumber]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Glow:
     """A Gaussian lobe of colour in the reference image.
 
@@ -106,7 +107,7 @@ class Glow:
     rgb: tuple[LightNumber, LightNumber, LightNumber]  # grey levels at its centre
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Optics:
     """Illumination that maps the gel's slope to colour."""
 
@@ -123,7 +124,7 @@ class Optics:
     shadow_deg: float = declare_number("deg", 1.0, 89.0, 20.0, key="shadow_elevation")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Markers:
     """A grid of dark dots printed under the gel surface."""
 
@@ -141,7 +142,7 @@ class Markers:
     phase_mm: tuple[float, float] = (0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SensorLimits:
     """Limits of contact and indentation, and errors of measured depth."""
 

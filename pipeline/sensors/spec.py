@@ -7,7 +7,7 @@ gives it. `extends = "other"` starts from another sensor's file.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.derived import DERIVED, derive_once
 from pipeline.core.digests import UNDIGESTED
 from pipeline.core.errors import CalibrationError, SettingProblem, TouchError
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import MOST_FOCAL_PX, WIDEST_VIEW, Camera
 from pipeline.core.geometry.membrane import Membrane
@@ -39,7 +40,7 @@ from pipeline.sensors.parts import (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SensorSpec:
     """One sensor: its camera, rest surface, mechanics, optics, limits and place in the alignment
     frame.

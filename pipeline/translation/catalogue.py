@@ -9,12 +9,13 @@ from __future__ import annotations
 import functools
 import logging
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pipeline.core.entry_points import load_entry_points
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.graph import Method
 from pipeline.core.params import Value, list_settings, replace_value, split_assignment
 from pipeline.stages.cloud.stage import STAGE as CLOUD
@@ -42,7 +43,7 @@ VIEWS: Mapping[str, View] = {
 }  # stage -> how its value is shown
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Route:
     """A method for each stage between the source's frame and the object's pose."""
 
@@ -60,7 +61,7 @@ class Route:
 NamedEntry = TypeVar("NamedEntry", Stage, Route, Method)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Catalogue:
     """All stages in the order of their columns, and the routes."""
 

@@ -6,12 +6,12 @@ touch is, and a camera sees a straight line as a straight line.
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.core.arrays import Doubles, Mask, freeze
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.core.values.frames import Truth
@@ -29,7 +29,7 @@ N_SAMPLES = 257  # along a line: finer than the pixels of all described sensors
 _HEIGHTS = "+ toward camera"  # suffix of quantities that are heights over the rest surface
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SectionLine:
     """A line from (x, y) to (x, y), mm from the source camera's axis in the gel's plane."""
 
@@ -51,7 +51,7 @@ class SectionLine:
         return np.linspace(self.begin_mm, self.end_mm, count)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SectionPlane:
     """The plane of the line as one camera sees it; pixel centres are integers."""
 
@@ -91,7 +91,7 @@ class SectionPlane:
         return float(x), float(y)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class HeightMap:
     """A height for each pixel of an image."""
 
@@ -103,7 +103,7 @@ class HeightMap:
     contact: Mask | None = None  # (rows, cols)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class HeightProfile:
     """The heights of one height map along the line."""
 
@@ -114,7 +114,7 @@ class HeightProfile:
     contact_edges_mm: tuple[float, ...] = ()  # along the line, where its contact begins or ends
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class CrossSection:
     """All height profiles along one line."""
 

@@ -7,12 +7,13 @@ outside the source's view, and no method that knows only the touch can recover i
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from pipeline.core.arrays import Mask, freeze
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.graph import StageResult
 from pipeline.core.progress import SILENT, Progress, SubProgress
 from pipeline.core.values.results import TargetDepth
@@ -24,7 +25,7 @@ OUTSIDE_VIEW = "outside the source's view"
 _VISIBLE_TITLE = "reprojection"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ErrorShare:
     """Decrease of an error when one more stage is replaced by ground truth.
 
@@ -37,7 +38,7 @@ class ErrorShare:
     remaining: float  # the error that remains with the truth so far
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ErrorAttribution:
     """An error of one frame as a sum: `total` = all shares + `remainder`."""
 

@@ -4,10 +4,11 @@ explains the touch best.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from pipeline.core.errors import MeshProblem, SettingProblem, StageWarning
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.meshes import load_mesh
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.results import DepthMap
@@ -21,7 +22,7 @@ from pipeline.translation.translate import Translation
 _CLEAR_RATIO = 1.3  # of the next residual to the least, below which the object is not certain
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class IdentifiedObject:
     """The likeliest mesh of a folder, and how clearly it is."""
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import base64
 import html
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from pipeline.core.frozen import frozen
 from pipeline.core.graph import StageResult
 from pipeline.translation.truth_view import add_truth_warnings
 
@@ -176,7 +177,7 @@ class TranslatedFrame:
         return "".join(cells)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class FrameReport:
     """Stages and metrics of one frame; `problem` is the reason if there are none."""
 

@@ -1,12 +1,13 @@
 """Ground truth of a stage, and the difference to it, as a column shows them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 
 from pipeline.core.errors import StageWarning
+from pipeline.core.frozen import frozen
 from pipeline.core.graph import StageResult
 from pipeline.core.values.results import DepthMap, TargetDepth
 from pipeline.sensors.spec import SensorSpec
@@ -20,7 +21,7 @@ from pipeline.views.view import PreviewContext, View
 ComparisonMode = Literal["", "truth", "difference", "wipe", "blink"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TruthView:
     """Preview of a stage's ground truth; no difference if the two cannot be subtracted."""
 

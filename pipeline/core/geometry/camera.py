@@ -6,7 +6,7 @@ Pixel centres are at integer coordinates: pixel (row, col) is the point (x_px=co
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.core.arrays import Doubles, Mask
 from pipeline.core.errors import CalibrationError
+from pipeline.core.frozen import frozen
 
 # image side over focal length, 157 degrees; a lens's focal length in mm exceeds it
 WIDEST_VIEW = 10.0
@@ -25,7 +26,7 @@ _SHORTEST_PX = 1e-3
 _FARTHEST_PX = 1e9
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Camera:
     """Intrinsics K of an image of `rows` x `cols` pixels.
 

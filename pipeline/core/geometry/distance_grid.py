@@ -9,7 +9,7 @@ have to find correspondences.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from pipeline.core import disk_store
 from pipeline.core.arrays import Doubles, Floats, Indices, freeze
 from pipeline.core.digests import compute_digest
 from pipeline.core.errors import MeshProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.meshes import Mesh, compute_normals
 from pipeline.core.memo import Memo
 from pipeline.core.progress import SILENT, Progress
@@ -44,7 +45,7 @@ _CODE = tuple(f"pipeline.core.geometry.distance_{part}" for part in ("grid", "gr
 _MAX_BYTES = 12 * 1024 * 1024  # of cached grids: one or two objects; others are read from disk
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class DistanceGrid:
     """Distances (mm, negative inside) in the frame of the object; linear between nodes."""
 
@@ -149,7 +150,7 @@ def _lattice_nodes(first: tuple[int, ...], shape: tuple[int, ...]) -> NDArray[np
     return np.stack([axis.ravel() for axis in axes], axis=-1)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class _Surface:
     """A mesh queried at nodes of the fine grid, which are integers."""
 

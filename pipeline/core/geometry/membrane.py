@@ -5,20 +5,19 @@ makes the paper's test SDF(p, M_target) <= 0 exact in sign: a point nearer to th
 surface has pushed it in.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.errors import CalibrationError
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import Camera
 
 REST_DEPTH_TOLERANCE_MM = 1e-9  # far below the float32 rounding of a depth image
 _MAX_ITERATIONS = 60
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Membrane:
     """Height z of the rest surface on a square grid of `step_mm`, bilinear, level beyond its
     border.

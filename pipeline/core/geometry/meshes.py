@@ -1,7 +1,6 @@
 """Load object meshes, check their unit, and convert them to millimetres."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from pipeline.core.arrays import Doubles, Indices, freeze
 from pipeline.core.derived import derive_once
 from pipeline.core.errors import FileProblem, MeshProblem, SettingProblem
 from pipeline.core.files import read_bytes
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import urdf
 from pipeline.core.params import UNIT_MM
 
@@ -29,7 +29,7 @@ _MAX_CORNERS = 5_000  # of a face: ears are searched in a time that grows with t
 _ROUNDING = 1e-9  # of a polygon's area
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Mesh:
     """A triangle mesh in the object frame."""
 

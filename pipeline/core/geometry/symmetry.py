@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 
 X = (1.0, 0.0, 0.0)
@@ -16,7 +16,7 @@ _ALONG_Z = 0.99
 _ROUNDING = 1e-9  # difference of entries of two equal rotation matrices
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Symmetry:
     """Rotations about the object's origin that leave its surface in place."""
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from pipeline.core.arrays import Doubles, Floats, Image, Mask
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.geometry.meshes import Mesh
@@ -18,7 +19,7 @@ if TYPE_CHECKING:  # imported on use
     from pipeline.core.geometry.symmetry import Symmetry
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TactileFrame:
     """One frame of one sensor with its reference."""
 
@@ -49,7 +50,7 @@ class TactileFrame:
         return self.image.ndim == 2
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Truth:
     """Ground truth of a frame in its sensor's frame; None = not known."""
 
@@ -76,7 +77,7 @@ class Stream:
     times_s: Doubles | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Pairing:
     """The known transform between two streams of one recording."""
 
@@ -85,7 +86,7 @@ class Pairing:
     target_from_source: Doubles  # (4, 4) mm
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Grasp:
     """What a data set says about one of its grasps."""
 
@@ -104,7 +105,7 @@ class Grasp:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Recording:
     """One or several sensors that record the same touches.
 

@@ -7,13 +7,14 @@ other's nearest. A frame that one stream lost, or that only the faster one recor
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Indices, freeze
 from pipeline.core.errors import SettingProblem, StageWarning
+from pipeline.core.frozen import frozen
 from pipeline.core.values.frames import Stream, TactileFrame, Truth
 
 NO_PARTNER = -1
@@ -22,7 +23,7 @@ _SAME_RATE = 0.1  # relative difference of two rates that count as one
 _MIN_FRAMES = 5  # of a stream whose rate is compared
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class FramePairs:
     """The frames of two streams that are one moment."""
 

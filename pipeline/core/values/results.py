@@ -5,7 +5,7 @@ in both directions.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,13 @@ from pipeline.core.arrays import Doubles, Floats, Image, Indices, Mask, freeze
 from pipeline.core.derived import derive_once
 from pipeline.core.digests import UNDIGESTED
 from pipeline.core.errors import find_uncertain_contact
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import Camera
 
 SAME_SURFACE_MM = 0.2  # mm; a point this close behind the depth of its pixel counts as visible
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class DepthErrorModel:
     """Correlated error of a measured surface in contact, without the noise of single pixels."""
 
@@ -27,7 +28,7 @@ class DepthErrorModel:
     correlation_mm: float  # distance at which errors correlate by exp(-1/2)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class DepthMap:
     """Indentation, depth and contact of a sensor's membrane, in that sensor's frame."""
 
@@ -58,7 +59,7 @@ class DepthMap:
         return find_uncertain_contact(self.notes) is not None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Cloud:
     """Contact pixels as points in the target frame (paper's P_T)."""
 
@@ -72,7 +73,7 @@ class Cloud:
     error: DepthErrorModel | None = None  # of the source depth
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TargetDepth:
     """The cloud projected to the target's camera (paper's D_T'' and M_T'')."""
 
@@ -88,7 +89,7 @@ class TargetDepth:
     error: DepthErrorModel | None = None  # of the source depth
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TouchStep:
     """One denoising step of a generated touch, its expected result.
 
@@ -105,7 +106,7 @@ class TouchStep:
         return "a pose" if math.isnan(self.sigma) else f"noise {self.sigma:.2g}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SealedMembrane:
     """Shape of a bubble's membrane and pressure of its air, from which a search can start."""
 
@@ -115,7 +116,7 @@ class SealedMembrane:
     converged: bool = True
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class GeneratedTouch:
     """The generated tactile image of the target, and its membrane where the method computes it."""
 
@@ -136,7 +137,7 @@ class GeneratedTouch:
     pressed: SealedMembrane | None = field(default=None, metadata=UNDIGESTED)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PoseStep:
     """One iteration of the registration."""
 
@@ -146,7 +147,7 @@ class PoseStep:
     max_correspondence_mm: float = math.inf  # that limit
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ObjectPose:
     """Pose of the object in the target frame.
 
@@ -177,7 +178,7 @@ class ObjectPose:
         return self.sensor_from_object
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PressedMembrane(DepthMap):
     """Membrane into which an object was pressed at a known pose."""
 

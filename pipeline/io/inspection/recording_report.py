@@ -3,13 +3,13 @@
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
 from pipeline.core.errors import StageWarning, TouchError
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import LARGEST_MM, SMALLEST_MM, Mesh
 from pipeline.core.progress import SILENT, Progress
@@ -27,7 +27,7 @@ _TRUTH_FIELDS = ("indentation_mm", "contact", "sensor_from_object")
 _STATE_LABELS = {"pass": "ok  ", "fail": "FAIL", "unknown": "?   "}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class StreamReport:
     """Content of one stream."""
 
@@ -42,7 +42,7 @@ class StreamReport:
     truth: tuple[str, ...]  # fields known for at least one frame
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class InspectionReport:
     """Content and checks of a recording; `checks` are in the order of the streams."""
 

@@ -5,7 +5,6 @@ file and field.
 import math
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal, cast
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Image
 from pipeline.core.errors import CalibrationError
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.values.frames import Recording, TactileFrame, Truth
 from pipeline.core.values.pairing import compute_interval_s
@@ -43,7 +43,7 @@ _MAX_OFFSET_MM = 2.0  # between contact and bounding box of the object
 _MAX_OBJECT_MM = 500.0  # distance of a touching object from the sensor
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Check:
     """Result of one check of a recording."""
 

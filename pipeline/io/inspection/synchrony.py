@@ -15,7 +15,7 @@ have one, and the lag is found for half of the streams that are three frames lat
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Floats, Mask
 from pipeline.core.errors import StageWarning, TouchError
+from pipeline.core.frozen import frozen
 from pipeline.core.values.frames import Stream, TactileFrame
 from pipeline.core.values.pairing import FramePairs, pair_frames
 from pipeline.io.reference_images import compute_block_means
@@ -59,7 +60,7 @@ class ContactSignature(NamedTuple):
 NO_CONTACT_SIGNATURE = ContactSignature(0.0, np.nan, np.nan)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SynchronyResult:
     """Agreement of the moments of two streams."""
 

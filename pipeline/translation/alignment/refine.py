@@ -7,12 +7,12 @@ Initial alignments by grid search in the plane: outlines have many local minima.
 
 import itertools
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.screws import describe_motions
 from pipeline.core.progress import SILENT, Progress
@@ -148,7 +148,7 @@ _RADIUS_MM = TOLERANCE_MM / np.deg2rad(
 )  # scales a rotation of the tolerance to the length of a translation of the tolerance
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class AlignmentFit:
     """Disagreement of touches under an alignment, medians over all points."""
 
@@ -158,7 +158,7 @@ class AlignmentFit:
     n_touches: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Refinement:
     """A refined alignment and its uncertainty."""
 

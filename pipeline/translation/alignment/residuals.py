@@ -18,12 +18,13 @@ each kind.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Mask
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.core.geometry.normals import compute_area_vectors
@@ -37,7 +38,7 @@ _BORDER_PX = 2  # an outline this near to the border is the image's end
 _INSIDE_PX = 1.0  # margin within the target's contact: its rim is half air
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Evidence:
     """Points of the source and fields of the target of one touch, independent of the alignment."""
 
@@ -53,7 +54,7 @@ class Evidence:
     outside_px: Doubles
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Distances:
     """Distances of one kind and their derivatives by the points."""
 
@@ -260,7 +261,7 @@ _MIN_NOISE = {"surface": 0.02, "outline": 0.1}
 _ITERATIONS = 3  # iterations of estimating a touch's growth
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ResidualNoise:
     """Robust standard deviations (mm) of the two kinds of distance."""
 
@@ -272,7 +273,7 @@ _COMPARISON_NOISE = ResidualNoise(surface_mm=0.2, outline_mm=0.4)
 _COMPARISON_SCALE = ResidualNoise(surface_mm=1.0, outline_mm=2.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class NormalEquations:
     """The quadratic model around one alignment: cost, gradient and J^T W J in units of
     tolerance.

@@ -6,12 +6,12 @@ computed.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats, Mask, freeze
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.results import DepthMap, TargetDepth
@@ -30,7 +30,7 @@ PREVIEW_FACTOR = 4  # stride of pixels while a handle is dragged
 _MIN_ROWS = 64  # smallest preview; a coarser image is fast at full size
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TargetObservation:
     """The target's measurement of a touch, on the grid that the source's side is rendered into."""
 
@@ -121,7 +121,7 @@ def _resample(target: DepthMap, camera: Camera) -> tuple[Mask, Floats]:
     return contact, mean
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class AlignmentScore:
     """Agreement within the source's field of view; None where there is nothing to compare."""
 
@@ -240,7 +240,7 @@ UNIT_STEP = 0.1  # mm or deg: unit of all stated changes
 _STEP_PX = 0.5  # masks change by whole pixels: smaller motions show nothing
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ScoreChange:
     """Change of one figure of the score along one axis, per 0.1 mm or 0.1 deg.
 
@@ -252,7 +252,7 @@ class ScoreChange:
     magnitude: float | None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Sensitivity:
     """One axis."""
 

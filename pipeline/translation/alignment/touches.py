@@ -1,12 +1,12 @@
 """One touch as both sensors observed it: what an alignment is scored on and refined with."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame, Truth
 from pipeline.core.values.results import DepthMap, make_depth_map
@@ -17,7 +17,7 @@ from pipeline.translation.alignment.nudge import compute_pivot_mm
 from pipeline.translation.translate import Translation, estimate_camera_shift_mm
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class AlignmentTouch:
     """One moment: the source's depth map and the target's, each in its own camera frame."""
 

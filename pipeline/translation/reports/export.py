@@ -9,7 +9,7 @@ import csv
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import chain
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -19,6 +19,7 @@ import numpy as np
 from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.files import check_folder_for, open_atomic, require_separate, write_arrays
 from pipeline.core.frame_lists import parse_frames
+from pipeline.core.frozen import frozen
 from pipeline.core.graph import StageResult
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame
@@ -57,7 +58,7 @@ _UNDATED: Mapping[str, Mapping[str, None]] = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ExportOutcome:
     """What the reader of a written file should know."""
 

@@ -5,11 +5,12 @@ command too.
 import os
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from decimal import Decimal
 from pathlib import Path
 from typing import Literal
 
+from pipeline.core.frozen import frozen
 from pipeline.core.params import list_settings, replace_value
 from pipeline.sensors.alignment import Offsets
 from pipeline.translation.translate import Request
@@ -36,7 +37,7 @@ _OPTIONS = {  # field of a request -> option of the command line
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ExportRequest:
     """One file to export; its suffix is the format."""
 

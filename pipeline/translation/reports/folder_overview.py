@@ -8,7 +8,7 @@ touch.
 import math
 from collections.abc import Callable, Iterable
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import partial
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from pipeline.core.arrays import Image
 from pipeline.core.digests import compute_fingerprint
 from pipeline.core.disk_store import load_or_make, load_stored
 from pipeline.core.errors import FileProblem, StageWarning, TouchError
+from pipeline.core.frozen import frozen
 from pipeline.core.progress import SILENT, Progress, SubProgress
 from pipeline.core.values.frames import Recording, TactileFrame
 from pipeline.io import open_recording
@@ -38,7 +39,7 @@ _ROWS, _WORST = "recordings", "worst_frames"  # folders in the cache
 _CODE = ("pipeline.translation.reports.folder_overview",)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class RecordingRow:
     """One recording; with a `problem` it cannot be read, and nothing else is known."""
 
@@ -56,7 +57,7 @@ class RecordingRow:
         return len(self.warnings.splitlines())
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class WorstFrame:
     """The frame of a recording with the largest error of its default translation."""
 

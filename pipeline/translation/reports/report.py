@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from pipeline.core.arrays import freeze
 from pipeline.core.digests import compute_digest, compute_fingerprint
 from pipeline.core.errors import StageWarning
 from pipeline.core.files import write_arrays, write_folder, write_json
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.graph import StageResult
 from pipeline.core.values.frames import TactileFrame
@@ -150,7 +151,7 @@ def _to_json(frame: FrameReport) -> dict[str, object]:
     return lines
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class FinishedFrame:
     """A frame that is complete on disk."""
 

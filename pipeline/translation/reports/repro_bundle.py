@@ -13,7 +13,7 @@ mesh.*, calibration.npz, weights_*, source.toml, target.toml   where they were g
 import shlex
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from pipeline.core.files import (
     write_json,
     write_text,
 )
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import urdf
 from pipeline.core.graph import StageResult
 from pipeline.core.progress import SILENT, Progress
@@ -78,7 +79,7 @@ class _BundleFile(msgspec.Struct):
     metrics: dict[Name, float | None] = {}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class StageAgreement:
     """Agreement of one stage of a replayed bundle with the recorded result."""
 
@@ -91,7 +92,7 @@ class StageAgreement:
     worst_array: str  # that differs most
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ReplayResult:
     """Result of a replayed bundle."""
 

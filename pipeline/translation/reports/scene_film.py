@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Image
 from pipeline.core.figures import make_figure
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.graph import StageResult
@@ -42,7 +43,7 @@ _SWING_DEG = 14.0  # by which the view turns either way in a film
 INK = "#e8ebf0"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class FrameScene:
     """The scene of one frame."""
 

@@ -6,7 +6,7 @@ One pane of the window as a figure: image with scale bar, colour bar and caption
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ import numpy as np
 from pipeline.core.arrays import Floats, Image
 from pipeline.core.errors import SettingProblem
 from pipeline.core.figures import make_figure, save_figure
+from pipeline.core.frozen import frozen
 from pipeline.core.graph import StageResult
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import Cloud
@@ -177,7 +178,7 @@ _DPI = 150
 _AXES = (0.04, 0.13, 0.8, 0.77)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class RenderedPane:
     """One pane of one frame."""
 
