@@ -13,7 +13,7 @@ def read(path: Path) -> ts.Recording:
     return ts.make_recording(images[1:], images[0], ts.load_sensor("digit"), path=path)
 
 
-words = {"key": "bytes", "title": "Bytes", "content": "images of a DIGIT"}
+words = {"key": "bytes", "title": "Bytes"}
 ts.register_format(ts.RecordingFormat(**words, suffixes=(".rgb",), reader=read))
 frame = ts.open_recording("sample_data/recordings/first_touch.h5").stream("digit").frame(5)
 Path("touch.rgb").write_bytes(frame.reference.tobytes() + frame.image.tobytes())

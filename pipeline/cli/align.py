@@ -3,7 +3,6 @@
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from cyclopts import Parameter
@@ -104,7 +103,6 @@ def refine_alignment(
     out: Path,
     alignment: Path | None = None,
     hold_out: float = 0.2,
-    into: Literal["alignment_from_source", "target_from_alignment"] = "target_from_alignment",
     tolerance: float = 1.0,
 ) -> int:
     """Refine over all touches but those held out, print the fit before and after, and write it.
@@ -117,7 +115,6 @@ def refine_alignment(
         alignment: Initial alignment, a .toml; default: the recording's, or that of the sensor
             descriptions.
         hold_out: Share of the touches that are not fitted to, only scored before and after.
-        into: Which of the two transforms takes the change.
         tolerance: Directions with a predicted standard deviation above this times 0.2 mm or 1
             degree stay unchanged.
     """
@@ -132,14 +129,10 @@ def refine_alignment(
             parse_frames(touches.frames, translation.n_frames),
             exact=touches.truth,
             hold_out=hold_out,
-            into=into,
             tolerance=tolerance,
             progress=progress,
         )
-    origin = (
-        f"refined on {fit.used_fit[0].n_touches} touches of {recording.name}, change stored "
-        f"in {into}"
-    )
+    origin = f"refined on {fit.used_fit[0].n_touches} touches of {recording.name}"
     _write_refinement(out, translation, fit, origin)
     return 0
 

@@ -72,6 +72,15 @@ def name_os_error(problem: str, path: Path) -> Generator[None, None, None]:
 
 
 @contextlib.contextmanager
+def close_on_error(close: Callable[[], object]) -> Generator[None]:
+    """Call `close` where the block raises."""
+    with contextlib.ExitStack() as on_error:
+        on_error.callback(close)
+        yield
+        on_error.pop_all()
+
+
+@contextlib.contextmanager
 def open_atomic(path: Path, what: str, read: FileReader | None) -> Generator[BinaryIO, None, None]:
     """Yield a temporary file that replaces `path` when the block succeeds and is removed otherwise.
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pipeline.core.arrays import Floats, Image
 from pipeline.core.errors import FileProblem, SettingProblem, ShapeError, TouchError
-from pipeline.core.files import describe_os_error, require_file
+from pipeline.core.files import close_on_error, describe_os_error, require_file
 from pipeline.core.values.frames import Recording, Stream, TactileFrame
 from pipeline.io import depth_arrays, image_files, reference_estimate, reference_images
 from pipeline.io.folder_contents import PICKLE_REFUSAL, PICKLE_SUFFIXES, find_recording
@@ -133,7 +133,7 @@ def _read_head(path: Path) -> bytes:
 
 def _override(recording: Recording, options: ReadOptions) -> Recording:
     """The recording with the stated sensor and reference."""
-    try:
+    with close_on_error(recording.close):
         recording = with_sensor(recording, options.sensor, options.stream)
         file = options.reference
         if file is None:
@@ -144,9 +144,6 @@ def _override(recording: Recording, options: ReadOptions) -> Recording:
             else depth_arrays.read_depth_image(file, options.depth_unit)
         )
         return with_reference(recording, image, file, options.stream)
-    except Exception:
-        recording.close()
-        raise
 
 
 def _use_own_frames(recording: Recording, options: ReadOptions) -> Recording:
@@ -155,16 +152,13 @@ def _use_own_frames(recording: Recording, options: ReadOptions) -> Recording:
     """
     if not options.reference_frames:
         return recording
-    try:
+    with close_on_error(recording.close):
         stream = recording.stream(
             options.stream or (load_sensor(options.sensor).name if options.sensor else "")
         )
         reference, note = reference_estimate.make_reference(
             stream, options.reference_frames, recording.path
         )
-    except Exception:
-        recording.close()
-        raise
     kept = tuple(
         note
         for note in recording.notes

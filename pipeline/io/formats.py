@@ -56,7 +56,6 @@ class RecordingFormat:
 
     key: str
     title: str  # noun phrase for dialogs and messages
-    content: str  # what the format brings
     # (Path) -> Recording; with `applies_options` (RecordingFiles, ReadOptions)
     reader: str | Callable[..., Any]
     suffixes: tuple[str, ...] = ()  # of its files, lower case; () = a folder only
@@ -130,7 +129,6 @@ FORMATS = (  # of formats that share a suffix the first that matches is used
         title="robomimic or ACT data set",
         suffixes=(".h5", ".hdf5"),
         signatures=(b"\x89HDF\r\n\x1a\n",),
-        content="images of tactile cameras",
         applies_options=True,
         reader=f"{_READERS}.robot_data:read_hdf5",
         matches=f"{_READERS}.robot_data:is_robot_file",
@@ -140,8 +138,6 @@ FORMATS = (  # of formats that share a suffix the first that matches is used
         title="Tactoscope recording",
         suffixes=(".h5", ".hdf5"),
         signatures=(b"\x89HDF\r\n\x1a\n",),
-        content="frames, references, times, ground truth, object mesh and alignment of several "
-        "sensors",
         reader=f"{_READERS}.hdf5:read",
     ),
     RecordingFormat(
@@ -149,7 +145,6 @@ FORMATS = (  # of formats that share a suffix the first that matches is used
         title="touch2touch grasps",
         suffixes=(".pt", ".pth"),
         signatures=(_ZIP,),
-        content="frames and references of two fingers, bubble poses, tool mesh",
         reader=f"{_READERS}.touch2touch:read",
         matches=f"{_READERS}.touch2touch:is_grasp_file",
         folder=f"{_READERS}.grasp_files:is_grasp_folder",
@@ -159,7 +154,6 @@ FORMATS = (  # of formats that share a suffix the first that matches is used
         title="gelslim_depth dictionary",
         suffixes=(".pt", ".pth"),
         signatures=(_ZIP,),
-        content="frames, references and depth of two fingers",
         reader=f"{_READERS}.gelslim_depth:read",
         matches=f"{_READERS}.torch_files:is_torch_file",
     ),
@@ -168,7 +162,6 @@ FORMATS = (  # of formats that share a suffix the first that matches is used
         title="Colour arrays",
         suffixes=(".npz", ".npy"),
         signatures=(b"\x93NUMPY", _ZIP),
-        content="images of a gel, or their differences from the reference",
         applies_options=True,
         reader=f"{_READERS}.colour_arrays:read",
         matches=f"{_READERS}.colour_arrays:is_colour_file",
@@ -178,14 +171,12 @@ FORMATS = (  # of formats that share a suffix the first that matches is used
         title="Depth arrays",
         suffixes=(".npz", ".npy"),
         signatures=(b"\x93NUMPY", _ZIP),
-        content="depth images with times and camera matrix",
         applies_options=True,
         reader=f"{_READERS}.depth_arrays:read",
     ),
     RecordingFormat(
         key="array_series",
         title="One array a frame",
-        content="images of a gel or depth images",
         applies_options=True,
         reader=f"{_READERS}.colour_arrays:read_series",
     ),
@@ -193,7 +184,6 @@ FORMATS = (  # of formats that share a suffix the first that matches is used
         key="video",
         title="Video",
         suffixes=(".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"),
-        content="images of a gel with times",
         applies_options=True,
         reader=f"{_READERS}.video:read",
     ),
@@ -202,14 +192,12 @@ FORMATS = (  # of formats that share a suffix the first that matches is used
         title="MCAP",
         suffixes=(".mcap",),
         signatures=(b"\x89MCAP0\r\n",),
-        content="image topics of Foxglove and ROS 2 with times",
         applies_options=True,
         reader=f"{_READERS}.mcap_images:read",
     ),
     RecordingFormat(
         key="lerobot",
         title="LeRobot data set",
-        content="tactile cameras with times",
         applies_options=True,
         reader=f"{_READERS}.lerobot:read",
         folder=f"{_READERS}.lerobot:is_data_set",
@@ -217,7 +205,6 @@ FORMATS = (  # of formats that share a suffix the first that matches is used
     RecordingFormat(
         key="tacquad",
         title="TacQuad touch",
-        content="images of a GelSight Mini and a DIGIT",
         reader=f"{_READERS}.tacquad:read",
         folder=f"{_READERS}.tacquad:is_touch_folder",
     ),
@@ -225,7 +212,6 @@ FORMATS = (  # of formats that share a suffix the first that matches is used
         key="depth_images",
         title="16-bit depth images",
         suffixes=IMAGE_SUFFIXES,
-        content="depth images",
         applies_options=True,
         reader=f"{_READERS}.depth_arrays:read_image_folder",
         matches=f"{_READERS}.depth_arrays:are_depth_images",
@@ -234,7 +220,6 @@ FORMATS = (  # of formats that share a suffix the first that matches is used
         key="images",
         title="Images",
         suffixes=IMAGE_SUFFIXES,
-        content="images of a gel and its reference",
         applies_options=True,
         reader=f"{_READERS}.image_folder:read",
     ),

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, freeze
-from pipeline.core.errors import FileProblem, TouchError, escape_text, naming_file
-from pipeline.core.files import require_file
+from pipeline.core.errors import FileProblem, escape_text, naming_file
+from pipeline.core.files import close_on_error, require_file
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import Camera, make_camera
 from pipeline.core.geometry.meshes import Mesh, validate_mesh
@@ -46,24 +46,13 @@ def read(path: Path) -> Recording:
     require_file(path, "the recording", most_bytes=1 << 50)
     notes: list[str] = []
     file = _open_file(path, notes)
-    try:
-        return _read_recording(file, path, notes)
-    except TouchError:
-        file.close()
-        raise
-    except (
-        OSError,
-        RuntimeError,
-        LookupError,
-        ValueError,
-        TypeError,
-        AttributeError,
-        ArithmeticError,
-    ) as error:
-        file.close()
-        raise FileProblem(
-            f"the recording's table of contents is damaged ({_shorten(error)})", path
-        ) from error
+    with close_on_error(file.close):
+        try:
+            return _read_recording(file, path, notes)
+        except (*layout.DAMAGE_ERRORS, ArithmeticError) as error:
+            raise FileProblem(
+                f"the recording's table of contents is damaged ({_shorten(error)})", path
+            ) from error
 
 
 def _read_recording(file: Any, path: Path, notes: list[str]) -> Recording:

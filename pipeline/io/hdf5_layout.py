@@ -46,6 +46,9 @@ VERSION = 1
 # reserved at the front, so that a truncated file keeps its table of contents
 METADATA_BYTES = 1 << 16
 
+# what the library raises for a damaged file
+DAMAGE_ERRORS = (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError)
+
 Coding = Literal["plain", "row differences"]
 
 UNITS: Mapping[str, str] = {

@@ -17,7 +17,13 @@ import numpy as np
 
 from pipeline.core.arrays import Doubles, Image, Indices, freeze
 from pipeline.core.errors import FileProblem, SettingProblem, StageWarning
-from pipeline.core.files import read_bytes, read_json, require_budget, require_file
+from pipeline.core.files import (
+    close_on_error,
+    read_bytes,
+    read_json,
+    require_budget,
+    require_file,
+)
 from pipeline.core.frozen import frozen
 from pipeline.core.typed_data import Name, convert
 from pipeline.core.values.frames import Recording
@@ -71,12 +77,10 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
             n, frame = _open_videos(path, name, info.fps, closing)
         return make_film(path, n, frame, np.arange(n) / info.fps)
 
-    with ExitStack() as on_error:
-        on_error.push(closing)
+    with close_on_error(closing.close):
         streams, notes = make_streams(
             {name: partial(open_camera, name) for name in kinds}, path, options
         )
-        on_error.pop_all()
     if len({stream.n_frames for stream in streams}) > 1:
         counts = ", ".join(f"{stream.name} {stream.n_frames}" for stream in streams)
         notes += (

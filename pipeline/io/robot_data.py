@@ -18,15 +18,15 @@ from typing import Any, Never
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.core.errors import FileProblem, TouchError, escape_text
-from pipeline.core.files import require_file
+from pipeline.core.errors import FileProblem, escape_text
+from pipeline.core.files import close_on_error, require_file
 from pipeline.core.values.frames import Recording, Stream
 from pipeline.io import stored_arrays
 from pipeline.io.colour_arrays import make_array_source
 from pipeline.io.file_names import natural_sort_key
 from pipeline.io.formats import ReadOptions, RecordingFiles
 from pipeline.io.gel_streams import ImageSource, make_streams
-from pipeline.io.hdf5_layout import iterate_parts
+from pipeline.io.hdf5_layout import DAMAGE_ERRORS, iterate_parts
 from pipeline.io.image_files import decode_rgb
 from pipeline.io.stored_arrays import ImageStack
 
@@ -55,31 +55,28 @@ def read_hdf5(files: RecordingFiles, options: ReadOptions) -> Recording:
     path = files.path
     require_file(path, "the data set", most_bytes=1 << 50)
     file = h5py.File(path, "r")
-    try:
-        found: dict[str, dict[str, ImageStack]] = {}
-        for place, dataset in _walk_datasets(file, path):
-            camera, _, episode = (part[::-1] for part in place[::-1].partition("/"))
-            for stack in _make_stacks(dataset, place, path):
-                name = "_".join(part for part in (camera, stack.name) if part)
-                found.setdefault(name, {})[episode] = stack
-        cameras = {
-            camera: [episodes[name] for name in sorted(episodes, key=natural_sort_key)]
-            for camera, episodes in found.items()
-        }
-        if not cameras:
-            raise FileProblem(
-                "this HDF5 file is not a tactoscope recording, and holds no colour images of "
-                "robomimic "
-                "(data/demo_0/obs) or ACT (observations/images)",
-                path,
-            )
-        streams, notes = _make_streams(cameras, path, options)
-    except TouchError:
-        file.close()
-        raise
-    except (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError) as error:
-        file.close()
-        raise FileProblem(f"the HDF5 file is damaged ({error!r:.80})", path) from error
+    with close_on_error(file.close):
+        try:
+            found: dict[str, dict[str, ImageStack]] = {}
+            for place, dataset in _walk_datasets(file, path):
+                camera, _, episode = (part[::-1] for part in place[::-1].partition("/"))
+                for stack in _make_stacks(dataset, place, path):
+                    name = "_".join(part for part in (camera, stack.name) if part)
+                    found.setdefault(name, {})[episode] = stack
+            cameras = {
+                camera: [episodes[name] for name in sorted(episodes, key=natural_sort_key)]
+                for camera, episodes in found.items()
+            }
+            if not cameras:
+                raise FileProblem(
+                    "this HDF5 file is not a tactoscope recording, and holds no colour images of "
+                    "robomimic "
+                    "(data/demo_0/obs) or ACT (observations/images)",
+                    path,
+                )
+            streams, notes = _make_streams(cameras, path, options)
+        except DAMAGE_ERRORS as error:
+            raise FileProblem(f"the HDF5 file is damaged ({error!r:.80})", path) from error
     return Recording(
         path=path,
         format="HDF5 of a robot data set",

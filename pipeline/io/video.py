@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.core.arrays import Doubles, Image, freeze
 from pipeline.core.errors import FileProblem, is_utf8_encodable
-from pipeline.core.files import require_file
+from pipeline.core.files import close_on_error, require_file
 from pipeline.core.native_stderr import silence_native_libraries
 from pipeline.core.values.frames import Recording
 from pipeline.io.formats import ReadOptions, RecordingFiles
@@ -26,12 +26,9 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     """
     path = files.path
     video = VideoDecoder(files.path)
-    try:
+    with close_on_error(video.close):
         film = make_film(path, video.n_frames, video.frame, video.times_s)
         stream, notes = make_gel_stream(film, path, options, name="")
-    except Exception:
-        video.close()
-        raise
     return Recording(
         path=path,
         format="video",

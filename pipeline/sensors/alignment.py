@@ -20,9 +20,7 @@ from pipeline.core.geometry import rigid
 from pipeline.core.typed_data import Name, Note, convert
 from pipeline.sensors.spec import SensorSpec
 
-# the transform that stores a change
-AlignmentPart = Literal["alignment_from_source", "target_from_alignment"]
-ALIGNMENT_PARTS: tuple[AlignmentPart, ...] = ("alignment_from_source", "target_from_alignment")
+ALIGNMENT_PARTS = ("alignment_from_source", "target_from_alignment")
 
 
 @frozen
@@ -54,24 +52,13 @@ def resolve_alignment(
     return Alignment(alignment_from_source=inward, target_from_alignment=freeze(onward))
 
 
-def correct_alignment(
-    alignment: Alignment, motion: Doubles, into: AlignmentPart = "target_from_alignment"
-) -> Alignment:
+def correct_alignment(alignment: Alignment, motion: Doubles) -> Alignment:
     """The alignment whose T_S->T is `motion` @ the old one.
 
-    `motion` is (4, 4) in the target frame, mm.
-
-    The transform `into` stores the change, the other stays. Both are orthonormal.
+    `motion` is (4, 4) in the target frame, mm. T_A->T stores the change, orthonormal.
     """
-    onward = alignment.target_from_alignment
-    inward = alignment.alignment_from_source
-    if into == "target_from_alignment":
-        onward = freeze(rigid.validate_rigid(motion @ onward, "T_A->T"))
-    else:
-        inward = freeze(
-            rigid.validate_rigid(rigid.invert(onward) @ motion @ onward @ inward, "T_S->A")
-        )
-    return Alignment(alignment_from_source=inward, target_from_alignment=onward)
+    onward = rigid.validate_rigid(motion @ alignment.target_from_alignment, "T_A->T")
+    return replace(alignment, target_from_alignment=freeze(onward))
 
 
 def shift_alignment_along_z(

@@ -6,7 +6,6 @@ Lengths of a URDF are metres. Its own offsets are not applied.
 import math
 from pathlib import Path
 from xml.etree import ElementTree
-from xml.sax.saxutils import quoteattr
 
 from pipeline.core.errors import FileProblem
 from pipeline.core.files import read_bytes
@@ -48,16 +47,6 @@ def read_mesh_place(path: Path) -> tuple[Path, tuple[float, float, float]]:
     if not all(math.isfinite(s) and 0 < abs(s) < _MAX_SCALE for s in (x, y, z)):
         raise FileProblem(f"the scale of the URDF's mesh cannot be right: {text!r}", path)
     return _find_file(name, path), (x, y, z)
-
-
-def format_urdf(file_name: str, scale: tuple[float, float, float]) -> str:
-    """A URDF with one mesh."""
-    factors = " ".join(f"{factor:.17g}" for factor in scale)
-    mesh = f"<mesh filename={quoteattr(file_name)} scale={quoteattr(factors)}/>"
-    return (
-        '<robot name="object"><link '
-        f'name="object"><visual><geometry>{mesh}</geometry></visual></link></robot>'
-    )
 
 
 def _find_file(name: str, path: Path) -> Path:

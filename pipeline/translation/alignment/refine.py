@@ -16,7 +16,7 @@ from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.screws import describe_motions
 from pipeline.core.progress import SILENT, Progress
-from pipeline.sensors.alignment import Alignment, AlignmentPart, compose_motion, correct_alignment
+from pipeline.sensors.alignment import Alignment, compose_motion, correct_alignment
 from pipeline.stages.depth.photometric import DepthParams
 from pipeline.translation.alignment.residuals import (
     TOLERANCE_DEG,
@@ -180,11 +180,10 @@ def refine_alignment(
     alignment: Alignment,
     *,
     held_out: Sequence[AlignmentTouch] = (),
-    into: AlignmentPart = "target_from_alignment",
     tolerance: float = 1.0,
     progress: Progress = SILENT,
 ) -> Refinement:
-    """Fit one rigid correction of T_S->T to all `touches` by least squares, stored in `into`.
+    """Fit one rigid correction of T_S->T to all `touches` by least squares, stored in T_A->T.
 
     Damped Gauss-Newton with a Geman-McClure loss that narrows from millimetres to three standard
     deviations; see `residuals` for what is compared. Directions whose predicted std exceeds
@@ -220,7 +219,7 @@ def refine_alignment(
     after = motion @ start
     progress.step(1.0, "refined")
     return Refinement(
-        alignment=correct_alignment(alignment, motion, into),
+        alignment=correct_alignment(alignment, motion),
         motion=freeze(motion),
         pivot_mm=freeze(pivot),
         std=freeze(spread * np.array([TOLERANCE_DEG] * 3 + [TOLERANCE_MM] * 3)),
@@ -253,7 +252,6 @@ def refine_on_recording(
     params: DepthParams | None = None,
     exact: bool = False,
     hold_out: float = 0.0,
-    into: AlignmentPart = "target_from_alignment",
     tolerance: float = 1.0,
     progress: Progress = SILENT,
 ) -> Refinement:
@@ -269,7 +267,6 @@ def refine_on_recording(
         used,
         start or translation.alignment,
         held_out=held_out,
-        into=into,
         tolerance=tolerance,
         progress=progress,
     )

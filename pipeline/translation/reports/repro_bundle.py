@@ -7,7 +7,7 @@ context frames
 alignment.toml   the alignment in use, with offsets
 expected.npz     every array of every stage
 sheet.png        the same as an image
-mesh.*, calibration.npz, weights_*, source.toml, target.toml   where they were given as files
+calibration.npz, weights_*, source.toml, target.toml   where they were given as files
 """
 
 import shlex
@@ -29,10 +29,8 @@ from pipeline.core.files import (
     write_arrays,
     write_folder,
     write_json,
-    write_text,
 )
 from pipeline.core.frozen import frozen
-from pipeline.core.geometry import urdf
 from pipeline.core.graph import StageResult
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.typed_data import FileName, Name, Note, convert
@@ -244,7 +242,7 @@ def _copy_inputs(translation: Translation, part: Path) -> Request:
         source=_sensor(request.source or source, part / "source.toml"),
         target=_sensor(request.target or target, part / "target.toml"),
         stream=translation.stream.name,
-        mesh=None if request.mesh is None else _copy_mesh(request.mesh, part),
+        mesh=None,  # it is in the recording
         calibration=None
         if request.calibration is None
         else _copy(request.calibration, part / "calibration.npz"),
@@ -255,17 +253,6 @@ def _copy_inputs(translation: Translation, part: Path) -> Request:
 def _sensor(said: str, place: Path) -> str:
     """Return a sensor's name, or the copy of its description."""
     return said if not said.endswith(".toml") else str(_copy(Path(said), place))
-
-
-def _copy_mesh(file: Path, part: Path) -> Path:
-    """Copy a mesh; of a URDF also the file that it names."""
-    if file.suffix.lower() != urdf.SUFFIX:
-        return _copy(file, part / f"mesh{file.suffix}")
-    named, scale = urdf.read_mesh_place(file)
-    place = part / f"mesh{urdf.SUFFIX}"
-    text = urdf.format_urdf(_copy(named, part / f"mesh{named.suffix}").name, scale)
-    write_text(place, text, "the mesh", urdf.read_mesh_place)
-    return place
 
 
 def _copy(file: Path, place: Path) -> Path:
@@ -282,8 +269,8 @@ def _record(translation: Translation, index: int, path: Path) -> None:
     pairings = [pair for pair in recording.pairings if {pair.source, pair.target} <= names]
     with RecordingWriter(
         path,
-        object_mesh=recording.object_mesh,
-        symmetry=recording.symmetry,
+        object_mesh=translation.mesh,
+        symmetry=translation.symmetry,
         pairings=pairings,
         notes=recording.notes,
     ) as writer:

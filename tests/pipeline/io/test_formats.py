@@ -32,7 +32,6 @@ def read_text_depth(path: Path) -> Recording:
 TEXT_DEPTH = RecordingFormat(
     key="text_depth",
     title="Text depth",
-    content="one depth image",
     suffixes=(".depth",),
     reader=f"{__name__}:read_text_depth",
 )

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from pipeline.core.errors import FileProblem, MeshProblem, SettingProblem
 from pipeline.core.geometry.meshes import Mesh, load_mesh, sample_surface, triangulate_polygon
-from pipeline.core.geometry.urdf import format_urdf, read_mesh_place
 
 CORNERS = np.array([[0.0, 0, 0], [20, 0, 0], [0, 20, 0], [0, 0, 20]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
@@ -305,13 +304,6 @@ def test_a_urdf_scales_its_mesh_and_is_in_metres(tmp_path: Path):
     ):
         with pytest.raises(FileProblem, match=words):
             load_mesh(urdf)
-
-
-def test_a_written_urdf_is_read_as_it_was(tmp_path: Path):
-    (tmp_path / 'a "b" & <c>.stl').write_bytes(b"")
-    scale = (0.1 + 0.2, 1e-3, -2.5)
-    (tmp_path / "a.urdf").write_text(format_urdf('a "b" & <c>.stl', scale))
-    assert read_mesh_place(tmp_path / "a.urdf") == ((tmp_path / 'a "b" & <c>.stl').resolve(), scale)
 
 
 def test_samples_lie_on_the_surface_and_follow_its_area():
