@@ -255,7 +255,7 @@ def _parse_session(data: object, path: Path, catalogue: Catalogue) -> Session:
         catalogue.methods(said.route, said.methods)
     except SettingProblem as error:
         raise FileProblem(
-            f"the session's route or methods cannot be used ({error})", path, field="route"
+            f"the session's route or methods cannot be used ({error})", path
         ) from error
     files = {name: getattr(said, name) for name in PATH_FIELDS}
     return Session(
@@ -331,9 +331,7 @@ def _params(
     params: dict[str, object] = {}
     for key, values in data.items():
         if key not in defaults:
-            raise FileProblem(
-                f"params.{key} is not a method with parameters", path, field=f"params.{key}"
-            )
+            raise FileProblem(f"params.{key} is not a method with parameters", path)
         params[key] = defaults[key]
         for name, value in values.items():
             if name in _REMOVED:
@@ -342,5 +340,5 @@ def _params(
                 params[key] = replace_value(params[key], name, value)
             except SettingProblem as error:
                 where = f"params.{key}.{name}"
-                raise FileProblem(f"{where} cannot be used ({error})", path, field=where) from error
+                raise FileProblem(f"{where} cannot be used ({error})", path) from error
     return params

@@ -10,7 +10,6 @@ import re
 import unicodedata
 from collections.abc import Container, Generator, Iterable
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -86,12 +85,11 @@ class TouchError(Exception):
 
 
 class FileProblem(TouchError):
-    """A file is missing, damaged, or not what it says; `path` names it, `field` the part of it."""
+    """A file is missing, damaged, or not what it says; `path` names it."""
 
-    def __init__(self, what: str, path: Path | str, *, field: str | None = None) -> None:
+    def __init__(self, what: str, path: Path | str) -> None:
         """Build the sentence `what: 'path'`, with the path last so that it can be cut off."""
         self.path = Path(path)
-        self.field = field
         self._what = what
         super().__init__(f"{what}: '{path}'")
 
@@ -102,15 +100,15 @@ class FileProblem(TouchError):
         """
         if not self.path.is_relative_to(instead_of):
             return self
-        return FileProblem(self._what, place / self.path.relative_to(instead_of), field=self.field)
+        return FileProblem(self._what, place / self.path.relative_to(instead_of))
 
     def extend(self, hint: str) -> FileProblem:
         """Return the error with a hint after its sentence, before the path."""
-        return FileProblem(f"{self._what}{hint}", self.path, field=self.field)
+        return FileProblem(f"{self._what}{hint}", self.path)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the error for worker processes."""
-        return partial(FileProblem, field=self.field), (self._what, self.path)
+        return FileProblem, (self._what, self.path)
 
 
 class ShapeError(TouchError):

@@ -553,9 +553,7 @@ def _to_json(value: object) -> object:
     return value
 
 
-def require_budget(
-    n_bytes: int, what: str, path: Path, *, field: str | None = None, most: int = _MOST_HELD_BYTES
-) -> None:
+def require_budget(n_bytes: int, what: str, path: Path, *, most: int = _MOST_HELD_BYTES) -> None:
     """Raise FileProblem where `what`, which the file states to unfold to `n_bytes`, is beyond
     the budget.
     """
@@ -565,5 +563,4 @@ def require_budget(
             "GB that a file may; "
             "it is damaged, or has to be split",
             path,
-            field=field,
         )

@@ -76,10 +76,7 @@ def convert(
         return check(data, kind, within)
     except InvalidField as error:
         advice = f"; {remedy}" if remedy else ""
-        top = re.split(r"[.\[]", error.field)[0]
-        raise FileProblem(
-            f"{what} cannot be used ({error}){advice}", path, field=top or None
-        ) from error
+        raise FileProblem(f"{what} cannot be used ({error}){advice}", path) from error
 
 
 def _describe(text: str) -> str:

@@ -58,7 +58,6 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
             "which are no depth, and "
             "a gel's slopes are read from its colours; record or convert them in colour",
             path,
-            field=key,
         )
     if len(frames) > 1:
         shapes = ", ".join(f"{k} {a.shape}" for k, a in images.items())
@@ -103,7 +102,7 @@ def _read_one(file: Path) -> NDArray[Any]:
 
 def _split(array: NDArray[Any], key: str, path: Path) -> tuple[ImageStack, ...]:
     if 0 in array.shape:
-        raise FileProblem(f"{key} holds no frame", path, field=key)
+        raise FileProblem(f"{key} holds no frame", path)
     stacks = stored_arrays.split_stacks(array)
     if not stacks:
         raise FileProblem(
@@ -111,7 +110,6 @@ def _split(array: NDArray[Any], key: str, path: Path) -> tuple[ImageStack, ...]:
             f"{array.shape}; save the "
             "frames of each sensor and episode as an array of their own",
             path,
-            field=key,
         )
     return stacks
 
@@ -154,7 +152,7 @@ def _make_recording(
             0
         ).dtype != np.uint8:
             raise FileProblem(
-                f"{key} holds differences, which need no reference; leave it out", path, field=key
+                f"{key} holds differences, which need no reference; leave it out", path
             )
         about = (f"{escape_text(reference_key)} is the reference",)
         stream, own_notes = make_gel_stream(
@@ -185,9 +183,7 @@ def _read_reference(base: ImageStack, frames: ImageStack, key: str, path: Path) 
     values = stored_arrays.sample_values(frames.read, frames.n_frames)
     scale = stored_arrays.infer_grey_scale(raw.ravel(), key, path, of_reference=values)
     if scale.is_difference:
-        raise FileProblem(
-            f"{key} holds a difference, which is no reference; leave it out", path, field=key
-        )
+        raise FileProblem(f"{key} holds a difference, which is no reference; leave it out", path)
     return scale.convert_image(raw, key, path)
 
 

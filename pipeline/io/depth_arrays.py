@@ -188,9 +188,7 @@ def _check_unit(stack: _DepthStack, first: Floats, spec: SensorSpec) -> None:
         raw = depth_mm / _MM_PER_UNIT[stack.unit]
         fits = _list_units(raw, lambda mm: find_unit_factor(mm, spec) == 1.0)
         remedy = f"give --depth-unit {fits[0]}" if fits else "convert it to mm"
-        raise FileProblem(
-            f"{stack.key}, read in {stack.unit}, {problem}; {remedy}", stack.path, field=stack.key
-        )
+        raise FileProblem(f"{stack.key}, read in {stack.unit}, {problem}; {remedy}", stack.path)
 
 
 def _list_units(raw: float, fits: Callable[[float], bool]) -> list[str]:
@@ -242,7 +240,7 @@ def _stack_arrays(
     camera = None
     if "K" in arrays:
         if arrays["K"].dtype.kind not in "fiu":
-            raise FileProblem(f"K must hold real numbers, got {arrays['K'].dtype}", path, field="K")
+            raise FileProblem(f"K must hold real numbers, got {arrays['K'].dtype}", path)
         with naming_file(path):
             camera = make_camera(arrays["K"], images.shape[1], images.shape[2], what="K")
     unused = escape_text(", ".join(sorted(arrays.keys() - {key, "K", "frame", *_TIME_KEYS})))
@@ -282,14 +280,11 @@ def _check_images(array: NDArray[Any], key: str, path: Path) -> NDArray[Any]:
             "masks, "
             "and a gel's depth is read from colour images",
             path,
-            field=key,
         )
     if images.dtype.kind not in "fiu" or images.dtype.itemsize > 8:
-        raise FileProblem(f"{key} must hold real numbers, got {images.dtype}", path, field=key)
+        raise FileProblem(f"{key} must hold real numbers, got {images.dtype}", path)
     if images.ndim != 3 or not images.size:
-        raise FileProblem(
-            f"{key} must have shape (frames, rows, cols), got {array.shape}", path, field=key
-        )
+        raise FileProblem(f"{key} must have shape (frames, rows, cols), got {array.shape}", path)
     return images
 
 
@@ -328,7 +323,6 @@ def _resolve_unit(
         raise FileProblem(
             f"cannot tell the unit of {key!r}; {_suggest_unit(read(), sensor)}, or {name}",
             path,
-            field=key,
         )
     return match["unit"].lower().replace("0p1mm", "0.1mm")
 
@@ -366,7 +360,6 @@ def _convert_to_mm(raw: NDArray[Any], unit: str, what: str, path: Path) -> Float
         raise FileProblem(
             f"{what} has a median of {median:.3g} mm when read in {unit}; check the unit{remedy}",
             path,
-            field=what,
         )
     return freeze(depth_mm)
 

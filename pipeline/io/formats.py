@@ -290,7 +290,7 @@ def with_index_check(read: Callable[[int], T], n_frames: int, path: Path) -> Cal
     def read_checked(index: int) -> T:
         if not 0 <= index < n_frames:
             last = f"frames are 0 to {n_frames - 1}" if n_frames else "it has no frames"
-            raise FileProblem(f"there is no frame {index}, {last}", path, field=f"frame {index}")
+            raise FileProblem(f"there is no frame {index}, {last}", path)
         return read(index)
 
     return read_checked

@@ -91,7 +91,6 @@ def make_gel_stream(
                 f"frame {index} is {image.shape[1]} x {image.shape[0]} px, the others are "
                 f"{shape[1]} x {shape[0]} px",
                 source.files[index] if source.files else path,
-                field=f"frame {index}",
             )
         return image
 

@@ -112,25 +112,19 @@ def _fit_size(shape: tuple[int, int], path: Path) -> ResamplingFit | None:
         f"{rows} px, or another "
         "size of the same proportions: crop them",
         path,
-        field="tactile_image",
     )
 
 
 def _truth(depth: Any, index: int, key: str, path: Path, fit: ResamplingFit | None) -> Truth:
     values = depth.float().numpy()
-    field = f"frame {index} {key}"
     if not np.isfinite(values).all():
-        raise FileProblem(
-            f"{key} of frame {index} has values that are not finite", path, field=field
-        )
+        raise FileProblem(f"{key} of frame {index} has values that are not finite", path)
     low = float(values.min())
     high = float(values.max())
     if high > _SIGN_TOLERANCE_MM:
-        raise FileProblem(
-            f"{key} of frame {index} must not be positive, got {high:g} mm", path, field=field
-        )
+        raise FileProblem(f"{key} of frame {index} must not be positive, got {high:g} mm", path)
     if low < -_MAX_DEPTH_MM:
-        raise FileProblem(f"{key} of frame {index} must be in mm, got {low:g}", path, field=field)
+        raise FileProblem(f"{key} of frame {index} must be in mm, got {low:g}", path)
     indentation = np.maximum(-values, 0.0, dtype=np.float32)
     return Truth(
         indentation_mm=freeze(indentation if fit is None else fit.resample_field(indentation))

@@ -67,14 +67,13 @@ def _read_recording(file: Any, path: Path, notes: list[str]) -> Recording:
             f"the recording has format version {version} and this program reads up to "
             f"{layout.VERSION}; update it",
             path,
-            field="format_version",
         )
     notes += layout.read_text_lines(file, "notes", path)
     groups = sorted(file["streams"].items(), key=lambda item: int(item[1].attrs["order"]))
     lost: list[str] = []
     streams = tuple(_read_stream(group, name, path, lost) for name, group in groups)
     if not streams:
-        raise FileProblem("the recording has no streams", path, field="streams")
+        raise FileProblem("the recording has no streams", path)
     body = file.get("object", {})
     mesh = _read_or_default(lambda: _read_mesh(body, path), None, "the object mesh", lost)
     symmetry = None
@@ -160,7 +159,6 @@ def _read_stream(group: Any, name: str, path: Path, lost: list[str]) -> Stream:
             raise FileProblem(
                 f"{shown} states that {field.key} is known but does not hold it",
                 path,
-                field=field.key,
             )
     return Stream(
         name=shown,
@@ -215,7 +213,6 @@ def _read_row(
     raise FileProblem(
         f"frame {index} of {stream!r}: its {key} are damaged or cut off; try another frame",
         path,
-        field=f"frame {index} {stream}/{key}",
     )
 
 
@@ -273,7 +270,6 @@ def _read_symmetry(group: Any, path: Path) -> Symmetry | None:
         raise FileProblem(
             "the object's symmetry must be rotations that begin with the identity",
             path,
-            field="object/symmetry",
         )
     return Symmetry(rotations=rotations, axis=axis)
 

@@ -103,9 +103,9 @@ def _require_unit(dataset: Any, want: str, path: Path) -> Any:
     key = str(dataset.name).lstrip("/")
     unit = dataset.attrs.get("unit")
     if unit is None:
-        raise FileProblem(f"{key} has no unit, want {want!r}", path, field=key)
+        raise FileProblem(f"{key} has no unit, want {want!r}", path)
     if unit != want:
-        raise FileProblem(f"{key} is given in {unit!r}, want {want!r}", path, field=key)
+        raise FileProblem(f"{key} is given in {unit!r}, want {want!r}", path)
     return dataset
 
 
@@ -186,18 +186,18 @@ def require_self_contained(file: Any, path: Path) -> None:
     _check_attributes(file, path)
     for group, key, part in iterate_parts(file, path, MAX_OBJECTS):
         if part is None:
-            _refuse(f"{_name(group, key)} is a link, which is not allowed", path, key)
+            _refuse(f"{_name(group, key)} is a link, which is not allowed", path)
         _check_attributes(part, path)
         if not isinstance(part, h5py.Dataset):
             continue
         if part.is_virtual or part.external:
-            _refuse(f"{_name(group, key)} lies in another file, which is not opened", path, key)
+            _refuse(f"{_name(group, key)} lies in another file, which is not opened", path)
         if part.ndim < 3:  # a table, which is read as a whole and converted
             n_bytes += 2 * 8 * math.prod(part.shape)
             what = f"{_name(group, key)}, with the tables before it,"
-            require_budget(n_bytes, what, path, field=key)
+            require_budget(n_bytes, what, path)
         if part.chunks and math.prod(part.chunks) * part.dtype.itemsize > 8 * MAX_VALUES:
-            _refuse(f"{_name(group, key)} has chunks that are too large", path, key)
+            _refuse(f"{_name(group, key)} has chunks that are too large", path)
 
 
 def iterate_parts(file: Any, path: Path, most: int) -> Iterator[tuple[Any, str, Any]]:
@@ -214,7 +214,7 @@ def iterate_parts(file: Any, path: Path, most: int) -> Iterator[tuple[Any, str, 
         for key in group:
             n_objects += 1
             if n_objects > most:  # also for a group that holds itself
-                _refuse(f"it holds more than {most} parts", path, key)
+                _refuse(f"it holds more than {most} parts", path)
             if not isinstance(group.get(key, getlink=True), h5py.HardLink):
                 yield group, key, None
                 continue
@@ -244,7 +244,7 @@ def _check_attributes(holder: Any, path: Path) -> None:
             or index >= MAX_ATTRIBUTES
         ):
             name = attribute.name.decode(errors="replace")
-            _refuse(f"the attribute {_name(holder, name)} is not one number or text", path, name)
+            _refuse(f"the attribute {_name(holder, name)} is not one number or text", path)
 
 
 def require_dataset(
@@ -260,25 +260,25 @@ def require_dataset(
 
     dataset = group.get(key)
     if not isinstance(dataset, h5py.Dataset):
-        _refuse(f"{_name(group, key)} is missing or no dataset", path, key)
+        _refuse(f"{_name(group, key)} is missing or no dataset", path)
     dataset = _require_unit(dataset, unit, path)
     name = _name(group, key)
     wanted_shape = ", ".join("any" if n is None else str(n) for n in shape)
     if dataset.dtype.kind not in kinds or dataset.dtype.itemsize > (
         1 if kinds == UINT8_KINDS else 8
     ):
-        _refuse(f"{name} must hold {_KIND_NAMES[kinds]}, got {dataset.dtype}", path, key)
+        _refuse(f"{name} must hold {_KIND_NAMES[kinds]}, got {dataset.dtype}", path)
     if dataset.ndim != len(shape) or any(
         n not in (None, m) for n, m in zip(shape, dataset.shape, strict=True)
     ):
-        _refuse(f"{name} must have shape ({wanted_shape}), got {dataset.shape}", path, key)
+        _refuse(f"{name} must have shape ({wanted_shape}), got {dataset.shape}", path)
     row_shape = dataset.shape[1:] if len(shape) > 2 else dataset.shape
     if math.prod(row_shape) > MAX_VALUES or 0 in dataset.shape[1:] or dataset.shape[0] > MAX_FRAMES:
-        _refuse(f"{name} cannot be as large as {dataset.shape}", path, key)
+        _refuse(f"{name} cannot be as large as {dataset.shape}", path)
     if "step_mm" in dataset.attrs or "coding" in dataset.attrs:
         _check_coding(dataset, name, path)
     elif unit == "mm" and dataset.dtype.kind in INTEGER_KINDS:
-        _refuse(f"{name} holds whole numbers without step_mm", path, key)
+        _refuse(f"{name} holds whole numbers without step_mm", path)
     return dataset
 
 
@@ -286,9 +286,7 @@ def read_text_lines(holder: Any, key: str, path: Path) -> list[str]:
     """The lines of a text attribute, escaped for display; raises FileProblem."""
     value = holder.attrs.get(key, "")
     if not isinstance(value, str) or len(value) > MAX_TEXT_LENGTH:
-        _refuse(
-            f"{_name(holder, key)} must be a text of at most {MAX_TEXT_LENGTH} letters", path, key
-        )
+        _refuse(f"{_name(holder, key)} must be a text of at most {MAX_TEXT_LENGTH} letters", path)
     return [escape_text(line) for line in value.split("\n") if line]
 
 
@@ -304,7 +302,7 @@ def read_sensor_name(group: Any, path: Path) -> str:
     """
     name = read_text_line(group, "sensor", path)
     if not all(c.isalnum() or c in "_-" for c in name):
-        _refuse(f"the sensor {name!r} is no sensor name; give --sensor", path, "sensor")
+        _refuse(f"the sensor {name!r} is no sensor name; give --sensor", path)
     return name
 
 
@@ -324,12 +322,12 @@ def _check_coding(dataset: Any, name: str, path: Path) -> None:
         and dataset.attrs.get("coding", "row differences") == "row differences"
     )
     if not is_integer or not 0 < float(step) < _MAX_STEP_MM or int(nan_code) != nan_code:
-        _refuse(f"{name} has an invalid step_mm, nan_code or coding", path, name)
+        _refuse(f"{name} has an invalid step_mm, nan_code or coding", path)
 
 
 def _name(holder: Any, key: str) -> str:
     return escape_text(f"{holder.name}/{key}".lstrip("/"))
 
 
-def _refuse(why: str, path: Path, field: str) -> NoReturn:
-    raise FileProblem(f"the recording is refused: {why}", path, field=field)
+def _refuse(why: str, path: Path) -> NoReturn:
+    raise FileProblem(f"the recording is refused: {why}", path)

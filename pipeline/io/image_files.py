@@ -120,11 +120,9 @@ def decode_rgb(content: bytes, where: str, path: Path) -> Image:
     except cv2.error:
         pixels = None
     if pixels is None:
-        raise FileProblem(f"{where} cannot be decoded", path, field=where)
+        raise FileProblem(f"{where} cannot be decoded", path)
     if pixels.dtype != np.uint8:
-        raise FileProblem(
-            f"{where} has {8 * pixels.itemsize} bits a pixel: {NO_DEPTH}", path, field=where
-        )
+        raise FileProblem(f"{where} has {8 * pixels.itemsize} bits a pixel: {NO_DEPTH}", path)
     return freeze(np.ascontiguousarray(pixels[:, :, ::-1]))
 
 
@@ -133,20 +131,19 @@ def unpack_rgb(
 ) -> Image:
     """(rows, cols, 3) RGB of plain pixels, `step` bytes a row; raises FileProblem."""
     if encoding in _DEPTH:
-        raise FileProblem(f"{where} has the encoding {encoding!r}: {NO_DEPTH}", path, field=where)
+        raise FileProblem(f"{where} has the encoding {encoding!r}: {NO_DEPTH}", path)
     known = (*_CHANNELS, *_YUV)
     if encoding not in known:
         raise FileProblem(
             f"{where} has the encoding {encoding!r}, which is not read; record one of "
             f"{', '.join(known)}",
             path,
-            field=where,
         )
     order, n_channels = _CHANNELS.get(encoding, ((), 2))
     rows, cols = shape
     if min(shape) < 1 or step < cols * n_channels or rows * step > len(content):
         raise FileProblem(
-            f"{where} has fewer bytes than its size of {cols} x {rows} px needs", path, field=where
+            f"{where} has fewer bytes than its size of {cols} x {rows} px needs", path
         )
     lines = np.frombuffer(content, np.uint8, rows * step).reshape(rows, step)
     pixels = lines[:, : cols * n_channels].reshape(rows, cols, n_channels)
@@ -158,7 +155,6 @@ def unpack_rgb(
         raise FileProblem(
             f"{where} has an odd width of {cols} px, which {encoding} cannot have",
             path,
-            field=where,
         )
     rgb: Any = cv2.cvtColor(
         np.ascontiguousarray(pixels), getattr(cv2, f"COLOR_YUV2RGB_{_YUV[encoding]}")

@@ -115,11 +115,7 @@ def _read_series(
     """
 
     def read_raw(index: int) -> Image:
-        try:
-            return image_files.read_rgb(images[index])
-        except FileProblem as error:
-            error.field = f"frame {index}"
-            raise
+        return image_files.read_rgb(images[index])
 
     file = None if options.reference else next(iter(references), None)
     reference = None

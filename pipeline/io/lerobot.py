@@ -66,7 +66,7 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
         name: one.dtype for name, one in info.features.items() if one.dtype in ("video", "image")
     }
     if not kinds:
-        raise FileProblem("the data set has no camera", path / _INFO, field="features")
+        raise FileProblem("the data set has no camera", path / _INFO)
     closing = ExitStack()
 
     def open_camera(name: str) -> ImageSource:
@@ -118,7 +118,7 @@ def _open_videos(
     def read(index: int) -> Image:
         video, number = frames[index]
         if number == NO_FRAME:
-            raise FileProblem(f"the video ends before frame {index}", root, field=f"frame {index}")
+            raise FileProblem(f"the video ends before frame {index}", root)
         return video.frame(number)
 
     return len(frames), read
@@ -155,7 +155,7 @@ class _TableImages:
                 end += about.row_group(group).num_rows
                 self._rows.append(_Rows(file, group, end))
         if not end:
-            raise FileProblem(f"the data set lacks the images of {name}", root, field=name)
+            raise FileProblem(f"the data set lacks the images of {name}", root)
         self.n_frames = end  # rows of all tables
 
     def frame(self, index: int) -> Image:
@@ -170,9 +170,7 @@ class _TableImages:
             ) from error
         content = cell.get("bytes") if isinstance(cell, dict) else cell
         if not isinstance(content, bytes):
-            raise FileProblem(
-                f"frame {index} of {self._name} holds no image", part.file, field=f"frame {index}"
-            )
+            raise FileProblem(f"frame {index} of {self._name} holds no image", part.file)
         return decode_rgb(content, f"frame {index}", part.file)
 
     def _read_cell(self, at: int, row: int) -> Any:
@@ -250,7 +248,7 @@ def list_videos(root: Path, name: str) -> list[Path]:
     """The video files of a camera in order; raises FileProblem for none."""
     files = sorted(p for p in (root / "videos").rglob("*.mp4") if name in p.relative_to(root).parts)
     if not files:
-        raise FileProblem(f"the data set lacks the videos of {name}", root, field=name)
+        raise FileProblem(f"the data set lacks the videos of {name}", root)
     return files
 
 
@@ -269,12 +267,9 @@ def list_episodes(root: Path, name: str) -> list[Episode]:
             raise FileProblem(
                 f"the data set lacks the video {stem} of {name} with episode {number}",
                 root,
-                field=name,
             )
         if start_s < 0 or not 0 < row["length"] <= _MAX_LENGTH:
-            raise FileProblem(
-                f"episode {number} of {name} has no valid place in its video", root, field=name
-            )
+            raise FileProblem(f"episode {number} of {name} has no valid place in its video", root)
         found[number] = Episode(file=file, start_s=start_s, n_frames=int(row["length"]))
     return [episode for _, episode in sorted(found.items())]
 

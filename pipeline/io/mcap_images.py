@@ -270,7 +270,7 @@ def decode_image(message: Any, where: str, path: Path) -> Image:
     """(rows, cols, 3) RGB of a decoded image message, compressed or plain; raises FileProblem."""
     if hasattr(message, "format"):
         if "compresseddepth" in str(message.format).lower():
-            raise FileProblem(f"{where} holds depth: {NO_DEPTH}", path, field=where)
+            raise FileProblem(f"{where} holds depth: {NO_DEPTH}", path)
         return decode_rgb(bytes(message.data), where, path)
     shape = int(message.height), int(message.width)
     return unpack_rgb(
@@ -307,7 +307,7 @@ def _make_topic(
             raise
         except Exception as error:
             topic = message.channel.topic
-            raise FileProblem(f"{where} of {topic} cannot be read", path, field=where) from error
+            raise FileProblem(f"{where} of {topic} cannot be read", path) from error
 
     times = np.array([times_s[k] if times_s else np.nan for k in order])
     return make_film(path, len(images), read, times)

@@ -103,9 +103,7 @@ def _make_streams(
 
 def _join_episodes(camera: str, episodes: Sequence[ImageStack], path: Path) -> ImageStack:
     if len({stack.shape for stack in episodes}) > 1:
-        raise FileProblem(
-            f"the images of {camera} differ in size between episodes", path, field=camera
-        )
+        raise FileProblem(f"the images of {camera} differ in size between episodes", path)
     ends = list(accumulate(stack.n_frames for stack in episodes))
 
     def read(index: int) -> NDArray[np.generic]:
@@ -123,7 +121,7 @@ def _make_stacks(array: Any, place: str, path: Path) -> tuple[ImageStack, ...]:
     row_bytes = math.prod(array.shape[-3:]) * array.dtype.itemsize
     chunk_bytes = math.prod(array.chunks or (1,)) * array.dtype.itemsize
     if stacks and max(row_bytes, chunk_bytes) > _MAX_BYTES:
-        raise FileProblem(f"{place} has frames or chunks that are too large", path, field=place)
+        raise FileProblem(f"{place} has frames or chunks that are too large", path)
 
     def guard(read: Callable[[int], NDArray[np.generic]]) -> Callable[[int], NDArray[np.generic]]:
         def read_checked(index: int) -> NDArray[np.generic]:
@@ -147,7 +145,7 @@ def _make_encoded_stack(array: Any, place: str, path: Path) -> tuple[ImageStack,
     if not (is_bytes or (array.dtype.kind == "O" and len(array.shape) == 1)) or not array.shape[0]:
         return ()
     if is_bytes and array.shape[1] > _MAX_BYTES:
-        raise FileProblem(f"{place} has frames that are too large", path, field=place)
+        raise FileProblem(f"{place} has frames that are too large", path)
 
     def read_bytes(index: int) -> bytes:
         try:
@@ -174,7 +172,7 @@ def _make_encoded_stack(array: Any, place: str, path: Path) -> tuple[ImageStack,
 def _refuse_frame(place: str, index: int, path: Path, error: Exception) -> Never:
     where = f"frame {index} of {place}"
     raise FileProblem(
-        f"{where} cannot be read; it is damaged or of an unknown coding", path, field=where
+        f"{where} cannot be read; it is damaged or of an unknown coding", path
     ) from error
 
 

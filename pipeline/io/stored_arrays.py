@@ -157,7 +157,6 @@ class GreyScale:
                 f"{where} has values that are not finite (NaN or infinite); repair it, or leave "
                 "it out",
                 path,
-                field=where,
             )
         return freeze(grey)
 
@@ -192,7 +191,6 @@ def infer_grey_scale(
             f"the array {key!r} has values that are not finite (NaN or infinite); leave those "
             "frames out",
             path,
-            field=key,
         )
     is_whole = values.dtype.kind in "iu"
     shown = escape_text(key)
@@ -232,7 +230,6 @@ def infer_grey_scale(
         f"{values.dtype} of {low:.3g} to {high:.3g}: save images as uint8, differences from the "
         "reference as int16",
         path,
-        field=key,
     )
 
 

@@ -57,7 +57,7 @@ def require_tensor(
         or any(n not in (None, m) for n, m in zip(shape, got, strict=True))
     ):
         wanted = ", ".join("any" if n is None else str(n) for n in shape)
-        raise FileProblem(f"{key} must have shape ({wanted}), got {got}", path, field=key)
+        raise FileProblem(f"{key} must have shape ({wanted}), got {got}", path)
     return value
 
 
@@ -68,7 +68,7 @@ def require_tensor_rows(
     value = _get_plain_tensor(tensors, key, path)
     got = tuple(value.shape)
     if got[-len(tail) :] != tail or 0 in got:
-        raise FileProblem(f"{key} must end in shape {tail}, got {got}", path, field=key)
+        raise FileProblem(f"{key} must end in shape {tail}, got {got}", path)
     return value.reshape(-1, *tail)
 
 
@@ -79,25 +79,19 @@ def _get_plain_tensor(tensors: Mapping[str, Any], key: str, path: Path) -> Any:
         raise FileProblem(
             f"the key {key!r} is missing; there are {', '.join(sorted(map(str, tensors)))}",
             path,
-            field=key,
         )
     value = tensors[key]
     if not isinstance(value, torch.Tensor):
-        raise FileProblem(
-            f"{key} must be a tensor, it is a {type(value).__name__}", path, field=key
-        )
+        raise FileProblem(f"{key} must be a tensor, it is a {type(value).__name__}", path)
     is_unusual = value.layout != torch.strided or value.device.type != "cpu"
     known = (torch.uint8, torch.int16, torch.int32, torch.int64, torch.float16, torch.bfloat16)
     if is_unusual or value.dtype not in (*known, torch.float32, torch.float64):
         raise FileProblem(
             f"{key} must hold plain real numbers, it is {value.dtype} on {value.device}",
             path,
-            field=key,
         )
     row = value.detach()[:1] if value.ndim > 2 else value
-    require_budget(
-        4 * row.numel(), f"{key} of one frame" if value.ndim > 2 else key, path, field=key
-    )
+    require_budget(4 * row.numel(), f"{key} of one frame" if value.ndim > 2 else key, path)
     return value.detach()
 
 
@@ -110,14 +104,11 @@ def convert_to_rgb(channels_first: Any, key: str, path: Path) -> Image:
     low = float(values.min())
     high = float(values.max())
     if not (low >= -0.5 and high <= 255.5):
-        raise FileProblem(
-            f"{key} must hold grey levels of 0 to 255, got {low:g} to {high:g}", path, field=key
-        )
+        raise FileProblem(f"{key} must hold grey levels of 0 to 255, got {low:g} to {high:g}", path)
     if 0 < high <= 1.0:
         raise FileProblem(
             f"{key} must hold grey levels of 0 to 255, but none exceeds {high:g}; are they 0 to 1?",
             path,
-            field=key,
         )
     return freeze(
         np.ascontiguousarray(np.moveaxis(np.clip(np.rint(values), 0, 255).astype(np.uint8), 0, 2))

@@ -173,7 +173,7 @@ def _select_finger(
     n = _count_rows(tensors, key)
     both = torch_files.require_tensor(tensors, key, file, (n, *tail))
     if finger >= n:
-        raise FileProblem(f"{key} holds one finger, other files of the folder two", file, field=key)
+        raise FileProblem(f"{key} holds one finger, other files of the folder two", file)
     return both[finger]
 
 
@@ -193,7 +193,6 @@ def _add_depth(truth: Truth, frame: TactileFrame, file: Path, finger: int) -> Tr
         raise FileProblem(
             f"depth must be in metres, its median is {np.median(depth_mm[contact]) / _MM_PER_M:g}",
             file,
-            field="depth",
         )
     indentation = np.where(contact, np.maximum(frame.reference - depth_mm, 0.0), 0.0).astype(
         np.float32
@@ -222,7 +221,6 @@ def _bubble_frame(tensors: Mapping[str, Any], finger: int, index: int, file: Pat
             "bubble_depth_ref and bubble_imprint must be in metres, but the median is "
             f"{median_m:g}",
             file,
-            field="bubble_depth_ref",
         )
     k = torch_files.require_tensor_rows(tensors, "K", file, (3, 3)).double().numpy()
     with naming_file(file):

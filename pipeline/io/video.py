@@ -103,9 +103,7 @@ class VideoDecoder:
                 self._at = self._decode_next()
             pixels = self._capture.retrieve()[1] if self._at == index else None
         if pixels is None:
-            raise FileProblem(
-                f"frame {index} of the video cannot be decoded", self._path, field=f"frame {index}"
-            )
+            raise FileProblem(f"frame {index} of the video cannot be decoded", self._path)
         return freeze(np.ascontiguousarray(pixels[:, :, ::-1]))
 
     def _seek(self, index: int) -> None:

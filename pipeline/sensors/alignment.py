@@ -233,7 +233,8 @@ class AlignmentMismatch(FileProblem):
 
     def __init__(self, what: str, content: AlignmentFile, path: Path, field: str = "") -> None:
         """Build the sentence, and keep the sensors that the file is of."""
-        super().__init__(what, path, field=field)
+        super().__init__(what, path)
+        self.field = field
         self.source = content.source
         self.target = content.target
 

@@ -80,13 +80,13 @@ def read_description(path: Path, children: tuple[Path, ...] = ()) -> dict[str, A
     `children` are the files that extend this one, so that a circle is refused.
     """
     if path in children:
-        raise FileProblem("a sensor description extends itself", path, field="extends")
+        raise FileProblem("a sensor description extends itself", path)
     data = read_toml(path, DESCRIPTION)
     parent = data.pop("extends", None)
     if parent is None:
         return data
     if not isinstance(parent, str):
-        raise FileProblem("extends must be the name of a sensor", path, field="extends")
+        raise FileProblem("extends must be the name of a sensor", path)
     file = path.parent / f"{parent}.toml"
     if not file.is_file():
         file = find_descriptions().get(parent, file)
@@ -98,7 +98,6 @@ def read_description(path: Path, children: tuple[Path, ...] = ()) -> dict[str, A
             f"the size of [image] is not that of {parent}, whose optical axis would be off its "
             f"middle; give {', '.join(sorted(_INTRINSICS))} in [camera] as well",
             path,
-            field="image",
         )
     for key, value in data.items():
         before = merged.get(key)
@@ -108,7 +107,7 @@ def read_description(path: Path, children: tuple[Path, ...] = ()) -> dict[str, A
             merged[key] = value
     without = data.get("without", [])
     if not isinstance(without, list):
-        raise FileProblem("without must be a list of sections", path, field="without")
+        raise FileProblem("without must be a list of sections", path)
     return {key: value for key, value in merged.items() if key not in without}
 
 

@@ -151,9 +151,7 @@ def copy_case(case: Path, folder: Path) -> None:
     """Copy a case's TOML file and the mesh next to it into a folder; raises FileProblem."""
     mesh = str(read_toml(case, "the task").get("mesh", ""))
     if mesh != Path(mesh).name:
-        raise FileProblem(
-            "the mesh of a recorded case must lie next to its TOML file", case, field="mesh"
-        )
+        raise FileProblem("the mesh of a recorded case must lie next to its TOML file", case)
     folder.mkdir(parents=True, exist_ok=True)
     for name in (case.name, mesh):
         if (case.parent / name).resolve() != (folder / name).resolve():

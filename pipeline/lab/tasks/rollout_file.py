@@ -110,11 +110,9 @@ def read_rollout(path: Path) -> RecordedRollout:
         }
     n = len(tables["time_s"])
     if n == 0 or {len(table) for table in (*tables.values(), *bodies.values())} != {n}:
-        raise FileProblem("the rollout's tables have different lengths, or none", path, field=GROUP)
+        raise FileProblem("the rollout's tables have different lengths, or none", path)
     if not all(0 <= decision.tick < n for decision in summary.decisions):
-        raise FileProblem(
-            f"a decision of the rollout lies outside its {n} ticks", path, field=f"{GROUP}/summary"
-        )
+        raise FileProblem(f"a decision of the rollout lies outside its {n} ticks", path)
     return RecordedRollout(
         path=path, plan=plan, summary=summary, mesh=mesh, world_from_bodies=bodies, **tables
     )
@@ -163,12 +161,12 @@ def _open_group(path: Path) -> Generator[Any]:
                 for part in group.values()
                 if isinstance(part, h5py.Dataset)
             )
-            require_budget(n_bytes, "the rollout's tables", path, field=GROUP)
+            require_budget(n_bytes, "the rollout's tables", path)
             yield group
     except TouchError:
         raise
     except (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError) as error:
-        raise FileProblem("the rollout is damaged or cut off", path, field=GROUP) from error
+        raise FileProblem("the rollout is damaged or cut off", path) from error
 
 
 def _read_plan(group: Any, path: Path) -> TrialPlan:
@@ -189,7 +187,7 @@ def _read_summary(group: Any, path: Path) -> RolloutSummary:
 
 def _read_table(group: Any, key: str, unit: str, shape: tuple[int, ...], path: Path) -> Doubles:
     if key not in group:
-        raise FileProblem(f"the rollout has no table {key!r}", path, field=f"{GROUP}/{key}")
+        raise FileProblem(f"the rollout has no table {key!r}", path)
     table = hdf5_layout.require_dataset(
         group, key, unit, hdf5_layout.FLOAT_KINDS, (None, *shape), path
     )[()]
@@ -197,7 +195,6 @@ def _read_table(group: Any, key: str, unit: str, shape: tuple[int, ...], path: P
         raise FileProblem(
             f"the rollout's table {key!r} holds numbers that are not finite",
             path,
-            field=f"{GROUP}/{key}",
         )
     return freeze(table.astype(np.float64))
 

@@ -427,14 +427,10 @@ def _read_description(weights: Path, known: Mapping[str, type]) -> dict[str, Val
     values = read_toml(path, _DESCRIPTION)
     for name, value in values.items():
         if name not in known:
-            raise FileProblem(
-                f"{_DESCRIPTION} has {name!r}; known are {', '.join(known)}", path, field=name
-            )
+            raise FileProblem(f"{_DESCRIPTION} has {name!r}; known are {', '.join(known)}", path)
         if known[name] is float and type(value) is int:
             values[name] = float(value)
         elif type(value) is not known[name]:
             wanted = known[name].__name__
-            raise FileProblem(
-                f"{name} in {_DESCRIPTION} must be a {wanted}, got {value!r}", path, field=name
-            )
+            raise FileProblem(f"{name} in {_DESCRIPTION} must be a {wanted}, got {value!r}", path)
     return values

@@ -330,11 +330,8 @@ def test_a_flipped_byte_costs_one_frame_and_is_named(tmp_path: Path, file: Path)
     path.write_bytes(data)
     opened = open_recording(path)
     assert readable(opened, "gelslim") == [i for i in range(N_FRAMES) if i != 4]
-    with pytest.raises(
-        FileProblem, match=r"frame 4 of 'gelslim': its frames are damaged"
-    ) as caught:
+    with pytest.raises(FileProblem, match=r"frame 4 of 'gelslim': its frames are damaged"):
         opened.stream("gelslim").frame(4)
-    assert caught.value.field == "frame 4 gelslim/frames"
     with pytest.raises(FileProblem, match=r"frame 2 of 'gelslim': its truth/contact"):
         opened.stream("gelslim").truth(2)
     opened.close()

@@ -91,9 +91,8 @@ def test_one_damaged_image_is_named_and_the_others_are_read(folder: Path, damage
     else:
         bad.write_bytes(b"" if damage.startswith("empty") else b"not an image at all")
     stream = open_recording(folder).streams[0]
-    with pytest.raises(FileProblem, match=damage) as caught:
+    with pytest.raises(FileProblem, match=damage):
         stream.frame(0)
-    assert caught.value.field == "frame 0"
     assert stream.frame(1).image[0, 0, 0] == 101
 
 

@@ -328,9 +328,8 @@ def test_the_unit_follows_from_the_name(tmp_path: Path, name: str, scale: float)
 
 def test_a_depth_array_without_a_unit_is_refused_by_its_key(tmp_path: Path):
     np.savez(tmp_path / "p.npz", depth=np.full((2, 6, 7), 80.0))
-    with pytest.raises(FileProblem, match="cannot tell the unit of 'depth'") as caught:
+    with pytest.raises(FileProblem, match="cannot tell the unit of 'depth'"):
         open_recording(tmp_path / "p.npz")
-    assert caught.value.field == "depth"
     assert (
         open_recording(tmp_path / "p.npz", depth_unit="mm").streams[0].frame(0).image[0, 0] == 80.0
     )
