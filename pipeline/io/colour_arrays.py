@@ -169,7 +169,7 @@ def _make_recording(
         path=path,
         format="colour arrays",
         streams=tuple(streams),
-        notes=(*files.notes, *dict.fromkeys(notes)),
+        notes=tuple(dict.fromkeys(notes)),
     )
 
 

@@ -174,7 +174,7 @@ def _make_recording(files: RecordingFiles, stack: _DepthStack, options: ReadOpti
         times_s=stack.times_s,
     )
     unit = escape_text(f"{stack.key} is taken as {stack.unit}")
-    notes = (*files.notes, *notes, unit, about, *stack.notes)
+    notes = (*notes, unit, about, *stack.notes)
     return Recording(path=path, format="depth arrays", streams=(stream,), notes=notes)
 
 

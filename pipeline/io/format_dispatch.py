@@ -76,16 +76,18 @@ def open_recording(
             f"cannot read the recording ({describe_os_error(error)})", path
         ) from error
     if not recording_format.applies_options:
-        return _override(replace(recording, notes=(*files.notes, *recording.notes)), options)
+        return _override(recording, options)
     return _use_own_frames(recording, options)
 
 
 def _read_alternative(
     recording_format: RecordingFormat, files: RecordingFiles, options: ReadOptions
 ) -> Recording:
-    """The recording, or the error of its reader, with the other recordings of the folder."""
+    """The recording, or the error of its reader, with what is known of its folder."""
     try:
-        return replace(recording_format.read(files, options), alternatives=files.alternatives)
+        made = recording_format.read(files, options)
+        notes = (*files.notes, *made.notes)
+        return replace(made, notes=notes, alternatives=files.alternatives)
     except FileProblem as error:
         others = [file.name for file in files.alternatives[1:]]
         if others:

@@ -97,7 +97,7 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
         path=path,
         format="folder of images" if path.is_dir() else "image",
         streams=streams,
-        notes=(*files.notes, *notes, *about),
+        notes=(*notes, *about),
     )
 
 

@@ -96,7 +96,7 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
         format="LeRobot data set",
         streams=streams,
         close=closing.close,
-        notes=(*files.notes, *notes),
+        notes=notes,
     )
 
 

@@ -90,7 +90,7 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
         format="MCAP file",
         streams=streams,
         close=file.close,
-        notes=(*files.notes, *file.notes, *notes, *about),
+        notes=(*file.notes, *notes, *about),
     )
 
 

@@ -81,7 +81,7 @@ def read_hdf5(files: RecordingFiles, options: ReadOptions) -> Recording:
         path=path,
         format="HDF5 of a robot data set",
         streams=streams,
-        notes=(*files.notes, *notes),
+        notes=notes,
         close=file.close,
     )
 

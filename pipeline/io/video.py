@@ -34,7 +34,7 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
         format="video",
         streams=(stream,),
         close=video.close,
-        notes=(*files.notes, *notes),
+        notes=notes,
     )
 
 

@@ -7,6 +7,7 @@ Initial alignments by grid search in the plane: outlines have many local minima.
 
 import itertools
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,7 +25,6 @@ from pipeline.translation.alignment.residuals import (
     TOLERANCE_UNITS,
     Evidence,
     NormalEquations,
-    ResidualNoise,
     accumulate_sums,
     collect_evidence,
     compute_cost,
@@ -64,15 +64,7 @@ def list_initial_alignments(
             progress.step(0.0, "searching for an initial alignment")
         motion = compose_motion(pivot_mm, np.deg2rad(turn) * normal, right * x + down * y)
         motion = rigid.translation(*(_lift_mm(few, motion @ start) * normal)) @ motion
-        ranked.append(
-            (
-                compute_cost(few, motion @ start),
-                n,
-                right,
-                down,
-                motion,
-            )
-        )
+        ranked.append((compute_cost(few, motion @ start), n, right, down, motion))
     chosen: list[tuple[float, float]] = []
     found = [np.eye(4)]
     for _, _, right, down, motion in sorted(ranked, key=lambda entry: entry[:2]):
@@ -120,20 +112,14 @@ def estimate_alignment(
         for right, down in itertools.product(_WIDE_SHIFTS_MM, _WIDE_SHIFTS_MM):
             moved = rigid.translation(shift[0] + right, shift[1] + down, shift[2]) @ around
             moved = rigid.translation(0.0, 0.0, _lift_mm(few, moved)) @ moved
-            best = min(
-                best,
-                (compute_cost(few, moved), moved),
-                key=lambda one: one[0],
-            )
+            best = min(best, (compute_cost(few, moved), moved), key=lambda one: one[0])
     onward = best[1] @ rigid.invert(described.alignment_from_source)
-    return Alignment(
-        alignment_from_source=described.alignment_from_source, target_from_alignment=freeze(onward)
-    )
+    return replace(described, target_from_alignment=freeze(onward))
 
 
-# first loss scales: as far as a start may be off
-_START = ResidualNoise(surface_mm=2.0, outline_mm=4.0)
-_START_NEAR = ResidualNoise(surface_mm=0.5, outline_mm=1.0)  # from a start that is roughly right
+# first loss scales of surface and outline, mm: as far as a start may be off
+_START = np.array([2.0, 4.0])
+_START_NEAR = np.array([0.5, 1.0])  # from a start that is roughly right
 _ROUGH_POINTS = 120  # of each kind and touch, for the rough part
 # factor on the scale per iteration; wide first, so that a distant start is not rejected as outliers
 _NARROWING = 0.75
@@ -217,6 +203,11 @@ def refine_alignment(
         np.sqrt(np.diag(free @ np.linalg.inv(certain) @ free.T)) if free.shape[1] else np.zeros(6)
     )
     after = motion @ start
+    notes: tuple[str, ...] = ()
+    if not converged:
+        notes = (
+            f"not converged after {solver.iterations} iterations; start from a closer alignment",
+        )
     progress.step(1.0, "refined")
     return Refinement(
         alignment=correct_alignment(alignment, motion),
@@ -236,11 +227,7 @@ def refine_alignment(
         held_out_fit=(measure_fit(others, start), measure_fit(others, after)) if others else None,
         n_iterations=solver.iterations,
         converged=converged,
-        notes=()
-        if converged
-        else (
-            f"not converged after {solver.iterations} iterations; start from a closer alignment",
-        ),
+        notes=notes,
     )
 
 
@@ -280,10 +267,10 @@ def hold_out_touches(
     """
     n = min(round(share * len(touches)), len(touches) - 1)
     held_out = {int((k + 0.5) * len(touches) / n) for k in range(n)}
-    return (
-        [touch for k, touch in enumerate(touches) if k not in held_out],
-        [touch for k, touch in enumerate(touches) if k in held_out],
-    )
+    parts: tuple[list[AlignmentTouch], list[AlignmentTouch]] = [], []
+    for k, touch in enumerate(touches):
+        parts[k in held_out].append(touch)
+    return parts
 
 
 def measure_fit(touches: Sequence[Evidence], target_from_source: Doubles) -> AlignmentFit:
@@ -292,13 +279,13 @@ def measure_fit(touches: Sequence[Evidence], target_from_source: Doubles) -> Ali
     NaN where no point had something to compare with.
     """
     distances = compute_touch_distances(touches, target_from_source)
-    noise = estimate_noise(distances)
+    noise_mm = float(estimate_noise(distances)[1])
     surface = np.concatenate([s.surface.mm for s in distances])
     outline = np.concatenate(
         [
             s.outline.mm
             - estimate_growth_mm(
-                s.outline.mm, noise.outline_mm * _LOSS_SCALE, noise.outline_mm, s.outline.n_points
+                s.outline.mm, noise_mm * _LOSS_SCALE, noise_mm, s.outline.n_points
             )[0]
             for s in distances
         ]
@@ -339,7 +326,7 @@ class _Solver:
         return self.solve(compose_motion(self._pivot, turn, shift), free, _START_NEAR)
 
     def solve(
-        self, motion: Doubles, free: Doubles, scale: ResidualNoise = _START
+        self, motion: Doubles, free: Doubles, scale: Doubles = _START
     ) -> tuple[Doubles, bool]:
         """Return the best motion (4, 4) from this one within the span of `free` (6, k), and
         whether it converged.
@@ -347,33 +334,24 @@ class _Solver:
         damping = 1e-3
         for done in range(_ROUNDS):
             self._progress.step(
-                done / _ROUNDS, f"iteration {done + 1}: outlines to {scale.outline_mm:.2f} mm"
+                done / _ROUNDS, f"iteration {done + 1}: outlines to {scale[1]:.2f} mm"
             )
             self.iterations += 1
             distances = compute_touch_distances(self._touches, motion @ self._start)
             noise = estimate_noise(distances)
-            wide = ResidualNoise(
-                surface_mm=max(scale.surface_mm, _LOSS_SCALE * noise.surface_mm),
-                outline_mm=max(scale.outline_mm, _LOSS_SCALE * noise.outline_mm),
-            )
-            narrow = wide.surface_mm > scale.surface_mm and wide.outline_mm > scale.outline_mm
+            wide = np.maximum(scale, _LOSS_SCALE * noise)
             here = accumulate_sums(distances, self._touches, self._pivot, noise, wide)
             motion, damping, length = self._step(motion, here, noise, wide, free, damping)
-            if length < _CONVERGENCE and narrow:
+            if length < _CONVERGENCE and (wide > scale).all():
                 return motion, True
-            scale = ResidualNoise(
-                surface_mm=scale.surface_mm * _NARROWING, outline_mm=scale.outline_mm * _NARROWING
-            )
+            scale = scale * _NARROWING
         return motion, False
 
     def build_final_equations(self, motion: Doubles) -> NormalEquations:
         """Return the final quadratic model, with the remaining noise."""
         distances = compute_touch_distances(self._touches, motion @ self._start)
         noise = estimate_noise(distances)
-        narrow = ResidualNoise(
-            surface_mm=_LOSS_SCALE * noise.surface_mm, outline_mm=_LOSS_SCALE * noise.outline_mm
-        )
-        return accumulate_sums(distances, self._touches, self._pivot, noise, narrow)
+        return accumulate_sums(distances, self._touches, self._pivot, noise, _LOSS_SCALE * noise)
 
     def _as_step(self, motion: Doubles) -> Doubles:
         """Return the step (6,) in tolerances that gives this motion; inverse of `motion_about`."""
@@ -384,8 +362,8 @@ class _Solver:
         self,
         motion: Doubles,
         here: NormalEquations,
-        noise: ResidualNoise,
-        scale: ResidualNoise,
+        noise: Doubles,
+        scale: Doubles,
         free: Doubles,
         damping: float,
     ) -> tuple[Doubles, float, float]:

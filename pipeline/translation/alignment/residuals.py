@@ -189,7 +189,8 @@ def _outline_points(depth: DepthMap) -> Doubles:
         row, col = np.nonzero(contact[: rows - down, : cols - right] != contact[down:, right:])
         is_free = ~contact[row, col]
         z = depth.depth_mm[row + down * is_free, col + right * is_free]
-        found.append(np.stack([col + 0.5 * right, row + 0.5 * down, z], axis=-1))
+        places = [col + 0.5 * right, row + 0.5 * down, z.astype(np.float64)]
+        found.append(np.stack(places, axis=-1))
     x, y, z = np.concatenate(found).T
     margin = _BORDER_PX
     kept = (
@@ -256,21 +257,13 @@ _SHARED_ERROR_TOUCHES = (
     4.0
 )
 _GROWTH_MM = 0.5  # expected growth of an outline from one sensor to the other
-# mm: calibration and pixels; avoids a zero covariance
-_MIN_NOISE = {"surface": 0.02, "outline": 0.1}
+# mm, of surface and outline as all pairs below: calibration and pixels; avoids a zero covariance
+_MIN_NOISE = np.array([0.02, 0.1])
 _ITERATIONS = 3  # iterations of estimating a touch's growth
 
 
-@frozen
-class ResidualNoise:
-    """Robust standard deviations (mm) of the two kinds of distance."""
-
-    surface_mm: float
-    outline_mm: float
-
-
-_COMPARISON_NOISE = ResidualNoise(surface_mm=0.2, outline_mm=0.4)
-_COMPARISON_SCALE = ResidualNoise(surface_mm=1.0, outline_mm=2.0)
+_COMPARISON_NOISE = np.array([0.2, 0.4])
+_COMPARISON_SCALE = np.array([1.0, 2.0])
 
 
 @frozen
@@ -309,16 +302,14 @@ def compute_touch_distances(
     return found
 
 
-def estimate_noise(distances: Sequence[TouchDistances]) -> ResidualNoise:
-    """Estimate noise from the median absolute deviation over all touches, less the outlines'
-    growth.
+def estimate_noise(distances: Sequence[TouchDistances]) -> Doubles:
+    """Estimate standard deviations (2,) in mm of surface and outline from the median absolute
+    deviation over all touches, less the outlines' growth.
     """
     surface = np.concatenate([s.surface.mm for s in distances])
     outline = np.concatenate([s.outline.mm - _median(s.outline.mm) for s in distances])
-    return ResidualNoise(
-        surface_mm=max(_MIN_NOISE["surface"], 1.4826 * _median(np.abs(surface))),
-        outline_mm=max(_MIN_NOISE["outline"], 1.4826 * _median(np.abs(outline))),
-    )
+    deviations = np.array([_median(np.abs(surface)), _median(np.abs(outline))])
+    return np.maximum(_MIN_NOISE, 1.4826 * deviations)
 
 
 def estimate_growth_mm(
@@ -341,19 +332,21 @@ def accumulate_sums(
     distances: Sequence[TouchDistances],
     touches: Sequence[Evidence],
     pivot_mm: Doubles,
-    noise: ResidualNoise,
-    scale: ResidualNoise,
+    noise: Doubles,
+    scale: Doubles,
 ) -> NormalEquations:
-    """Accumulate cost, gradient and information over all touches with equal weight."""
+    """Accumulate cost, gradient and information over all touches with equal weight.
+
+    `noise` and loss `scale` (2,) are of surface and outline, mm.
+    """
     total = 0.0
     gradient = np.zeros(6)
     information = np.zeros((6, 6))
     independent = _INDEPENDENT_IN_TOUCH / (1.0 + len(touches) / _SHARED_ERROR_TOUCHES)
     for one, touch in zip(distances, touches, strict=True):
         lift = touch.instance_shift_mm - pivot_mm
-        for d, sigma, s, grows in (
-            (one.surface, noise.surface_mm, scale.surface_mm, False),
-            (one.outline, noise.outline_mm, scale.outline_mm, True),
+        for d, sigma, s, grows in zip(
+            one, noise.tolist(), scale.tolist(), (False, True), strict=True
         ):
             if d.n_points == 0:
                 continue

@@ -347,11 +347,11 @@ def _request(asked: _RequestFile, folder: Path) -> Request:
         return folder / Path(name).name
 
     given: dict[str, Any] = {name: getattr(asked, name) for name in (*_WORDS, *_FILES)}
-    for name, text in given.items():
-        if text is not None and name in _FILES:
-            given[name] = inside(text)
-        elif name in ("source", "target") and text.endswith(".toml"):
-            given[name] = str(inside(text))
+    for name in _FILES:
+        given[name] = given[name] and inside(given[name])
+    for side in ("source", "target"):
+        if given[side].endswith(".toml"):
+            given[side] = str(inside(given[side]))
     return Request(
         **given,
         methods=tuple(asked.methods.items()),
