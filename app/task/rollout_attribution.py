@@ -9,8 +9,7 @@ from app.document.background_controller import BackgroundController
 from app.document.session_controller import SessionController
 from app.task.rollout_jobs import attribute_decisions
 from app.task.rollouts import RolloutController
-from pipeline.lab.tasks.rerun import describe_error
-from pipeline.lab.tasks.task import Decision
+from pipeline.lab.tasks.task import Decision, describe_error
 
 
 class RolloutAttributionController(BackgroundController):

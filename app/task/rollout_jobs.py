@@ -81,12 +81,10 @@ def _choose_fields(trial: TrialRow) -> Mapping[str, Any]:
 
 def open_rollout(path: Path, report: JobReporter) -> OpenRollout:
     """Read a rollout and build its scene; raises FileProblem."""
-    from pipeline.core.errors import TouchError
     from pipeline.lab.tasks.rollout_file import list_places, read_rollout
     from pipeline.lab.tasks.scene_view import (
         build_scene,
         compute_bounds,
-        make_plain_scene,
         make_scene_layers,
         make_traces,
     )
@@ -95,14 +93,7 @@ def open_rollout(path: Path, report: JobReporter) -> OpenRollout:
     report.step(0.0, "reading the rollout")
     rollout = read_rollout(path)
     report.step(0.5, "building the scene")
-    reason = ""
-    error_title = "error"
-    try:
-        scene = build_scene(rollout)
-        error_title = load_task(rollout.plan.task).error_title
-    except TouchError as error:
-        scene = make_plain_scene(rollout)
-        reason = str(error)
+    scene = build_scene(rollout)
     return OpenRollout(
         rollout=rollout,
         layers=make_scene_layers(scene),
@@ -110,8 +101,8 @@ def open_rollout(path: Path, report: JobReporter) -> OpenRollout:
         poses=tuple(scene.place(tick) for tick in range(rollout.n_ticks)),
         curves=make_traces(rollout),
         places=list_places(path),
-        error_title=error_title,
-        unavailable=reason,
+        error_title="error" if scene.problem else load_task(rollout.plan.task).error_title,
+        unavailable=scene.problem,
     )
 
 

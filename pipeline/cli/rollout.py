@@ -6,10 +6,10 @@ import shlex
 from pathlib import Path
 
 from pipeline.cli.terminal import open_progress_bar, print_line, print_table
-from pipeline.lab.tasks.rerun import attribute_rollout, describe_error, write_rollout_bundle
+from pipeline.lab.tasks.rerun import attribute_rollout, write_rollout_bundle
 from pipeline.lab.tasks.rollout_file import read_rollout
 from pipeline.lab.tasks.rollout_video import write_rollout_video
-from pipeline.lab.tasks.task import load_task
+from pipeline.lab.tasks.task import describe_error, load_task
 from pipeline.lab.tasks.trial_rows import list_trials
 
 _COLUMNS = ("trial", "task", "case", "touch", "mm", "outcome", "error, mm", "error, deg", "cause")

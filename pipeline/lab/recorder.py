@@ -135,10 +135,10 @@ def record_plan(
                 try:
                     while done < plan.n_poses and (done == written or time.monotonic() < due_s):
                         moment = next(moments)
-                        for frame, truth in moment.frames:
+                        for frame, truth in moment:
                             writer.append(frame.sensor, frame, truth)
-                        done = done + 1
-                        unsolved = unsolved + moment.n_unsolved
+                            unsolved += truth is None
+                        done += 1
                         progress.step(
                             done / plan.n_poses, f"{plan.object_name}: {done} of {plan.n_poses}"
                         )

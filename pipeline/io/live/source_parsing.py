@@ -100,7 +100,7 @@ class SimulatedSource:
 
     def _get_frame(self, index: int) -> tuple[TactileFrame, Truth | None]:
         if index not in self._frames:
-            self._frames[index] = datasets.simulate_moment(self._plan, index).frames[0]
+            self._frames[index] = datasets.simulate_moment(self._plan, index)[0]
         return self._frames[index]
 
     def _render_image(self, truth: Truth) -> np.ndarray:

@@ -5,10 +5,11 @@ baselines.
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -109,16 +110,13 @@ def load_or_simulate(
     plans = datasets.make_plans(("unseen" if of == "unseen_tools" else "training",), template)
     recordings: list[PressRecordings] = []
     for index, plan in enumerate(plans):
-        part = SubProgress(
-            progress, index / len(plans), 1.0 / len(plans), f"simulating {plan.object_name}"
-        )
-        paths = [
+        name = plan.object_name
+        part = SubProgress(progress, index / len(plans), 1.0 / len(plans), f"simulating {name}")
+        source, target = (
             _load_or_record(of, variant, held_out.folder, part)
             for variant in (plan, replace(plan, vary=0.0))
-        ]
-        recordings.append(
-            PressRecordings(object_name=plan.object_name, source=paths[0], target=paths[1])
         )
+        recordings.append(PressRecordings(object_name=name, source=source, target=target))
     return tuple(recordings)
 
 
@@ -143,9 +141,8 @@ def select_recorded(pairs: PairSet, of: TouchSet) -> tuple[PressRecordings, ...]
     """The pairs of a role; () where it has none."""
     groups: dict[tuple[str, str, str], list[PairPlace]] = {}
     for place in pairs.places.get(of, ()):
-        groups.setdefault(
-            (str(place.recording.path), place.grasp.tool, place.source_stream.name), []
-        ).append(place)
+        key = str(place.recording.path), place.grasp.tool, place.source_stream.name
+        groups.setdefault(key, []).append(place)
     return tuple(_select(sorted(group, key=lambda place: place.index)) for group in groups.values())
 
 
@@ -288,21 +285,18 @@ def compute_mean_change(recordings: tuple[PressRecordings, ...], target: str) ->
     """Mean change from the reference (rows, cols, channels) of a sensor's frames over recordings
     of other touches.
     """
-    total = None
+    total: Any = 0.0
     count = 0
     kind = load_sensor(target).sensor_kind
     for of in recordings:
-        recording = open_recording(of.target)
-        try:
+        with closing(open_recording(of.target)) as recording:
             stream = recording.stream(of.target_stream or target)
             for index in of.target_frames or range(stream.n_frames):
                 frame = stream.frame(index)
                 assert frame.reference is not None
-                one = kind.compute_relative_change(frame.image, frame.reference).astype(np.float64)
-                total = one if total is None else total + one
-                count = count + 1
-        finally:
-            recording.close()
-    if total is None:
+                change = kind.compute_relative_change(frame.image, frame.reference)
+                total = total + change.astype(np.float64)
+                count += 1
+    if not count:
         raise SettingProblem("the recordings hold no touch for the mean")
     return freeze((total / count).astype(np.float32))

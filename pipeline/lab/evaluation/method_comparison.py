@@ -15,7 +15,6 @@ from pipeline.lab.evaluation.touch_metrics import (
     RecordedTouch,
     Region,
     build_recorded_touch,
-    build_without_truth,
     compute_generated_change,
     compute_touch_metrics,
     pool_metrics,
@@ -61,17 +60,13 @@ def compare_methods(
     if recorded is not None and true is not None:
         context = translation.make_preview_context({}, display)
         truth = translation.catalogue.views[_STAGE].make_preview(true, context)
-    target = translation.target
-    facts = [
-        f"frame {frame}, {translation.source.title} to {target.title}: {len(variants)} methods"
-    ]
+    title = translation.target.title
+    facts = [f"frame {frame}, {translation.source.title} to {title}: {len(variants)} methods"]
     first: tuple[Tile, ...] = ()
     if truth is not None:
-        first = (Tile(title="truth", subtitle=f"recorded by {target.title}", preview=truth),)
+        first = (Tile(title="truth", subtitle=f"recorded by {title}", preview=truth),)
     else:
-        facts.append(
-            f"the recording does not hold {target.title}'s own frame, so errors are not known"
-        )
+        facts.append(f"the recording does not hold {title}'s own frame, so errors are not known")
     tiles = list[Tile]()
     left_out = list(excluded)
 
@@ -95,17 +90,15 @@ def sort_tiles(tiles: Sequence[Tile], order: str) -> list[Tile]:
     Those without any come last.
     """
 
-    def get_error(tile: Tile) -> float | None:
-        metrics = tile.metrics
-        if "psnr_db" in metrics:
-            metrics = {**metrics, "psnr_db": -metrics["psnr_db"]}
-        return next((metrics[name] for name in _METRICS if name in metrics), None)
+    def get_error(tile: Tile) -> float:
+        name = next(name for name in _METRICS if name in tile.metrics)
+        return -tile.metrics[name] if name == "psnr_db" else tile.metrics[name]
 
     if order == "in order":
         return list(tiles)
-    known = [tile for tile in tiles if get_error(tile) is not None]
-    known.sort(key=lambda tile: get_error(tile) or 0.0, reverse=order == "worst first")
-    return [*known, *(tile for tile in tiles if get_error(tile) is None)]
+    known = [tile for tile in tiles if _METRICS.keys() & tile.metrics.keys()]
+    known.sort(key=get_error, reverse=order == "worst first")
+    return [*known, *(tile for tile in tiles if not _METRICS.keys() & tile.metrics.keys())]
 
 
 def _make_tile(
@@ -166,5 +159,5 @@ def _read_recorded_touch(translation: Translation, frame: int) -> RecordedTouch 
         return None
     truth = observed[1]
     if truth is None or truth.indentation_mm is None or truth.contact is None:
-        return build_without_truth(observed[0], target)
-    return build_recorded_touch(*observed, target)
+        return build_recorded_touch(observed[0], target)
+    return build_recorded_touch(observed[0], target, truth.indentation_mm, truth.contact)

@@ -110,7 +110,7 @@ def _compare_sets(generated: Doubles | None, true: Doubles) -> SetDistances | No
         return None
     return SetDistances(
         frechet=compare_halves(frechet_distance, generated, true),
-        frechet_floor=compute_floor(frechet_distance, true),
+        frechet_floor=compare_halves(frechet_distance, true, true),
         kernel=kernel_distance(generated, true),
     )
 
@@ -121,11 +121,7 @@ def _pool_pose_errors(touches: Sequence[ScoredTouch]) -> dict[str, PoseErrors]:
         errors = [touch.pose_errors[method] for touch in touches if method in touch.pose_errors]
         lengths_mm, angles_deg = ([e[k] for e in errors if math.isfinite(e[k])] for k in (0, 1))
         if lengths_mm and angles_deg:
-            pooled[method] = PoseErrors(
-                translation_mm=_mean_std(lengths_mm),
-                rotation_deg=_mean_std(angles_deg),
-                n_poses=len(lengths_mm),
-            )
+            pooled[method] = _pool_errors(lengths_mm, angles_deg)
     return pooled | _pool_grasp_errors(touches)
 
 
@@ -146,17 +142,17 @@ def _pool_grasp_errors(touches: Sequence[ScoredTouch]) -> dict[str, PoseErrors]:
     known = [error for error in errors if error is not None]
     if not known:
         return {}
-    return {
-        PAPER_GRASP: PoseErrors(
-            translation_mm=_mean_std([e.translation_mm for e in known]),
-            rotation_deg=_mean_std([e.rotation_deg for e in known]),
-            n_poses=len(known),
-        )
-    }
+    lengths_mm, angles_deg = ([e.translation_mm for e in known], [e.rotation_deg for e in known])
+    return {PAPER_GRASP: _pool_errors(lengths_mm, angles_deg)}
 
 
-def _mean_std(values: Sequence[float]) -> MeanStd:
-    return statistics.fmean(values), statistics.pstdev(values)
+def _pool_errors(lengths_mm: Sequence[float], angles_deg: Sequence[float]) -> PoseErrors:
+    translation_mm, rotation_deg = (
+        (statistics.fmean(values), statistics.pstdev(values)) for values in (lengths_mm, angles_deg)
+    )
+    return PoseErrors(
+        translation_mm=translation_mm, rotation_deg=rotation_deg, n_poses=len(lengths_mm)
+    )
 
 
 MIN_TOUCHES = 4  # touches of a set needed for a covariance
@@ -218,14 +214,7 @@ def compare_halves(distance: Distance, generated: Doubles, true: Doubles) -> flo
     """Return the mean distance of one half of the generated set to the other half of the true set,
     both ways.
 
-    Rows are pairs; the two halves share no touch, as in `compute_floor`, so that both distances
-    have the same bias.
+    Rows are pairs; the two halves share no touch. Of the true set with itself it is the best
+    possible value, with the same bias.
     """
     return 0.5 * (distance(generated[0::2], true[1::2]) + distance(generated[1::2], true[0::2]))
-
-
-def compute_floor(distance: Distance, true: Doubles) -> float:
-    """Return the distance of one half of the true set to its other half: the best possible
-    value.
-    """
-    return distance(true[0::2], true[1::2])

@@ -8,7 +8,7 @@ recorded instance's reference image.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Floats, Mask
 from pipeline.core.errors import SettingProblem
-from pipeline.core.values.frames import TactileFrame, Truth
+from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthMap, GeneratedTouch
 from pipeline.physics.sensor_images import render_reference
 from pipeline.sensors.spec import SensorSpec
@@ -57,9 +57,8 @@ class RecordedTouch:
 
         `known` is what is visible to the source.
         """
-        every = np.ones(self.contact.shape, np.bool_)
         masks: dict[Region, Mask] = {
-            "all": every,
+            "all": np.ones(self.contact.shape, np.bool_),
             "contact": self.contact,
             "visible": known,
             "outside": ~known,
@@ -74,28 +73,13 @@ class RecordedTouch:
 
 
 def build_recorded_touch(
-    frame: TactileFrame, truth: Truth | None, sensor: SensorSpec
+    frame: TactileFrame,
+    sensor: SensorSpec,
+    indentation_mm: Floats | None = None,
+    contact: Mask | None = None,
 ) -> RecordedTouch:
-    """Recorded touch with ground truth; raises SettingProblem without reference or ground truth."""
-    if (
-        truth is None
-        or truth.indentation_mm is None
-        or truth.contact is None
-        or frame.reference is None
-    ):
-        raise SettingProblem(
-            f"frame {frame.index} has no reference or no ground truth and cannot be scored"
-        )
-    return replace(
-        build_without_truth(frame, sensor),
-        indentation_mm=truth.indentation_mm,
-        contact=truth.contact,
-    )
-
-
-def build_without_truth(frame: TactileFrame, sensor: SensorSpec) -> RecordedTouch:
-    """Recorded touch without ground truth: indentation NaN, no contact. Raises SettingProblem
-    without reference.
+    """Recorded touch with its truth; without truth the indentation is NaN, and nothing in contact.
+    Raises SettingProblem without reference.
     """
     if frame.reference is None:
         raise SettingProblem(
@@ -109,8 +93,10 @@ def build_without_truth(frame: TactileFrame, sensor: SensorSpec) -> RecordedTouc
         change=change,
         image=image,
         reference=reference,
-        indentation_mm=np.full(shape, np.nan, np.float32),
-        contact=np.zeros(shape, np.bool_),
+        indentation_mm=np.full(shape, np.nan, np.float32)
+        if indentation_mm is None
+        else indentation_mm,
+        contact=np.zeros(shape, np.bool_) if contact is None else contact,
         is_depth=frame.is_depth,
         peak_value=sensor.sensor_kind.peak_change,
     )
@@ -181,17 +167,11 @@ def compute_touch_metrics(
     )
     inner = np.zeros(true.contact.shape, np.bool_)
     inner[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX] = True
-    membrane = (
-        made[..., 0]
-        if true.is_depth
-        else None
-        if touch_depth is None
-        else touch_depth.indentation_mm
-    )
+    membrane = made[..., 0] if true.is_depth else touch_depth and touch_depth.indentation_mm
     for region, where in regions.items():
         metrics = {
-            "squared": _mean_square(image - true.image, where),
-            "squared_exact": _mean_square(image - exact, where),
+            "squared": _mean((image - true.image) ** 2, where),
+            "squared_exact": _mean((image - exact) ** 2, where),
             "ssim": _mean(ssim_map, where & inner),
             "ssim_exact": _mean(ssim_map_exact, where & inner),
         }
@@ -276,15 +256,10 @@ def _mean(values: Doubles, where: Mask) -> float:
     return float(values[where].mean()) if where.any() else math.nan
 
 
-def _mean_square(gap: Doubles, where: Mask) -> float:
-    return float((gap[where] ** 2).mean())
-
-
 def _correlation(a: Floats, b: Floats, where: Mask) -> float:
     """Correlation of two changes in a region over all channels; NaN if one is constant."""
-    x, y = (v[where].astype(np.float64).ravel() for v in (a, b))
-    x = x - x.mean()
-    y = y - y.mean()
+    flat = (v[where].astype(np.float64).ravel() for v in (a, b))
+    x, y = (v - v.mean() for v in flat)
     size = math.sqrt(float(x @ x) * float(y @ y))
     return float(x @ y) / size if size > 0 else math.nan
 
@@ -327,6 +302,6 @@ def _map(a: Doubles, b: Doubles, data_range: float) -> Doubles:
 def _blur(image: Doubles) -> Doubles:
     import cv2
 
-    weights = np.asarray(cv2.getGaussianKernel(2 * BORDER_PX + 1, _SIGMA_PX, cv2.CV_64F))[:, 0]
-    blurred = cv2.sepFilter2D(image, cv2.CV_64F, weights, weights, borderType=cv2.BORDER_REFLECT)
+    size = (2 * BORDER_PX + 1,) * 2
+    blurred = cv2.GaussianBlur(image, size, _SIGMA_PX, borderType=cv2.BORDER_REFLECT)
     return np.asarray(blurred, np.float64)

@@ -36,7 +36,6 @@ from pipeline.lab.evaluation.touch_metrics import (
     RecordedTouch,
     TouchMetrics,
     build_recorded_touch,
-    build_without_truth,
     compute_generated_change,
     compute_touch_metrics,
 )
@@ -282,19 +281,17 @@ class _TouchScorer:
         """
         target = self._translation.target
         if truth is not None and truth.indentation_mm is not None:
-            return build_recorded_touch(
-                frame, replace(truth, contact=derive_contact(truth, target)), target
-            )
+            contact = derive_contact(truth, target)
+            return build_recorded_touch(frame, target, truth.indentation_mm, contact)
         depth = self._estimate_target_depth()
-        recorded = build_without_truth(frame, target)
-        if recorded.contact.shape != depth.contact.shape:
+        shape = frame.image.shape[:2]
+        if shape != depth.contact.shape:
             raise SettingProblem(
-                f"frame {frame.index} of {frame.sensor} has {recorded.contact.shape} pixels, but "
+                f"frame {frame.index} of {frame.sensor} has {shape} pixels, but "
                 f"{depth.contact.shape} are described"
             )
-        return replace(
-            recorded, indentation_mm=np.nan_to_num(depth.indentation_mm), contact=depth.contact
-        )
+        indentation_mm = np.nan_to_num(depth.indentation_mm)
+        return build_recorded_touch(frame, target, indentation_mm, depth.contact)
 
     def _compute_pose_errors(
         self, candidate: Candidate, given: Mapping[str, object]
@@ -362,11 +359,9 @@ def load_encoder_weights(
 
         return weights_registry.load_file(weights[INCEPTION], read_inception)
     own = weights_registry.load_for_task(_TASK, f"encoder_{target.name}", None)
-    return (
-        own
-        if isinstance(own, Weights)
-        else weights_registry.load_for_task(_TASK, f"pose_{target.name}", None)
-    )
+    if isinstance(own, Weights):
+        return own
+    return weights_registry.load_for_task(_TASK, f"pose_{target.name}", None)
 
 
 def encode_change(

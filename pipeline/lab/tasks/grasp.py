@@ -22,7 +22,14 @@ from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.progress import SILENT, Progress, SubProgress
 from pipeline.core.values.frames import Pairing, TactileFrame, Truth
 from pipeline.core.values.results import DepthMap, ObjectPose
-from pipeline.lab.tasks.task import Attempt, Decision, Rollout, TrialPlan
+from pipeline.lab.tasks.task import (
+    Attempt,
+    Decision,
+    Rollout,
+    TrialPlan,
+    describe_error,
+    load_task,
+)
 from pipeline.lab.tasks.touches import (
     NONE,
     OWN,
@@ -30,7 +37,6 @@ from pipeline.lab.tasks.touches import (
     CorrectedEstimate,
     Moment,
     correct_estimates,
-    describe_decision,
     load_placed_sensor,
     make_pairing,
     place_sensor,
@@ -309,6 +315,7 @@ def run_through_touches(
     belief's error.
     """
     grasp = feel_grasp(plan, mesh, case, SubProgress(progress, 0.0, 0.4, "touches"))
+    title = load_task(plan.task).error_title
 
     def run_one(touch: str, own: Progress) -> Iterator[Rollout]:
         believed = grasp.estimate(
@@ -351,7 +358,9 @@ def run_through_touches(
                 touch=touch,
                 tolerance_mm=tolerance_mm,
                 succeeds=done.succeeds,
-                cause=f"{done.cause}; {describe_decision(decision)}",
+                cause=f"{done.cause}; {describe_error(decision, title, succeeds=False)}"
+                if shares
+                else done.cause,
                 measures=done.measures,
                 decisions=(decision,),
                 ticks=done.ticks,

@@ -41,6 +41,7 @@ from pipeline.lab.tasks.task import (
     TaskScene,
     Tick,
     TrialPlan,
+    describe_error,
 )
 from pipeline.lab.tasks.touches import (
     NONE,
@@ -49,7 +50,6 @@ from pipeline.lab.tasks.touches import (
     CorrectedEstimate,
     Moment,
     SensorPlace,
-    describe_decision,
     list_true_stages,
     make_pairing,
     place_sensor,
@@ -431,7 +431,7 @@ def run_trial(plan: TrialPlan, progress: Progress = SILENT) -> Iterator[Rollout]
                 decisions[worst.tick] = worst
                 cause += (
                     f"; worst command {TICK_S * worst.tick:.1f} s after the start, "
-                    f"{describe_decision(worst)}"
+                    f"{describe_error(worst, TASK.error_title, succeeds=False)}"
                 )
             yield Rollout(
                 case=plan.case,

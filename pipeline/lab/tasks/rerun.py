@@ -25,7 +25,6 @@ from pipeline.lab.tasks.task import Decision, RecordedRollout, Rollout, load_tas
 # of poses and forces: rounding of another processor
 SAME_MM = 1e-3
 SAME_N = 1e-2
-_LEAST_MM = 0.05  # a share that is named
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,28 +80,6 @@ def attribute_rollout(
             "run the task again with --attribute"
         )
     return again.decisions
-
-
-def describe_error(decision: Decision, title: str, *, succeeds: bool) -> str:
-    """The error at a decision by its parts, and the first truth with which the rollout succeeds.
-
-    `title` is what the task's error measures; `succeeds` whether the rollout does as it is.
-    """
-    text = f"{decision.error_mm:.1f} mm {title}"
-    if succeeds:
-        return f"{text}; it succeeds: there is no failure to attribute"
-    text = f"fails by {text}"
-    named = [
-        f"{part.share_mm:.1f} the {part.title}"
-        for part in sorted(decision.shares, key=lambda share: -share.share_mm)
-        if abs(part.share_mm) >= _LEAST_MM
-    ]
-    if named:
-        text += f"; of it {', '.join(named)}"
-    flips = next((part for part in decision.shares if part.succeeds), None)
-    if flips is not None:
-        return f"{text}; with the true {flips.title.removeprefix('generated ')} it succeeds"
-    return f"{text}; it fails with the truth as well" if decision.shares else text
 
 
 _VERSION = 1

@@ -14,7 +14,6 @@ from pipeline.core.errors import TouchError
 from pipeline.core.figures import make_figure
 from pipeline.core.files import check_folder_for, require_separate
 from pipeline.core.progress import SILENT, Progress
-from pipeline.lab.tasks.rerun import describe_error
 from pipeline.lab.tasks.rollout_file import read_rollout
 from pipeline.lab.tasks.scene_view import (
     ESTIMATE_COLOUR,
@@ -24,11 +23,10 @@ from pipeline.lab.tasks.scene_view import (
     build_scene,
     compute_bounds,
     describe_tick,
-    make_plain_scene,
     make_scene_layers,
     make_traces,
 )
-from pipeline.lab.tasks.task import RecordedRollout, load_task
+from pipeline.lab.tasks.task import RecordedRollout, describe_error, load_task
 from pipeline.lab.tasks.touches import NONE, OWN, TRUE, make_touch_request
 from pipeline.translation.reports.sheet import render_pane
 from pipeline.translation.reports.video import write_video
@@ -65,10 +63,7 @@ def write_rollout_video(path: Path, out: Path, progress: Progress = SILENT) -> N
 
 def draw_ticks(rollout: RecordedRollout, progress: Progress = SILENT) -> Iterator[Image]:
     """One image (rows, cols, 3) per tick."""
-    try:
-        scene = build_scene(rollout)
-    except TouchError:
-        scene = make_plain_scene(rollout)
+    scene = build_scene(rollout)
     layers = make_scene_layers(scene)
     camera, camera_from_world = make_view(compute_bounds(scene), *_SCENE_PX)
     shown = -1
@@ -95,20 +90,17 @@ def read_touches(rollout: RecordedRollout, decision: int) -> tuple[Preview | Non
             results = translation.evaluate(index, ["touch"])
             display = DisplayParams()
             truths = translation.read_true_outputs(index)
-            source = render_pane("source", frame, results, translation, display).preview
-            made = render_pane("touch", frame, results, translation, display).preview
-            true = (
-                render_pane("touch", frame, results, translation, display, "truth")
-                if "touch" in truths
-                else None
+
+            def show(pane: str, *what: str) -> Preview:
+                return render_pane(pane, frame, results, translation, display, *what).preview
+
+            return (
+                show("source"),
+                None if touch in (TRUE, NONE, OWN) else show("touch"),
+                show("touch", "truth") if "touch" in truths else None,
             )
     except TouchError:
         return None, None, None
-    return (
-        source,
-        None if touch in (TRUE, NONE, OWN) else made,
-        None if true is None else true.preview,
-    )
 
 
 def _lay_out(rollout: RecordedRollout, decision: int) -> Callable[[Image, int], Image]:

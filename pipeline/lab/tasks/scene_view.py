@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats, freeze
+from pipeline.core.errors import TouchError
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.lab.tasks.grasp import FINGERS, GRIP_MM, PlanarPose, press_between_fingers
@@ -46,6 +47,7 @@ class RolloutScene:
     mesh: Mesh  # of the object
     bodies: tuple[SceneBody, ...]  # around it
     hand_from_estimates: tuple[Doubles, ...]  # (4, 4) mm of each decision; () = not known
+    problem: str = ""  # why nothing is around the object
 
     def place(self, tick: int) -> dict[str, Doubles]:
         """world_from_body (4, 4) of every body by name, the object's true and estimated pose
@@ -72,24 +74,24 @@ class RolloutScene:
 
 
 def build_scene(rollout: RecordedRollout) -> RolloutScene:
-    """The scene of a rollout; raises TouchError where its task or its case is not known here."""
-    build = load_task(rollout.plan.task).build_scene
-    scene = TaskScene(bodies=()) if build is None else build(rollout)
-    locate = scene.hand_from_estimate
+    """The scene of a rollout; the object alone where its task or its case is not known here."""
+    scene = TaskScene(bodies=())
+    estimates: tuple[Doubles, ...] = ()
+    problem = ""
+    try:
+        build = load_task(rollout.plan.task).build_scene
+        made = scene if build is None else build(rollout)
+        if made.hand_from_estimate is not None:
+            estimates = tuple(map(made.hand_from_estimate, rollout.summary.decisions))
+        scene = made
+    except TouchError as error:
+        problem = str(error)
     return RolloutScene(
         rollout=rollout,
         mesh=scene.object_mesh or rollout.mesh or _POINT,
         bodies=scene.bodies,
-        hand_from_estimates=()
-        if locate is None
-        else tuple(locate(one) for one in rollout.summary.decisions),
-    )
-
-
-def make_plain_scene(rollout: RecordedRollout) -> RolloutScene:
-    """The object alone, for a rollout whose task or case is not known here."""
-    return RolloutScene(
-        rollout=rollout, mesh=rollout.mesh or _POINT, bodies=(), hand_from_estimates=()
+        hand_from_estimates=estimates,
+        problem=problem,
     )
 
 
@@ -101,12 +103,10 @@ def make_scene_layers(scene: RolloutScene) -> tuple[Layer, ...]:
         layers.append(
             make_lines_layer(ESTIMATE_NAME, dashes, repeat_colour(ESTIMATE_COLOUR, len(dashes)))
         )
-    for body in scene.bodies:
-        layers.append(
-            make_mesh_layer(
-                body.name, body.mesh, SURROUNDINGS_COLOUR, opacity=_SURROUNDINGS_OPACITY
-            )
-        )
+    layers += [
+        make_mesh_layer(body.name, body.mesh, SURROUNDINGS_COLOUR, opacity=_SURROUNDINGS_OPACITY)
+        for body in scene.bodies
+    ]
     return tuple(layers)
 
 
@@ -194,10 +194,10 @@ def make_ring(profile_mm: Sequence[tuple[Doubles, float]], angles_rad: Doubles, 
     """A closed ring about z: its profile is a sequence of radius at every angle and height."""
     around = np.column_stack([np.cos(angles_rad), np.sin(angles_rad)])
     rings = [
-        np.column_stack([radius[:, None] * around, np.full(len(around), z)])
-        for radius, z in (
-            (np.broadcast_to(radius, angles_rad.shape), z) for radius, z in profile_mm
+        np.column_stack(
+            [np.multiply(np.atleast_1d(radius)[:, None], around), np.full(len(around), z)]
         )
+        for radius, z in profile_mm
     ]
     return make_mesh(
         np.concatenate(rings), make_wall_faces(len(rings), len(angles_rad), endless=True), name

@@ -19,6 +19,8 @@ from pipeline.core.params import replace_value, setting
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import Pairing, TactileFrame, Truth
 
+_LEAST_MM = 0.05  # a share that is named
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Disturbance:
@@ -96,6 +98,28 @@ class Decision:
     estimate: Mapping[str, float] = field(default_factory=dict)
     truth: Mapping[str, float] = field(default_factory=dict)
     shares: tuple[StageShare, ...] = ()  # add up to `error_mm`; empty = not attributed
+
+
+def describe_error(decision: Decision, title: str, *, succeeds: bool) -> str:
+    """The error at a decision by its parts, and the first truth with which the rollout succeeds.
+
+    `title` is what the task's error measures; `succeeds` whether the rollout does as it is.
+    """
+    text = f"{decision.error_mm:.1f} mm {title}"
+    if succeeds:
+        return f"{text}; it succeeds: there is no failure to attribute"
+    text = f"fails by {text}"
+    named = [
+        f"{part.share_mm:.1f} the {part.title}"
+        for part in sorted(decision.shares, key=lambda share: -share.share_mm)
+        if abs(part.share_mm) >= _LEAST_MM
+    ]
+    if named:
+        text += f"; of it {', '.join(named)}"
+    flips = next((part for part in decision.shares if part.succeeds), None)
+    if flips is not None:
+        return f"{text}; with the true {flips.title.removeprefix('generated ')} it succeeds"
+    return f"{text}; it fails with the truth as well" if decision.shares else text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

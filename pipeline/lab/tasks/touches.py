@@ -21,7 +21,7 @@ from pipeline.core.memo import Cache
 from pipeline.core.progress import SILENT, Progress, SubProgress
 from pipeline.core.values.frames import Pairing, Recording, Stream, TactileFrame, Truth
 from pipeline.core.values.results import DepthMap, GeneratedTouch
-from pipeline.lab.tasks.task import Decision, StageShare
+from pipeline.lab.tasks.task import StageShare
 from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.physics.simulation.datasets import BUBBLE_DEEPER_MM
 from pipeline.physics.simulation.press import move_bubble_closer, simulate_press
@@ -96,14 +96,9 @@ def check_touch(name: str, source: str, target: str) -> None:
     """
     if name in (TRUE, NONE, OWN):
         return
-    method = BUILT_IN.method("touch", name)
-    found = (
-        None
-        if method.weights is None
-        else method.weights(
-            load_sensor(source), load_placed_sensor(target), find_weights(name, source, target)
-        )
-    )
+    select = BUILT_IN.method("touch", name).weights
+    file = find_weights(name, source, target)
+    found = select and select(load_sensor(source), load_placed_sensor(target), file)
     if isinstance(found, NoWeights):
         raise SettingProblem(f"--touch {name} cannot translate {source} to {target}: {found.why}")
 
@@ -305,21 +300,18 @@ def share_error(
 
     `judge` returns error and success of an estimate.
     """
-    shares: list[StageShare] = []
-    left = error_mm
-    for one in corrected:
-        now, succeeds = judge(one.estimate)
-        shares.append(
-            StageShare(
-                stage=one.stage,
-                title=one.title,
-                share_mm=left - now,
-                remaining_mm=now,
-                succeeds=succeeds,
-            )
+    judged = [judge(one.estimate) for one in corrected]
+    errors_mm = [error_mm, *(error for error, _ in judged)]
+    return tuple(
+        StageShare(
+            stage=one.stage,
+            title=one.title,
+            share_mm=before - now,
+            remaining_mm=now,
+            succeeds=succeeds,
         )
-        left = now
-    return tuple(shares)
+        for one, before, (now, succeeds) in zip(corrected, errors_mm[:-1], judged, strict=True)
+    )
 
 
 def list_true_stages(
@@ -336,26 +328,4 @@ def list_true_stages(
         list_substitutions(
             translation, {name: truths[name] for name in before if name in truths}, results
         )
-    )
-
-
-def describe_decision(decision: Decision) -> str:
-    """The error, its two largest shares, and the first truth with which a failed rollout
-    succeeds.
-    """
-    text = f"off by {decision.error_mm:.1f} mm"
-    named = [
-        f"{part.share_mm:.1f} by {part.title}"
-        for part in sorted(decision.shares, key=lambda share: -share.share_mm)[:2]
-        if part.share_mm >= 0.05
-    ]
-    if named:
-        text += f", of it {', '.join(named)}"
-    if not decision.shares:
-        return text
-    first = next((part for part in decision.shares if part.succeeds), None)
-    return text + (
-        f"; with the truth in place of {first.title} it succeeds"
-        if first
-        else "; it fails with the truth"
     )

@@ -19,7 +19,6 @@ contact alone: the flat face of a tool shows its motion only where the membrane 
 edge. Farther out a bubble's membrane follows its own rim.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -123,10 +122,8 @@ def make_surface(depth: DepthMap) -> MembraneSurface:
     pixel_mm = typical_mm / depth.camera.fx_px
     moved = _find_moved(indentation, depth.contact, RIM_MM / max(pixel_mm, 1e-9))
     fine_px = _find_fine_px(pixel_mm)
-    unknown_px = (
-        cv2.distanceTransform(known.astype(np.uint8), cv2.DIST_L2, 3) if not known.all() else None
-    )
-    if unknown_px is not None:
+    if not known.all():
+        unknown_px = cv2.distanceTransform(known.astype(np.uint8), cv2.DIST_L2, 3)
         moved &= unknown_px > 2.5 * fine_px
     return MembraneSurface(
         camera=depth.camera,
@@ -143,14 +140,13 @@ def make_surface(depth: DepthMap) -> MembraneSurface:
 
 def choose_pixels(moved: Mask) -> Doubles:
     """At most `N_POINTS` x, y (n, 2) of the moved pixels; the same mask gives the same ones."""
-    rows, cols = np.nonzero(moved)
-    if rows.size > N_POINTS:
-        chosen = np.linspace(0, rows.size - 1, N_POINTS).astype(np.intp)
+    pixels = np.argwhere(moved)[:, ::-1].astype(np.float64)
+    n = len(pixels)
+    if n > N_POINTS:
         # no stripes of a regular choice
-        chosen = np.random.default_rng(0).permutation(rows.size)[chosen]
-        rows = rows[chosen]
-        cols = cols[chosen]
-    return freeze(np.column_stack([cols, rows]).astype(np.float64))
+        order = np.random.default_rng(0).permutation(n)
+        pixels = pixels[order[np.linspace(0, n - 1, N_POINTS).astype(np.intp)]]
+    return freeze(pixels)
 
 
 def _find_moved(indentation_mm: Floats, contact: Mask, rim_px: float) -> Mask:
@@ -180,15 +176,16 @@ def _find_fine_px(pixel_mm: float) -> float:
 
 def smooth_levels(depth_mm: Floats, pixel_mm: float) -> tuple[SmoothedDepth, ...]:
     """The coarse and the fine level of a depth image without gaps."""
-    fine_px = _find_fine_px(pixel_mm)
-    return tuple(_smooth(depth_mm, sigma_px) for sigma_px in (_COARSER * fine_px, fine_px))
-
-
-def _smooth(depth_mm: Floats, sigma_px: float) -> SmoothedDepth:
     import cv2
 
-    smooth: Floats = np.asarray(cv2.GaussianBlur(depth_mm, (0, 0), sigma_px), np.float32)
-    return SmoothedDepth(depth_mm=smooth, margin_px=2.5 * sigma_px + _STENCIL_PX)
+    fine_px = _find_fine_px(pixel_mm)
+    return tuple(
+        SmoothedDepth(
+            depth_mm=np.asarray(cv2.GaussianBlur(depth_mm, (0, 0), sigma_px), np.float32),
+            margin_px=2.5 * sigma_px + _STENCIL_PX,
+        )
+        for sigma_px in (_COARSER * fine_px, fine_px)
+    )
 
 
 def sample_outline(outline_mm: Floats, pixels: Doubles) -> tuple[Doubles, Doubles]:
@@ -249,17 +246,16 @@ def average_surfaces(
     """
     import cv2
 
-    rows, cols = _find_window(key)
+    # rows and columns of the key frame's moved part with a margin
+    margin_px = round(_MARGIN_MM / key.pixel_mm)
+    seen_at = (np.flatnonzero(key.moved.any(axis=axis)) for axis in (1, 0))
+    rows, cols = (
+        slice(max(int(at[0]) - margin_px, 0), int(at[-1]) + margin_px + 1) for at in seen_at
+    )
     filled = np.where(
         np.isfinite(key.depth_mm), key.depth_mm, np.float32(np.nanmedian(key.depth_mm))
     )
-    ray_y, ray_x = np.meshgrid(
-        (np.arange(rows.start, rows.stop) - key.camera.cy_px) / key.camera.fy_px,
-        (np.arange(cols.start, cols.stop) - key.camera.cx_px) / key.camera.fx_px,
-        indexing="ij",
-    )
-    rays = np.stack([ray_x, ray_y, np.ones_like(ray_x)], axis=-1)
-    points = rays * np.asarray(cv2.GaussianBlur(filled, (0, 0), 1.0), np.float64)[rows, cols, None]
+    points = key.camera.back_project(cv2.GaussianBlur(filled, (0, 0), 1.0))[rows, cols]
     depth_sum, outline_sum, n_seen = (np.zeros(points.shape[:2]) for _ in range(3))
     for surface, motion in zip(surfaces, current_from_key, strict=True):
         depth_mm, outline_mm, seen = _warp(surface, motion, points)
@@ -288,20 +284,6 @@ def average_surfaces(
     )
 
 
-def _find_window(key: MembraneSurface) -> tuple[slice, slice]:
-    """Rows and columns of the key frame's moved part with a margin."""
-    margin_px = round(_MARGIN_MM / key.pixel_mm)
-    rows, cols = (np.flatnonzero(key.moved.any(axis=axis)) for axis in (1, 0))
-    return (
-        slice(
-            max(int(rows[0]) - margin_px, 0), min(int(rows[-1]) + margin_px + 1, key.camera.rows)
-        ),
-        slice(
-            max(int(cols[0]) - margin_px, 0), min(int(cols[-1]) + margin_px + 1, key.camera.cols)
-        ),
-    )
-
-
 def _warp(
     surface: MembraneSurface, motion: Doubles, points_mm: Doubles
 ) -> tuple[Doubles, Doubles, Mask]:
@@ -311,15 +293,8 @@ def _warp(
     """
     import cv2
 
-    camera = surface.camera
-    moved = points_mm @ motion[:3, :3].T + motion[:3, 3]
-    x, y = (
-        (focal * moved[..., axis] / moved[..., 2] + centre).astype(np.float32)
-        for axis, focal, centre in (
-            (0, camera.fx_px, camera.cx_px),
-            (1, camera.fy_px, camera.cy_px),
-        )
-    )
+    moved = rigid.apply(motion, points_mm)
+    x, y = (at.astype(np.float32) for at in surface.camera.project(moved)[:2])
     depth, outline = (
         np.asarray(
             cv2.remap(
@@ -397,11 +372,8 @@ def sample_key_points(key: MembraneSurface, level: int) -> KeyPoints:
 
 def find_inside(pixels: Doubles, surface: MembraneSurface, margin_px: float) -> Mask:
     """Which pixels (n, 2) x, y are at least `margin_px` inside the image."""
-    x = pixels[:, 0]
-    y = pixels[:, 1]
-    far_x = surface.camera.cols - 1 - margin_px
-    far_y = surface.camera.rows - 1 - margin_px
-    return (x >= margin_px) & (x <= far_x) & (y >= margin_px) & (y <= far_y)
+    far = np.array(surface.camera.shape[::-1]) - 1 - margin_px
+    return ((pixels >= margin_px) & (pixels <= far)).all(axis=1)
 
 
 def compute_residuals(
@@ -457,17 +429,14 @@ def _differentiate_pixels(
     """Change (n, 6) of a moving point's pixel, right and down, by (rotation, translation) of the
     point.
     """
-    z = points[:, 2]
-    along_x = np.zeros_like(points)
-    along_y = np.zeros_like(points)
-    along_x[:, 0] = camera.fx_px / z
-    along_x[:, 2] = -camera.fx_px * points[:, 0] / z**2
-    along_y[:, 1] = camera.fy_px / z
-    along_y[:, 2] = -camera.fy_px * points[:, 1] / z**2
-    return (
-        np.concatenate([_cross(arms, along_x), along_x], axis=1),
-        np.concatenate([_cross(arms, along_y), along_y], axis=1),
+    x, y, z = points.T
+    fx, fy, zero = camera.fx_px, camera.fy_px, np.zeros_like(z)
+    along_x = np.stack([fx / z, zero, -fx * x / z**2]).T
+    along_y = np.stack([zero, fy / z, -fy * y / z**2]).T
+    by_x, by_y = (
+        np.concatenate([_cross(arms, along), along], axis=1) for along in (along_x, along_y)
     )
+    return by_x, by_y
 
 
 def _cross(one: Doubles, two: Doubles) -> Doubles:
@@ -527,11 +496,11 @@ def register_surfaces(
             if seen is None:
                 seen = _assess(residuals, key)
             step = seen.observable @ _solve(residuals)
-            motion = _move(motion, step, residuals.centre_mm)
-            if (
-                np.linalg.norm(step[3:]) + _radius_mm(residuals) * np.linalg.norm(step[:3])
-                < _CONVERGENCE_MM[level]
-            ):
+            about = residuals.centre_mm
+            motion = rigid.orthonormalise(rigid.apply_screw(motion, step, about))
+            radius_mm = np.sqrt(((residuals.here.points_mm - about) ** 2).sum(axis=1).mean())
+            moved_mm = np.linalg.norm(step[3:]) + radius_mm * np.linalg.norm(step[:3])
+            if moved_mm < _CONVERGENCE_MM[level]:
                 break
     assert residuals is not None
     assert seen is not None
@@ -562,29 +531,11 @@ def _solve(residuals: Residuals) -> Doubles:
     return np.asarray(-np.linalg.solve(information, columns @ wanted), np.float64)
 
 
-def _move(motion: Doubles, step: Doubles, centre_mm: Doubles) -> Doubles:
-    """`motion` followed by a small motion about a centre; its rotation stays orthonormal."""
-    moved = rigid.rotation(step[:3])
-    moved[:3, 3] = centre_mm + step[3:] - moved[:3, :3] @ centre_mm
-    return rigid.orthonormalise(moved @ motion)
-
-
-def _radius_mm(residuals: Residuals) -> float:
-    return math.sqrt(
-        float(((residuals.here.points_mm - residuals.centre_mm) ** 2).sum(axis=1).mean())
-    )
-
-
 def _assess(residuals: Residuals, key: MembraneSurface) -> Observability:
-    points, normals = _collect_constraints(residuals)
-    systematic = estimate_systematic_error(points, normals, residuals.centre_mm, key.error)
+    held = *_collect_constraints(residuals), residuals.centre_mm
+    systematic = estimate_systematic_error(*held, key.error)
     return assess_observability(
-        points,
-        normals,
-        residuals.centre_mm,
-        key.error.rms_mm,
-        systematic_error=systematic,
-        tolerances=_TOLERANCES,
+        *held, key.error.rms_mm, systematic_error=systematic, tolerances=_TOLERANCES
     )
 
 

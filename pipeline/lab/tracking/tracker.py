@@ -65,11 +65,7 @@ class TrackedFrame:
 
         NaN where not tracked.
         """
-        return (
-            math.nan
-            if self.covariance is None
-            else math.sqrt(float(np.trace(self.covariance[3:, 3:])))
-        )
+        return self._compute_std(np.s_[3:])
 
     @property
     def std_deg(self) -> float:
@@ -77,11 +73,12 @@ class TrackedFrame:
 
         NaN where not tracked.
         """
-        return (
-            math.nan
-            if self.covariance is None
-            else math.degrees(math.sqrt(float(np.trace(self.covariance[:3, :3]))))
-        )
+        return math.degrees(self._compute_std(np.s_[:3]))
+
+    def _compute_std(self, axes: slice) -> float:
+        if self.covariance is None:
+            return math.nan
+        return math.sqrt(float(np.trace(self.covariance[axes, axes])))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -73,16 +73,6 @@ class DepthAnythingTask(Task):
         indentation_mm = np.nan_to_num(truth.indentation_mm)
         return self._make_example(frame.image, reference, indentation_mm, contact)
 
-    def make_pair_example(
-        self,
-        prepared: Example,
-        rng: np.random.Generator,  # noqa: ARG002
-        *,
-        is_validation: bool,  # noqa: ARG002
-    ) -> Example:
-        """The example of a recorded touch."""
-        return prepared
-
     def make_validation_example(self, split: Split, index: int) -> Example:
         """A training object in a new pose, or an unseen tool."""
         group = "training" if split == "unseen_grasps" else "unseen"
@@ -139,12 +129,7 @@ class DepthAnythingTask(Task):
             least=_OFFSET_MM / 2,
         )
         entropy = functional.binary_cross_entropy_with_logits(logit, contact)
-        return weigh_terms(
-            {
-                "silog": (1.0, silog),
-                "contact": (1.0, entropy),
-            }
-        )
+        return weigh_terms({"silog": (1.0, silog), "contact": (1.0, entropy)})
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
         """Contact IoU, and mean error of the indentation in contact."""

@@ -160,7 +160,7 @@ class _Training:
         times = self._recipe.validation.n_evaluations
         fraction = group.average_over_processes(self._compute_fraction())[0]
         with closing(self._batches(stride)) as batches:
-            while not self._is_over(fraction):
+            while fraction < 1.0:
                 stop = self._find_stop(fraction)
                 loss, terms = self._backpropagate(next(batches), fraction)
                 mean_loss, any_stop, next_fraction = group.average_over_processes(
@@ -198,11 +198,6 @@ class _Training:
         with closing(self._source.iterate_batches(first, stride)) as batches:
             for made in batches:
                 yield to_tensors(made, self._group.device)
-
-    def _is_over(self, fraction: float) -> bool:
-        if self._run.max_minutes is None:
-            return self._now.step >= self._settings.steps
-        return fraction >= 1.0
 
     def _compute_fraction(self, ahead: int = 0) -> float:
         """Share of the run that is done after `ahead` more steps."""
@@ -389,11 +384,10 @@ def update_average(mean: nn.Module, network: nn.Module, decay: float, step: int)
     import torch
 
     share = 1.0 - min(decay, (1.0 + step) / (10.0 + step))
+    new = network.state_dict()
     with torch.no_grad():
-        for average, new in zip(
-            mean.state_dict().values(), network.state_dict().values(), strict=True
-        ):
+        for name, average in mean.state_dict().items():
             if average.is_floating_point():
-                average.lerp_(new, share)
+                average.lerp_(new[name], share)
             else:
-                average.copy_(new)
+                average.copy_(new[name])

@@ -140,15 +140,15 @@ def _roles_by_split(grasps: Sequence[Grasp], splits: Sequence[str | None]) -> li
         for grasp, split in zip(grasps, splits, strict=True)
         if split is not None and is_training_split(split)
     }
-    roles: list[Role] = []
-    for grasp, split in zip(grasps, splits, strict=True):
+
+    def find_role(grasp: Grasp, split: str | None) -> Role:
         if split is None:
-            roles.append("left_out")
-        elif is_training_split(split):
-            roles.append("training")
-        else:
-            roles.append("unseen_grasps" if grasp.tool in trained else "unseen_tools")
-    return roles
+            return "left_out"
+        if is_training_split(split):
+            return "training"
+        return "unseen_grasps" if grasp.tool in trained else "unseen_tools"
+
+    return list(map(find_role, grasps, splits))
 
 
 def _select_tools(tools: set[str], hold_out: str) -> ToolSplit:
@@ -458,7 +458,7 @@ def use_pairs(task: Task, folder: PairFolder) -> Task:
     """
     if not folder.path:
         return task
-    if not hasattr(task, "make_pair_example"):
+    if not hasattr(task, "prepare_pair"):
         raise SettingProblem(
             f"the task {type(task).__name__} does not train on pairs; train t2t, latent, vqvae or "
             "depth_anything"

@@ -165,16 +165,6 @@ class SquareTask(AugmentedPresses):
             )
         )
 
-    def make_pair_example(
-        self,
-        prepared: Example,
-        rng: np.random.Generator,  # noqa: ARG002
-        *,
-        is_validation: bool,  # noqa: ARG002
-    ) -> Example:
-        """The example as the loss or, where it validates, the metrics read it."""
-        return prepared
-
 
 def render_square(sensor: SensorSpec, indentation_mm: Floats, side: int) -> Floats:
     """Change (channels, side, side) of a sensor as described, without noise."""

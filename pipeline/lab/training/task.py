@@ -6,11 +6,11 @@ Loads neither torch nor numpy: the command line reads the table to list what can
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
+from pipeline.core.entry_points import load_reference
 from pipeline.core.errors import SettingProblem
 from pipeline.core.params import setting
 
@@ -32,9 +32,8 @@ class Task(Protocol):
     recipe.
 
     Worker processes receive it to make examples, so its module loads no torch on import. A task
-    that also trains on recorded pairs has `pair_sensors`, the names of source and target,
-    `prepare_pair(pair)`, which is cached, None where the pair cannot be used, and
-    `make_pair_example(prepared, rng, is_validation)`, augmented unless it validates.
+    that also trains on recorded pairs has `pair_sensors`, the names of source and target, and
+    `prepare_pair(pair)`, which is cached, None where the pair cannot be used.
     """
 
     __slots__ = ()
@@ -53,6 +52,16 @@ class Task(Protocol):
     def count_validation_examples(self, split: Split) -> int:  # noqa: ARG002
         """Number of validation examples of a split; 0 = none."""
         return 1 << 30
+
+    def make_pair_example(
+        self,
+        prepared: Example,
+        rng: np.random.Generator,  # noqa: ARG002
+        *,
+        is_validation: bool,  # noqa: ARG002
+    ) -> Example:
+        """The example of a recorded pair; augmented unless it validates."""
+        return prepared
 
     def collect_notes(self) -> tuple[str, ...]:
         """What was assumed or left out of recordings; called before training starts."""
@@ -129,8 +138,7 @@ def import_task_class(name: str) -> type[Any]:
     """The class of a task; raises SettingProblem for an unknown name."""
     if name not in TASKS:
         raise SettingProblem(f"no task {name!r}; there are {', '.join(TASKS)}")
-    module, _, class_name = TASKS[name].import_path.partition(":")
-    return getattr(importlib.import_module(module), class_name)
+    return load_reference(TASKS[name].import_path)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

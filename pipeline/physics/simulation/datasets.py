@@ -79,12 +79,8 @@ class SimulationPlan:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SimulatedMoment:
-    """The frames of all sensors of a plan at one moment, in the plan's order."""
-
-    frames: tuple[tuple[TactileFrame, Truth | None], ...]  # truth None: the solve did not converge
-    n_unsolved: int
+# the frames of all sensors of a plan at one moment, in its order; truth None: not converged
+SimulatedMoment = tuple[tuple[TactileFrame, Truth | None], ...]
 
 
 def make_plans(tools: tuple[str, ...], like: SimulationPlan) -> tuple[SimulationPlan, ...]:
@@ -171,8 +167,7 @@ def compute_object_poses(plan: SimulationPlan) -> tuple[Doubles, ...]:
 def simulate_moment(plan: SimulationPlan, index: int) -> SimulatedMoment:
     """The frames of all sensors at moment `index`, with their truth."""
     pose = compute_object_poses(plan)[index]
-    frames = []
-    unsolved = 0
+    frames: list[tuple[TactileFrame, Truth | None]] = []
     time_s = index * (GRASP_INTERVAL_S if plan.sequence == "grid" else FRAME_INTERVAL_S)
     for name in plan.sensors:
         spec = _make_instance(plan, name, index // FRAMES_PER_INSTANCE)
@@ -188,8 +183,7 @@ def simulate_moment(plan: SimulationPlan, index: int) -> SimulatedMoment:
             time_s=time_s,
         )
         frames.append((frame, press.truth if press.converged else None))
-        unsolved += not press.converged
-    return SimulatedMoment(frames=tuple(frames), n_unsolved=unsolved)
+    return tuple(frames)
 
 
 def make_recording(plan: SimulationPlan) -> Recording:
@@ -200,9 +194,7 @@ def make_recording(plan: SimulationPlan) -> Recording:
 
     @cache
     def simulate(index: int) -> dict[str, tuple[TactileFrame, Truth | None]]:
-        return {
-            frame.sensor: (frame, truth) for frame, truth in simulate_moment(plan, index).frames
-        }
+        return {frame.sensor: (frame, truth) for frame, truth in simulate_moment(plan, index)}
 
     def make_stream(sensor: str) -> Stream:
         return Stream(
@@ -235,9 +227,8 @@ def _make_load(plan: SimulationPlan, spec: SensorSpec, index: int) -> Tangential
     seed = _seed(plan, "", "drag", index if plan.sequence == "grid" else 0)
     heading = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi)
     direction = spec.alignment_from_sensor[:3, :3].T @ (np.cos(heading), np.sin(heading), 0.0)
-    return TangentialLoad(
-        displacement_mm=(plan.drag_mm * float(direction[0]), plan.drag_mm * float(direction[1]))
-    )
+    x_mm, y_mm, _ = (plan.drag_mm * direction).tolist()
+    return TangentialLoad(displacement_mm=(x_mm, y_mm))
 
 
 def simulate_reference(plan: SimulationPlan, sensor: str, index: int) -> Image | Floats:
@@ -249,18 +240,12 @@ def simulate_reference(plan: SimulationPlan, sensor: str, index: int) -> Image |
 def _simulate_reference(plan: SimulationPlan, sensor: str, block: int) -> Image | Floats:
     spec = _make_instance(plan, sensor, block)
     flat = np.zeros(spec.camera.shape, np.float32)
-    return render_sensor_image(
-        spec,
-        flat,
-        spec.rest_depth_mm,
-        _seed(plan, spec.name, "reference", block) if plan.noise else None,
-    )
+    seed = _seed(plan, spec.name, "reference", block) if plan.noise else None
+    return render_sensor_image(spec, flat, spec.rest_depth_mm, seed)
 
 
 def _make_instance(plan: SimulationPlan, sensor: str, block: int) -> SensorSpec:
     spec = _place_sensor(plan, sensor)
-    if not plan.vary:
-        return spec
     return variation.vary_sensor(spec, _seed(plan, spec.name, "specimen", block), plan.vary)
 
 

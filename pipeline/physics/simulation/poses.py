@@ -9,14 +9,11 @@ The lowest point of an object over the sensors, ignoring parts outside their vie
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Indices, freeze
-from pipeline.core.errors import SettingProblem
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
 
@@ -35,51 +32,51 @@ def compute_lowest_mm(
     a corner below it.
     """
     inside = vertices_mm[(np.abs(vertices_mm[:, :2]) <= half_mm).all(axis=1), 2]
-    candidates = [
-        inside,
-        *(
-            _border_z(vertices_mm, triangles, axis, side * half_mm, half_mm)
-            for axis in (0, 1)
-            for side in (-1.0, 1.0)
-        ),
-        _corner_z(vertices_mm[triangles], half_mm),
+    borders = [
+        _border_z(vertices_mm, triangles, axis, at_mm, half_mm)
+        for axis in (0, 1)
+        for at_mm in (-half_mm, half_mm)
     ]
-    z = np.concatenate(candidates)
-    return float(z.min()) if z.size else float(vertices_mm[:, 2].min())
+    z = np.concatenate([inside, *borders, _corner_z(vertices_mm[triangles], half_mm)])
+    return float(z.min() if z.size else vertices_mm[:, 2].min())
 
 
 def _border_z(
     vertices_mm: Doubles, triangles: Indices, axis: int, at_mm: float, half_mm: float
 ) -> Doubles:
     """Heights where edges cross one side of the square."""
+    points = cut_edges(vertices_mm, triangles, axis, at_mm)
+    return points[np.abs(points[:, 1 - axis]) <= half_mm, 2]
+
+
+def cut_edges(vertices_mm: Doubles, triangles: Indices, axis: int, at_mm: float) -> Doubles:
+    """Points (n, 3) where edges of a mesh cross the plane at `at_mm` on an axis."""
     a, b = (vertices_mm[triangles[:, k]].reshape(-1, 3) for k in ((0, 1, 2), (1, 2, 0)))
     crosses = (a[:, axis] < at_mm) != (b[:, axis] < at_mm)
     a = a[crosses]
-    b = b[crosses]
-    share = ((at_mm - a[:, axis]) / (b[:, axis] - a[:, axis]))[:, None]
-    points = a + share * (b - a)
-    return points[np.abs(points[:, 1 - axis]) <= half_mm, 2]
+    along = b[crosses] - a
+    return a + ((at_mm - a[:, axis]) / along[:, axis])[:, None] * along
 
 
 def _corner_z(triangles_mm: Doubles, half_mm: float) -> Doubles:
     """Heights of the triangles (n, 3, 3) that lie over a corner of the square."""
-    a = triangles_mm[:, 0]
-    ab = triangles_mm[:, 1] - triangles_mm[:, 0]
-    ac = triangles_mm[:, 2] - triangles_mm[:, 0]
-    doubled = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
-    heights: list[Doubles] = []
-    sides = np.linalg.norm(ab, axis=1) * np.linalg.norm(ac, axis=1)
+    a, b, c = triangles_mm.transpose(1, 0, 2)
+    sides = np.linalg.norm(b - a, axis=1) * np.linalg.norm(c - a, axis=1)
     # the lowest point of an upright triangle is on its edges
-    level = np.abs(doubled) > _UPRIGHT * sides
+    level = np.abs(_cross(b - a, c - a)) > _UPRIGHT * sides
+    a, ab, ac = a[level], (b - a)[level], (c - a)[level]
+    heights: list[Doubles] = []
     for corner in half_mm * _CORNERS:
-        to = corner - a[level, :2]
-        u = (to[:, 0] * ac[level, 1] - to[:, 1] * ac[level, 0]) / doubled[level]
-        v = (ab[level, 0] * to[:, 1] - ab[level, 1] * to[:, 0]) / doubled[level]
+        u = _cross(corner - a[:, :2], ac) / _cross(ab, ac)
+        v = _cross(ab, corner - a[:, :2]) / _cross(ab, ac)
         over = (u >= 0) & (v >= 0) & (u + v <= 1)
-        heights.append(
-            a[level, 2][over] + u[over] * ab[level, 2][over] + v[over] * ac[level, 2][over]
-        )
+        heights.append((a[:, 2] + u * ab[:, 2] + v * ac[:, 2])[over])
     return np.concatenate(heights)
+
+
+def _cross(a: Doubles, b: Doubles) -> Doubles:
+    """Twice the area (n,), seen from above, between vectors (n, 2) or (n, 3)."""
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
 SPREAD_MM = 10.0  # side of the square of the paper's translations, centred on the alignment frame
@@ -91,21 +88,9 @@ SLIDE_RANGE_MM = (2.0, 4.0)
 TWIST_RANGE_DEG = (10.0, 25.0)
 
 MotionKind = Literal["press", "slide", "twist", "release", "full"]
-MotionPhase = Literal["press", "slide", "twist", "release"]
-MOTION_KINDS: tuple[MotionKind, ...] = ("press", "slide", "twist", "release", "full")
+MOTION_PHASES = ("press", "slide", "twist", "release")
 # root of x^3 = x + 1: its powers spread points over a square most evenly (Roberts)
 _PLASTIC = 1.32471795724474602596
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Placement:
-    """Position and orientation of an object, before its depth is made exact."""
-
-    x_mm: float
-    y_mm: float
-    angle_rad: float
-    tilt_rad: tuple[float, float]  # rotation vector in the alignment frame's plane
-    depth_mm: float  # negative = above the gels
 
 
 def make_paper_grid(mesh: Mesh, *, n: int = 60, seed: int) -> tuple[Doubles, ...]:
@@ -113,29 +98,22 @@ def make_paper_grid(mesh: Mesh, *, n: int = 60, seed: int) -> tuple[Doubles, ...
     depths of 0.3 to 1 mm.
 
     Angles, tilts and depths are each drawn from n equal shares of their range, in an order of their
-    own. The same seed gives the same bytes. Raises SettingProblem when `n` is below 1.
+    own. The same seed gives the same bytes.
     """
-    if n < 1:
-        raise SettingProblem(f"a grid needs at least one pose, got {n}")
     rng = np.random.default_rng(seed)
     spread = (rng.random(2) + np.arange(1, n + 1)[:, None] / (_PLASTIC, _PLASTIC**2)) % 1.0 - 0.5
     angle, heading, tilt, depth = ((rng.permutation(n) + rng.random(n)) / n for _ in range(4))
     lean = math.radians(MAX_TILT_DEG) * np.sqrt(tilt)  # uniform over the disc of tilts
     turn = 2.0 * math.pi * heading
-    return tuple(
-        _make_pose(
-            mesh,
-            _Placement(
-                x_mm=SPREAD_MM * float(spread[k, 0]),
-                y_mm=SPREAD_MM * float(spread[k, 1]),
-                angle_rad=math.radians(MAX_ANGLE_DEG) * (2.0 * float(angle[k]) - 1.0),
-                tilt_rad=(float(lean[k] * np.cos(turn[k])), float(lean[k] * np.sin(turn[k]))),
-                depth_mm=DEPTH_RANGE_MM[0]
-                + (DEPTH_RANGE_MM[1] - DEPTH_RANGE_MM[0]) * float(depth[k]),
-            ),
-        )
-        for k in range(n)
+    low, high = DEPTH_RANGE_MM
+    columns = (
+        SPREAD_MM * spread,
+        math.radians(MAX_ANGLE_DEG) * (2.0 * angle - 1.0),
+        lean * np.cos(turn),
+        lean * np.sin(turn),
+        low + (high - low) * depth,
     )
+    return tuple(_make_pose(mesh, *row) for row in np.column_stack(columns).tolist())
 
 
 def sample_press_pose(
@@ -154,16 +132,9 @@ def sample_press_pose(
     x_mm, y_mm = rng.uniform(-0.5 * spread_mm, 0.5 * spread_mm, 2)
     lean = math.radians(tilt_deg) * math.sqrt(rng.random())
     heading = rng.uniform(0.0, 2.0 * math.pi)
-    return _make_pose(
-        mesh,
-        _Placement(
-            x_mm=float(x_mm),
-            y_mm=float(y_mm),
-            angle_rad=math.radians(angle_deg) * rng.uniform(-1.0, 1.0),
-            tilt_rad=(lean * math.cos(heading), lean * math.sin(heading)),
-            depth_mm=rng.uniform(*depth_mm),
-        ),
-    )
+    angle_rad = math.radians(angle_deg) * rng.uniform(-1.0, 1.0)
+    tilt = lean * math.cos(heading), lean * math.sin(heading)
+    return _make_pose(mesh, x_mm, y_mm, angle_rad, *tilt, rng.uniform(*depth_mm))
 
 
 def make_motion(mesh: Mesh, kind: MotionKind, *, n: int, seed: int) -> tuple[Doubles, ...]:
@@ -171,19 +142,9 @@ def make_motion(mesh: Mesh, kind: MotionKind, *, n: int, seed: int) -> tuple[Dou
     in a row.
 
     A press starts clear of every sensor, slides and twists keep their depth, a release returns. The
-    seed determines place, depth, direction and distance. Raises SettingProblem for an unknown kind
-    or fewer than two frames.
+    seed determines place, depth, direction and distance.
     """
-    if kind not in MOTION_KINDS:
-        raise SettingProblem(f"unknown motion {kind!r}; there are {', '.join(MOTION_KINDS)}")
-    if n < 2:
-        raise SettingProblem(f"a motion needs at least two frames, got {n}")
-    place_at = _make_path(kind, np.random.default_rng(seed))
-    return tuple(_make_pose(mesh, place_at(float(share))) for share in np.arange(n) / (n - 1))
-
-
-def _make_path(kind: MotionKind, rng: np.random.Generator) -> Callable[[float], _Placement]:
-    """The placement at each share 0..1 of the motion."""
+    rng = np.random.default_rng(seed)
     start_x, start_y = rng.uniform(-0.25 * SPREAD_MM, 0.25 * SPREAD_MM, 2)
     start = math.radians(MAX_ANGLE_DEG) * rng.uniform(-1.0, 1.0)
     heading, tilt_heading = rng.uniform(0.0, 2.0 * math.pi, 2)
@@ -191,30 +152,22 @@ def _make_path(kind: MotionKind, rng: np.random.Generator) -> Callable[[float], 
     depth = rng.uniform(*DEPTH_RANGE_MM)
     slide = rng.uniform(*SLIDE_RANGE_MM)
     twist = math.radians(rng.uniform(*TWIST_RANGE_DEG)) * rng.choice((-1.0, 1.0))
-    order: tuple[MotionPhase, ...] = (
-        ("press", "slide", "twist", "release") if kind == "full" else (kind,)
+    order = MOTION_PHASES if kind == "full" else (kind,)
+    # done of each phase; a slide alone starts in contact
+    done = {phase: np.full(n, float(phase == "press")) for phase in MOTION_PHASES}
+    share = len(order) * (np.arange(n) / (n - 1))
+    for index, phase in enumerate(order):
+        done[phase] = np.array([_ease(part) for part in np.clip(share - index, 0.0, 1.0).tolist()])
+    distance = slide * done["slide"]
+    columns = (
+        start_x + distance * math.cos(heading),
+        start_y + distance * math.sin(heading),
+        start + twist * done["twist"],
+        np.full(n, lean * math.cos(tilt_heading)),
+        np.full(n, lean * math.sin(tilt_heading)),
+        depth - (depth + CLEARANCE_MM) * (1.0 - done["press"] + done["release"]),
     )
-
-    def interpolate_pose(share: float) -> _Placement:
-        index = min(int(share * len(order)), len(order) - 1)
-        now = _ease(share * len(order) - index)
-
-        def compute_phase_progress(phase: MotionPhase) -> float:
-            if phase not in order:
-                return 1.0 if phase == "press" else 0.0  # a slide alone starts in contact
-            return now if order[index] == phase else float(order.index(phase) < index)
-
-        distance = slide * compute_phase_progress("slide")
-        lift = 1.0 - compute_phase_progress("press") + compute_phase_progress("release")
-        return _Placement(
-            x_mm=float(start_x + distance * math.cos(heading)),
-            y_mm=float(start_y + distance * math.sin(heading)),
-            angle_rad=float(start + twist * compute_phase_progress("twist")),
-            tilt_rad=(lean * math.cos(tilt_heading), lean * math.sin(tilt_heading)),
-            depth_mm=float(depth - (depth + CLEARANCE_MM) * lift),
-        )
-
-    return interpolate_pose
+    return tuple(_make_pose(mesh, *row) for row in np.column_stack(columns).tolist())
 
 
 def _ease(share: float) -> float:
@@ -222,12 +175,18 @@ def _ease(share: float) -> float:
     return share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
 
 
-def _make_pose(mesh: Mesh, placement: _Placement) -> Doubles:
-    rotation = rigid.rotation((*placement.tilt_rad, 0.0)) @ rigid.rotation(
-        (0.0, 0.0, placement.angle_rad)
-    )
-    level = rigid.translation(placement.x_mm, placement.y_mm, 0.0) @ rotation
-    level[2, 3] = -placement.depth_mm - compute_lowest_mm(
-        rigid.apply(level, mesh.vertices_mm), mesh.triangles
-    )
+def _make_pose(
+    mesh: Mesh,
+    x_mm: float,
+    y_mm: float,
+    angle_rad: float,
+    tilt_x_rad: float,
+    tilt_y_rad: float,
+    depth_mm: float,
+) -> Doubles:
+    """The pose at this place, its deepest point at this depth; negative = above the gels."""
+    tilt = rigid.rotation((tilt_x_rad, tilt_y_rad, 0.0))
+    level = rigid.translation(x_mm, y_mm, 0.0) @ (tilt @ rigid.rotation((0.0, 0.0, angle_rad)))
+    lowest_mm = compute_lowest_mm(rigid.apply(level, mesh.vertices_mm), mesh.triangles)
+    level[2, 3] = -depth_mm - lowest_mm
     return freeze(level)

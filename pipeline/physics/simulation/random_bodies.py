@@ -65,15 +65,16 @@ def _make_pattern(rng: np.random.Generator, x: Doubles, y: Doubles) -> Doubles:
 
 
 def _make_figure(rng: np.random.Generator, x: Doubles, y: Doubles) -> Doubles:
-    turn = rng.uniform(0.0, 2.0 * math.pi)
-    u = x * math.cos(turn) + y * math.sin(turn)
-    v = y * math.cos(turn) - x * math.sin(turn)
+    u, v = _turn(x, y, rng.uniform(0.0, 2.0 * math.pi))
     kinds = (_line, _star, _oval, _plate, _hollow, _polygon, _arc, _wave)
     return kinds[int(rng.integers(len(kinds)))](rng, u, v)
 
 
-def _line(rng: np.random.Generator, u: Doubles, v: Doubles) -> Doubles:
-    return _strokes(rng, u, v) - rng.uniform(0.4, 1.8)
+def _turn(x: Doubles, y: Doubles, angle_rad: float) -> tuple[Doubles, Doubles]:
+    """Coordinates along axes that are turned by an angle."""
+    cos = math.cos(angle_rad)
+    sin = math.sin(angle_rad)
+    return x * cos + y * sin, y * cos - x * sin
 
 
 def _star(rng: np.random.Generator, u: Doubles, v: Doubles) -> Doubles:
@@ -88,8 +89,10 @@ def _polygon(rng: np.random.Generator, u: Doubles, v: Doubles) -> Doubles:
     )
 
 
-def _oval(rng: np.random.Generator, u: Doubles, v: Doubles) -> Doubles:
-    a, b = rng.uniform(1.0, 8.0, 2)
+def _oval(
+    rng: np.random.Generator, u: Doubles, v: Doubles, least: float = 1.0, most: float = 8.0
+) -> Doubles:
+    a, b = rng.uniform(least, most, 2)
     return (np.hypot(u / a, v / b) - 1.0) * min(a, b)
 
 
@@ -99,7 +102,12 @@ def _plate(rng: np.random.Generator, u: Doubles, v: Doubles) -> Doubles:
 
 def _hollow(rng: np.random.Generator, u: Doubles, v: Doubles) -> Doubles:
     width = rng.uniform(0.5, 1.8)
-    return np.abs(_frame(rng, u, v)) - width
+    if rng.random() < 0.5:
+        figure = _oval(rng, u, v, 2.5, 9.0)
+    else:
+        lobes = int(rng.integers(3, 7))
+        figure = _measure_lobes(rng, u, v, lobes=lobes, depth=0.0, pointed=False)
+    return np.abs(figure) - width
 
 
 def _arc(rng: np.random.Generator, u: Doubles, v: Doubles) -> Doubles:
@@ -121,15 +129,8 @@ def _wave(rng: np.random.Generator, u: Doubles, v: Doubles) -> Doubles:
     return np.maximum(across - rng.uniform(0.4, 1.6), np.abs(u) - rng.uniform(4.0, 20.0))
 
 
-def _frame(rng: np.random.Generator, u: Doubles, v: Doubles) -> Doubles:
-    if rng.random() < 0.5:
-        a, b = rng.uniform(2.5, 9.0, 2)
-        return (np.hypot(u / a, v / b) - 1.0) * min(a, b)
-    return _measure_lobes(rng, u, v, lobes=int(rng.integers(3, 7)), depth=0.0, pointed=False)
-
-
-def _strokes(rng: np.random.Generator, u: Doubles, v: Doubles) -> Doubles:
-    """Distance to one to five straight lines, from one point or one after the other."""
+def _line(rng: np.random.Generator, u: Doubles, v: Doubles) -> Doubles:
+    """One to five straight lines, from one point or one after the other."""
     at = rng.uniform(-4.0, 4.0, 2)
     distance = np.full(u.shape, _FAR_MM)
     from_one = rng.random() < 0.5
@@ -142,7 +143,7 @@ def _strokes(rng: np.random.Generator, u: Doubles, v: Doubles) -> Doubles:
         to = at + length * np.array([math.cos(turn), math.sin(turn)])
         distance = np.minimum(distance, _segment(u, v, at, to))
         at = at if from_one else to
-    return distance
+    return distance - rng.uniform(0.4, 1.8)
 
 
 def _segment(u: Doubles, v: Doubles, start: Doubles, end: Doubles) -> Doubles:
@@ -220,10 +221,7 @@ def _add_body(
 def _make_boulder(rng: np.random.Generator, x: Doubles, y: Doubles) -> Doubles:
     """Balls, eggs, rods, cones, roofs and blunt tips, without a flat side."""
     turn = rng.uniform(0.0, 2.0 * math.pi)
-    x = x - rng.uniform(-3.0, 3.0)
-    y = y - rng.uniform(-3.0, 3.0)
-    u = x * math.cos(turn) + y * math.sin(turn)
-    v = y * math.cos(turn) - x * math.sin(turn)
+    u, v = _turn(x - rng.uniform(-3.0, 3.0), y - rng.uniform(-3.0, 3.0), turn)
     kind = rng.choice(("egg", "rod", "cone", "roof", "pyramid"))
     if kind == "egg":
         a, b, c = rng.uniform(1.5, 14.0, 3)
@@ -268,12 +266,10 @@ def _make_mesh(height_mm: Doubles) -> Mesh:
     x, y = _make_plane()
     valid = height_mm < _REACH_MM
     index = np.arange(height_mm.size, dtype=np.int32).reshape(height_mm.shape)
-    a = index[:-1, :-1]
-    b = index[:-1, 1:]
-    c = index[1:, :-1]
-    d = index[1:, 1:]
-    whole = valid[:-1, :-1] & valid[:-1, 1:] & valid[1:, :-1] & valid[1:, 1:]
-    triangles = np.concatenate([np.stack([a, c, b], -1)[whole], np.stack([b, c, d], -1)[whole]])
+    sides = (np.s_[:-1], np.s_[1:])
+    corners = np.stack([index[rows, cols] for rows in sides for cols in sides], axis=-1)
+    whole = corners[valid.ravel()[corners].all(axis=-1)]
+    triangles = np.concatenate([whole[:, [0, 2, 1]], whole[:, [1, 2, 3]]])
     used, compact = np.unique(triangles, return_inverse=True)
     vertices = np.stack([x, y, height_mm], -1).reshape(-1, 3)[used]
     return Mesh(

@@ -5,6 +5,7 @@ print, dust lies on the lens. Strength 1 spans the differences between the insta
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -115,30 +116,27 @@ def _optics(o: Optics, draw: _Draw) -> Optics:
         )
         for g in o.glows
     )
-    return Optics(
+    return replace(
+        o,
         base_rgb=draw.tint_colour(o.base_rgb, _BASE, _BASE),
         leds=leds,
         falloff=_share(o.falloff + draw.sample_offset(_FALLOFF)),
         vignette=_share(o.vignette + draw.sample_offset(_VIGNETTE)),
         blur_px=o.blur_px * draw.sample_factor(_BLUR),
         noise_grey=o.noise_grey * draw.sample_factor(_NOISE),
-        glows=glows + _dust(draw),
+        glows=(*glows, *_dust(draw)),
         shadow=_share(o.shadow * draw.sample_factor(_SHADOW)),
         shadow_deg=min(max(o.shadow_deg + draw.sample_offset(_LED_ELEVATION_DEG), 5.0), 80.0),
     )
 
 
-def _dust(draw: _Draw) -> tuple[Glow, ...]:
+def _dust(draw: _Draw) -> Iterator[Glow]:
     """A few fixed bright or dark specks."""
-    count = max(0, min(_MAX_DUST, round(abs(draw.sample_offset(0.5 * _MAX_DUST)))))
-    specks: list[Glow] = []
-    for _ in range(count):
+    for _ in range(min(_MAX_DUST, round(abs(draw.sample_offset(0.5 * _MAX_DUST))))):
         size = _DUST_HALVES * draw.sample_factor(0.3)
         grey = draw.sample_offset(_DUST_GREY)
-        x = draw.sample_uniform(-1.0, 1.0)
-        y = draw.sample_uniform(-1.0, 1.0)
-        specks.append(Glow(x=x, y=y, width=size, height=size, rgb=(grey, grey, grey)))
-    return tuple(specks)
+        x, y = (draw.sample_uniform(-1.0, 1.0) for _ in range(2))
+        yield Glow(x=x, y=y, width=size, height=size, rgb=(grey, grey, grey))
 
 
 def _gel(g: Gel, draw: _Draw) -> Gel:

@@ -4,6 +4,7 @@ names.
 It encodes three-channel images to a few channels at 1/8 of the side length, and decodes them.
 """
 
+from collections import OrderedDict
 from itertools import pairwise
 from typing import cast
 
@@ -55,8 +56,8 @@ class _Encoder(nn.Module):
             step.block = nn.ModuleList(
                 _Block(inputs if k == 0 else outputs, outputs, groups) for k in range(blocks)
             )
-            if level < len(channel_multipliers) - 1:
-                step.downsample = _Downsample(outputs)
+            is_last = level == len(channel_multipliers) - 1
+            step.downsample = nn.Identity() if is_last else _make_downsampling(outputs)
             self.down.append(step)
         self.mid = _Middle(widths[-1], groups)
         self.norm_out = nn.GroupNorm(groups, widths[-1], _EPS)
@@ -68,8 +69,7 @@ class _Encoder(nn.Module):
         for step in self.down:
             for block in cast("nn.ModuleList", step.block):
                 field = block(field)
-            if hasattr(step, "downsample"):
-                field = cast("nn.Module", step.downsample)(field)
+            field = cast("nn.Module", step.downsample)(field)
         return self.conv_out(functional.silu(self.norm_out(self.mid(field))))
 
 
@@ -88,8 +88,7 @@ class _Decoder(nn.Module):
             step.block = nn.ModuleList(
                 _Block(deeper if k == 0 else outputs, outputs, groups) for k in range(blocks + 1)
             )
-            if level:
-                step.upsample = _Upsample(outputs)
+            step.upsample = _make_upsampling(outputs) if level else nn.Identity()
             self.up.append(step)
         self.norm_out = nn.GroupNorm(groups, widths[0], _EPS)
         self.conv_out = nn.Conv2d(widths[0], 3, 3, padding=1)
@@ -100,8 +99,7 @@ class _Decoder(nn.Module):
         for step in reversed(self.up):
             for block in cast("nn.ModuleList", step.block):
                 field = block(field)
-            if hasattr(step, "upsample"):
-                field = cast("nn.Module", step.upsample)(field)
+            field = cast("nn.Module", step.upsample)(field)
         return self.conv_out(functional.silu(self.norm_out(field)))
 
 
@@ -123,13 +121,12 @@ class _Block(nn.Module):
         self.norm2 = nn.GroupNorm(groups, outputs, _EPS)
         self.conv1 = nn.Conv2d(inputs, outputs, 3, padding=1)
         self.conv2 = nn.Conv2d(outputs, outputs, 3, padding=1)
-        if inputs != outputs:
-            self.nin_shortcut = nn.Conv2d(inputs, outputs, 1)
+        self.nin_shortcut = nn.Identity() if inputs == outputs else nn.Conv2d(inputs, outputs, 1)
 
     def forward(self, field: Tensor) -> Tensor:
         inner = self.conv1(functional.silu(self.norm1(field)))
         inner = self.conv2(functional.silu(self.norm2(inner)))
-        return inner + (self.nin_shortcut(field) if hasattr(self, "nin_shortcut") else field)
+        return inner + self.nin_shortcut(field)
 
 
 class _Attention(nn.Module):
@@ -147,23 +144,15 @@ class _Attention(nn.Module):
         return field + self.proj_out(attended.transpose(1, 2).reshape(field.shape))
 
 
-class _Downsample(nn.Module):
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.conv = nn.Conv2d(width, width, 3, stride=2)
-
-    def forward(self, field: Tensor) -> Tensor:
-        """Half the side length; as published, padding is added at the right and bottom only."""
-        return self.conv(functional.pad(field, (0, 1, 0, 1)))
+def _make_downsampling(width: int) -> nn.Module:
+    """To half the side length; as published, padding is added at the right and bottom only."""
+    pad = nn.ZeroPad2d((0, 1, 0, 1))
+    return nn.Sequential(OrderedDict(pad=pad, conv=nn.Conv2d(width, width, 3, stride=2)))
 
 
-class _Upsample(nn.Module):
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.conv = nn.Conv2d(width, width, 3, padding=1)
-
-    def forward(self, field: Tensor) -> Tensor:
-        return self.conv(functional.interpolate(field, scale_factor=2.0, mode="nearest"))
+def _make_upsampling(width: int) -> nn.Module:
+    enlarge = nn.Upsample(scale_factor=2.0, mode="nearest")
+    return nn.Sequential(OrderedDict(enlarge=enlarge, conv=nn.Conv2d(width, width, 3, padding=1)))
 
 
 def sample_latents(mean: Tensor, log_variance: Tensor, noise: Tensor) -> Tensor:

@@ -8,13 +8,12 @@ milliseconds stay on the processor.
 from __future__ import annotations
 
 import re
-from dataclasses import fields, is_dataclass, replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from pipeline.core.errors import SettingProblem
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from torch import nn
 
@@ -91,43 +90,28 @@ class _PlacedNetwork:
 
     def _cross(self, call: Callable[..., Any]) -> Callable[..., Any]:
         import torch
+        from torch.utils._pytree import tree_map_only
+
+        def move(tensor: Any) -> Any:
+            return tensor.to(self._device)
+
+        def bring_back(tensor: Any) -> Any:
+            here = tensor.cpu()
+            return here.float() if here.is_floating_point() else here
 
         def compute(*args: Any, **kwargs: Any) -> Any:
-            there = [_map_tensors(arg, lambda t: t.to(self._device)) for arg in args]
-            named = {
-                k: _map_tensors(arg, lambda t: t.to(self._device)) for k, arg in kwargs.items()
-            }
+            there, named = tree_map_only(torch.Tensor, move, (args, kwargs))
             uses_half = self._precision == _HALF
             try:
                 with torch.autocast(
                     self._device.partition(":")[0], torch.bfloat16, enabled=uses_half
                 ):
                     answer = call(*there, **named)
-                return _map_tensors(answer, _bring_back)
+                return tree_map_only(torch.Tensor, bring_back, answer)
             except torch.OutOfMemoryError as error:
                 raise _explain(error, self._device) from error
 
         return compute
-
-
-def _bring_back(tensor: Any) -> Any:
-    here = tensor.cpu()
-    return here.float() if here.is_floating_point() else here
-
-
-def _map_tensors(value: Any, change: Callable[[Any], Any]) -> Any:
-    """Return a value with its tensors changed, also those in tuples and dataclasses."""
-    import torch
-
-    if isinstance(value, torch.Tensor):
-        return change(value)
-    if isinstance(value, tuple | list):
-        parts = [_map_tensors(part, change) for part in cast("Iterable[Any]", value)]
-        return type(value)(*parts) if hasattr(value, "_fields") else type(value)(parts)
-    if is_dataclass(value) and not isinstance(value, type):
-        named = {f.name: _map_tensors(getattr(value, f.name), change) for f in fields(value)}
-        return replace(value, **named)
-    return value
 
 
 def _explain(error: RuntimeError, device: str) -> SettingProblem:

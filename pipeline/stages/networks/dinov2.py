@@ -3,7 +3,7 @@
 Oquab et al. 2023, patches of 14 pixels, no register tokens; small, base and large.
 """
 
-import math
+from collections import OrderedDict
 from dataclasses import dataclass
 
 import torch
@@ -43,7 +43,8 @@ class DinoV2Encoder(nn.Module):
         self.cls_token = nn.Parameter(torch.zeros(1, 1, size.width))
         self.pos_embed = nn.Parameter(torch.zeros(1, _TRAINED_PATCHES**2 + 1, size.width))
         self.mask_token = nn.Parameter(torch.zeros(1, size.width))  # used in pre-training only
-        self.patch_embed = _PatchEmbed(size.width)
+        filters = nn.Conv2d(3, size.width, PATCH_PX, stride=PATCH_PX)
+        self.patch_embed = nn.Sequential(OrderedDict(proj=filters))
         self.blocks = nn.ModuleList(_Block(size) for _ in range(size.depth))
         self.norm = nn.LayerNorm(size.width, eps=1e-6)
         nn.init.trunc_normal_(self.pos_embed, std=0.02)
@@ -80,32 +81,24 @@ class DinoV2Encoder(nn.Module):
         positions = positions.reshape(1, side, side, -1).permute(0, 3, 1, 2)
         if (rows, cols) == (side, side):
             return first, positions
-        scale = ((rows + _OFFSET) / math.sqrt(side**2), (cols + _OFFSET) / math.sqrt(side**2))
+        scale = ((rows + _OFFSET) / side, (cols + _OFFSET) / side)
         return first, functional.interpolate(positions.float(), scale_factor=scale, mode="bicubic")
-
-
-class _PatchEmbed(nn.Module):
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.proj = nn.Conv2d(3, width, PATCH_PX, stride=PATCH_PX)
-
-    def forward(self, image: Tensor) -> Tensor:
-        return self.proj(image)
 
 
 class _Block(nn.Module):
     def __init__(self, size: EncoderSize) -> None:
         super().__init__()
-        self.norm1 = nn.LayerNorm(size.width, eps=1e-6)
-        self.attn = _Attention(size.width, size.heads)
-        self.ls1 = _Scale(size.width)
-        self.norm2 = nn.LayerNorm(size.width, eps=1e-6)
-        self.mlp = _Mlp(size.width)
-        self.ls2 = _Scale(size.width)
+        width = size.width
+        self.norm1, self.norm2 = (nn.LayerNorm(width, eps=1e-6) for _ in range(2))
+        self.attn = _Attention(width, size.heads)
+        self.mlp = nn.Sequential(
+            OrderedDict(fc1=_linear(width, 4 * width), act=nn.GELU(), fc2=_linear(4 * width, width))
+        )
+        self.ls1, self.ls2 = (nn.ParameterDict({"gamma": torch.ones(width)}) for _ in range(2))
 
     def forward(self, tokens: Tensor) -> Tensor:
-        tokens = tokens + self.ls1(self.attn(self.norm1(tokens)))
-        return tokens + self.ls2(self.mlp(self.norm2(tokens)))
+        tokens = tokens + self.attn(self.norm1(tokens)) * self.ls1["gamma"]
+        return tokens + self.mlp(self.norm2(tokens)) * self.ls2["gamma"]
 
 
 class _Attention(nn.Module):
@@ -124,25 +117,6 @@ class _Attention(nn.Module):
         )
         attended = functional.scaled_dot_product_attention(parts[0], parts[1], parts[2])
         return self.proj(attended.transpose(1, 2).reshape(n, count, width))
-
-
-class _Mlp(nn.Module):
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.fc1 = _linear(width, 4 * width)
-        self.fc2 = _linear(4 * width, width)
-
-    def forward(self, tokens: Tensor) -> Tensor:
-        return self.fc2(functional.gelu(self.fc1(tokens)))
-
-
-class _Scale(nn.Module):
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.gamma = nn.Parameter(torch.ones(width))
-
-    def forward(self, tokens: Tensor) -> Tensor:
-        return tokens * self.gamma
 
 
 def _linear(inputs: int, outputs: int) -> nn.Linear:

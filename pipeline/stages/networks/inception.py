@@ -44,7 +44,7 @@ def read_inception(path: Path) -> Weights:
             )
         return {name: name for name in used}
 
-    tensors = read_tensors(path, select).tensors
+    tensors = read_tensors(path, select)[0]
     return Weights(name=path.stem, kind="inception", config={}, tensors=tensors)
 
 

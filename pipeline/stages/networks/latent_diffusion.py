@@ -6,12 +6,12 @@ Parts and tensors have the names of the published checkpoint: `first_stage_model
 `scale_factor`, which scales latents to unit standard deviation.
 """
 
-from typing import Literal, NamedTuple, cast
+from collections import OrderedDict
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from pipeline.core.arrays import Doubles
 from pipeline.stages.networks.autoencoder_kl import LATENT_CHANNELS, AutoencoderKl, sample_latents
@@ -55,9 +55,6 @@ class LatentDiffusion(nn.Module):
     180 degrees for the target's camera. `leading_times`: sampled at those of the published sampler.
     `trained_with_condition_dropout`: whether guidance can act. `trained_on_recordings` (0 or 1): by
     recorded pairs, which know how the sensors lie.
-    `generated_*` and `true_*` are mean and standard deviation (mm) of generated and true imprints
-    of training examples; they remove small biases of the output. A standard deviation of 0 disables
-    this.
     """
 
     model: nn.ModuleDict
@@ -85,10 +82,6 @@ class LatentDiffusion(nn.Module):
         trained_with_condition_dropout: bool = True,
         half_turn: bool = False,
         leading_times: bool = False,
-        generated_mean_mm: float = 0.0,
-        generated_std_mm: float = 0.0,
-        true_mean_mm: float = 0.0,
-        true_std_mm: float = 0.0,
         trained_on_recordings: float = 0.0,
     ) -> None:
         super().__init__()
@@ -99,8 +92,6 @@ class LatentDiffusion(nn.Module):
         self.raw_condition = bool(raw_condition)
         self.trained_on_recordings = bool(trained_on_recordings)
         self.trained_with_condition_dropout = bool(trained_with_condition_dropout)
-        self.generated_stats = (generated_mean_mm, generated_std_mm)
-        self.true_stats = (true_mean_mm, true_std_mm)
         self.first_stage_model = AutoencoderKl(
             width=autoencoder_width,
             channel_multipliers=_parse_integers(autoencoder_multipliers),
@@ -109,9 +100,7 @@ class LatentDiffusion(nn.Module):
         )
         self.cond_stage_model: nn.Module = nn.PixelUnshuffle(_DOWNSAMPLING)
         if condition_encoder == "resnet":
-            self.cond_stage_model = ConditionEncoder(
-                width=condition_channels, inputs=condition_inputs
-            )
+            self.cond_stage_model = make_condition_encoder(condition_channels, condition_inputs)
         else:
             condition_channels = condition_inputs * _DOWNSAMPLING**2
         self.model = nn.ModuleDict(
@@ -196,44 +185,33 @@ def _parse_integers(text: str) -> tuple[int, ...]:
     return tuple(int(word) for word in text.split())
 
 
-class ConditionEncoder(nn.Module):
+def make_condition_encoder(width: int = 64, inputs: int = 3) -> nn.Module:
     """Features (n, width, side / 8, side / 8) of images (n, inputs, side, side).
 
+    ResNet-18 (He et al. 2016) without its classifier, then two steps of enlargement.
     Published are 64 of 3 inputs.
     """
-
-    def __init__(self, *, width: int = 64, inputs: int = 3) -> None:
-        super().__init__()
-        self.resnet = _Resnet18(width, inputs)
-        self.deconv1 = nn.ConvTranspose2d(8 * width, 4 * width, 4, 2, 1)
-        self.deconv2 = nn.ConvTranspose2d(4 * width, width, 4, 2, 1)
-
-    def forward(self, images: Tensor) -> Tensor:
-        """The condition that is concatenated with the noisy latents."""
-        features = self.deconv1(functional.relu(self.resnet(images)))
-        return self.deconv2(functional.relu(features))
-
-
-class _Resnet18(nn.Module):
-    """ResNet-18 (He et al. 2016) without its classifier."""
-
-    def __init__(self, width: int, inputs: int) -> None:
-        super().__init__()
-        self.conv1 = nn.Conv2d(inputs, width, 7, 2, 3, bias=False)
-        self.bn1 = nn.BatchNorm2d(width)
-        self.layer1 = nn.Sequential(_Basic(width, width, 1), _Basic(width, width, 1))
-        self.layer2 = nn.Sequential(_Basic(width, 2 * width, 2), _Basic(2 * width, 2 * width, 1))
-        self.layer3 = nn.Sequential(
-            _Basic(2 * width, 4 * width, 2), _Basic(4 * width, 4 * width, 1)
+    resnet = OrderedDict[str, nn.Module](
+        conv1=nn.Conv2d(inputs, width, 7, 2, 3, bias=False),
+        bn1=nn.BatchNorm2d(width),
+        relu=nn.ReLU(),
+        pool=nn.MaxPool2d(3, 2, 1),
+    )
+    narrow = width
+    for level in range(4):
+        wide = width * 2**level
+        blocks = _Basic(narrow, wide, 2 if level else 1), _Basic(wide, wide, 1)
+        resnet[f"layer{level + 1}"] = nn.Sequential(*blocks)
+        narrow = wide
+    return nn.Sequential(
+        OrderedDict(
+            resnet=nn.Sequential(resnet),
+            relu1=nn.ReLU(),
+            deconv1=nn.ConvTranspose2d(8 * width, 4 * width, 4, 2, 1),
+            relu2=nn.ReLU(),
+            deconv2=nn.ConvTranspose2d(4 * width, width, 4, 2, 1),
         )
-        self.layer4 = nn.Sequential(
-            _Basic(4 * width, 8 * width, 2), _Basic(8 * width, 8 * width, 1)
-        )
-
-    def forward(self, images: Tensor) -> Tensor:
-        """Features at 1/32 of the side length."""
-        field = functional.max_pool2d(functional.relu(self.bn1(self.conv1(images))), 3, 2, 1)
-        return self.layer4(self.layer3(self.layer2(self.layer1(field))))
+    )
 
 
 class _Basic(nn.Module):
@@ -243,12 +221,11 @@ class _Basic(nn.Module):
         self.bn1 = nn.BatchNorm2d(outputs)
         self.conv2 = nn.Conv2d(outputs, outputs, 3, 1, 1, bias=False)
         self.bn2 = nn.BatchNorm2d(outputs)
-        if stride != 1 or inputs != outputs:
-            self.downsample = nn.Sequential(
-                nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs)
-            )
+        self.downsample = nn.Sequential()
+        if inputs != outputs:
+            self.downsample.append(nn.Conv2d(inputs, outputs, 1, stride, bias=False))
+            self.downsample.append(nn.BatchNorm2d(outputs))
 
     def forward(self, field: Tensor) -> Tensor:
-        inner = self.bn2(self.conv2(functional.relu(self.bn1(self.conv1(field)))))
-        skip = cast("nn.Module", self.downsample)(field) if hasattr(self, "downsample") else field
-        return functional.relu(inner + skip)
+        inner = self.bn2(self.conv2(self.bn1(self.conv1(field)).relu()))
+        return (inner + self.downsample(field)).relu()

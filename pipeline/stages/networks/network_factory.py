@@ -8,7 +8,6 @@ with the reason.
 from __future__ import annotations
 
 import contextlib
-import importlib
 import importlib.metadata
 import inspect
 import warnings
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 
 from pipeline.core import disk_store
 from pipeline.core.arrays import Floats
+from pipeline.core.entry_points import load_reference
 from pipeline.core.errors import ModelMissing
 from pipeline.core.graph import EarlyAnswer, Fallback, Method, Skipped
 from pipeline.core.memo import Memo
@@ -65,8 +65,7 @@ def build_network(kind: str, config: Mapping[str, Value]) -> nn.Module:
     """
     if kind not in NETWORK_CLASSES:
         raise ModelMissing(f"unknown network {kind!r}; known are {', '.join(NETWORK_CLASSES)}")
-    module, _, name = NETWORK_CLASSES[kind].partition(":")
-    network_class = getattr(importlib.import_module(module), name)
+    network_class: Any = load_reference(NETWORK_CLASSES[kind])
     unknown = sorted(config.keys() - inspect.signature(network_class).parameters.keys())
     if unknown:
         raise ModelMissing(
@@ -89,13 +88,9 @@ def load_network(weights: Weights | NoWeights) -> nn.Module:
     if isinstance(weights, NoWeights):
         raise ModelMissing(weights.why)
     placement = weights.placement
-    if placement == PROCESSOR:
-        return _loaded_networks.get_or_make(
-            weights.content_digest, lambda: _build_with_weights(weights)
-        )
+    key = weights.content_digest + (f" {placement}" if placement != PROCESSOR else "")
     return _loaded_networks.get_or_make(
-        f"{weights.content_digest} {placement}",
-        lambda: place_network(_build_with_weights(weights), placement),
+        key, lambda: place_network(_build_with_weights(weights), placement)
     )
 
 
@@ -204,13 +199,9 @@ def _build_with_weights(weights: Weights) -> nn.Module:
         )
     with _skip_initialisation():
         net = build_network(weights.kind, weights.config)
-    expected: dict[str, Any] = net.state_dict()
-    mismatched = expected.keys() ^ tensors.keys()
-    mismatched |= {
-        name
-        for name, tensor in expected.items()
-        if name not in mismatched and tensor.shape != tensors[name].shape
-    }
+    expected = {name: tuple(tensor.shape) for name, tensor in net.state_dict().items()}
+    found = {name: tensor.shape for name, tensor in tensors.items()}
+    mismatched = {name for name, _ in expected.items() ^ found.items()}
     if mismatched:
         examples = ", ".join(repr(name) for name in sorted(mismatched)[:2])
         raise ModelMissing(

@@ -24,7 +24,6 @@ Reads tensors of foreign files, safetensors or torch's, without executing code.
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
 from functools import wraps
 from operator import itemgetter
 from pathlib import Path
@@ -56,31 +55,27 @@ _MAX_NESTING = 3  # levels of a training checkpoint that are searched for the ta
 Selection = Callable[[Collection[str]], Mapping[str, str]]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TensorTable:
-    """Tensors of a file by name, and what else the file holds."""
-
-    tensors: dict[str, Floats]
-    other_keys: frozenset[str]  # next to the table, such as "optimizer"; empty for a bare table
-
-
 def select_all(names: Collection[str]) -> Mapping[str, str]:
     """Every tensor under its name."""
     return {name: name for name in names}
 
 
-def read_tensors(path: Path, select: Selection = select_all) -> TensorTable:
-    """The selected tensors as float32; of a torch archive no others are read.
+def read_tensors(
+    path: Path, select: Selection = select_all
+) -> tuple[dict[str, Floats], frozenset[str]]:
+    """The selected tensors as float32, and the keys next to their table, such as "optimizer".
 
-    A prefix that nearly all names share, such as that of distributed training, is dropped before
-    `select` sees them. `select` may raise FileProblem. Raises FileProblem if the file is not a
-    table of finite tensors.
+    Of a torch archive no other tensors are read. A prefix that nearly all names share, such as that
+    of distributed training, is dropped before `select` sees them. `select` may raise FileProblem.
+    Raises FileProblem if the file is not a table of finite tensors.
     """
     if is_safetensors(path):
-        return _take(_drop_prefix(load_tensors(path)[1]), select, frozenset(), path)
+        stored = _drop_prefix(load_tensors(path)[1])
+        wanted = select(stored.keys())
+        return {name: _convert(stored[its], path) for name, its in wanted.items()}, frozenset()
     require_checksums(path)
     table, others = _find_table(load_torch_file(path), path)
-    return TensorTable(tensors=_read_selected(table, select(table.keys()), path), other_keys=others)
+    return _read_selected(table, select(table.keys()), path), others
 
 
 def _read_selected(
@@ -102,15 +97,6 @@ def _read_selected(
         done += tensor.numel()
         report_reading(done / max(total, 1), f"reading {path.name}")
     return tensors
-
-
-def _take(
-    tensors: Mapping[str, NDArray[Any]], select: Selection, others: frozenset[str], path: Path
-) -> TensorTable:
-    taken = {
-        name: _convert(tensors[stored], path) for name, stored in select(tensors.keys()).items()
-    }
-    return TensorTable(tensors=taken, other_keys=others)
 
 
 def _find_table(content: Any, path: Path) -> tuple[dict[str, Any], frozenset[str]]:
@@ -252,17 +238,36 @@ def _or_own(kind: str) -> Callable[[ReadWeights], ReadWeights]:
     return decorate
 
 
+def _require(path: Path, message: str, *wanted: str) -> Selection:
+    """A selection of all tensors of a file that has those wanted; raises FileProblem."""
+
+    def select(names: Collection[str]) -> Mapping[str, str]:
+        if not set(wanted) <= set(names):
+            raise FileProblem(message, path)
+        return select_all(names)
+
+    return select
+
+
+def _make_weights(
+    path: Path, kind: str, config: Mapping[str, Value], tensors: Mapping[str, Floats], task: str
+) -> Weights:
+    card = {"task": task, "file": path.name}
+    return Weights(name=path.stem, kind=kind, config=config, tensors=tensors, card=card)
+
+
 @_or_own(DEPTH_ANYTHING)
 def read_depth_anything(path: Path) -> Weights:
     """Read weights of Depth Anything V2; raises FileProblem for any other file."""
-    table = read_tensors(path, lambda names: _select_depth_anything(names, path))
-    tensors = table.tensors
+    missing = "not Depth Anything V2 weights: tensors pretrained.* and depth_head.* are missing"
+    select = _require(path, missing, _TOKEN, _FEATURES, _LAST_DEPTH)
+    tensors, other_keys = read_tensors(path, select)
     width = tensors[_TOKEN].shape[-1]
     if width not in _ENCODERS:
         raise FileProblem(
             f"unknown encoder of width {width}; supported are vits, vitb and vitl", path
         )
-    is_fork = _CONTACT_HEAD in tensors or "optimizer" in table.other_keys
+    is_fork = _CONTACT_HEAD in tensors or "optimizer" in other_keys
     usual: dict[str, Value] = (
         {"answer": "distance", "image_content": "frame"} if is_fork else {"answer": "relative"}
     )
@@ -281,22 +286,13 @@ def read_depth_anything(path: Path) -> Weights:
         tensors = {
             name: tensor for name, tensor in tensors.items() if not name.startswith("mask_head.")
         }
-    card = {"task": DEPTH_ANYTHING, "file": path.name}
-    return Weights(name=path.stem, kind=DEPTH_ANYTHING, config=config, tensors=tensors, card=card)
-
-
-def _select_depth_anything(names: Collection[str], path: Path) -> Mapping[str, str]:
-    if not {_TOKEN, _FEATURES, _LAST_DEPTH} <= set(names):
-        raise FileProblem(
-            "not Depth Anything V2 weights: tensors pretrained.* and depth_head.* are missing", path
-        )
-    return select_all(names)
+    return _make_weights(path, DEPTH_ANYTHING, config, tensors, DEPTH_ANYTHING)
 
 
 @_or_own(LATENT)
 def read_latent_diffusion(path: Path) -> Weights:
     """Read a checkpoint of the released layout; raises FileProblem for any other file."""
-    tensors = read_tensors(path, lambda names: _select_latent(names, path)).tensors
+    tensors = read_tensors(path, lambda names: _select_latent(names, path))[0]
     unet, first, condition_channels = (tensors[name].shape[0] for name in _LATENT_TENSORS)
     config: dict[str, Value] = {
         "side": 256,
@@ -309,8 +305,7 @@ def read_latent_diffusion(path: Path) -> Weights:
         "trained_with_condition_dropout": False,
     }
     tensors["scale_factor"] = np.asarray(tensors.get("scale_factor", 1.0), np.float32).reshape(())
-    card = {"task": LATENT, "file": path.name}
-    return Weights(name=path.stem, kind=LATENT, config=config, tensors=tensors, card=card)
+    return _make_weights(path, LATENT, config, tensors, LATENT)
 
 
 def _select_latent(names: Collection[str], path: Path) -> dict[str, str]:
@@ -339,26 +334,24 @@ def _select_latent(names: Collection[str], path: Path) -> dict[str, str]:
 @_or_own(U_NET)
 def read_unet(path: Path) -> Weights:
     """Read the state of a U-Net; raises FileProblem for any other file."""
-    tensors = read_tensors(path, lambda names: _select_unet(names, path)).tensors
-    first = tensors[_FIRST_BLOCK]
-    last = tensors[_LAST_LAYER]
-    levels = 1 + len({name.split(".")[1] for name in tensors if name.startswith("down.")})
-    config: dict[str, Value] = {
-        "inputs": first.shape[1],
-        "outputs": last.shape[0],
-        "width": first.shape[0],
-    }
-    task = U_NET_TASKS.get((first.shape[1], last.shape[0]))
+    tensors = read_tensors(path, lambda names: _select_unet(names, path))[0]
+    width, inputs = tensors[_FIRST_BLOCK].shape[:2]
+    outputs = tensors[_LAST_LAYER].shape[0]
+    task = U_NET_TASKS.get((inputs, outputs))
     if task is None:
         raise FileProblem(
-            f"this U-Net has {first.shape[1]} inputs and {last.shape[0]} outputs; supported are 3 "
-            "and 1 for depth of "
-            "a gel, 1 and 2 for contact of a bubble",
+            f"this U-Net has {inputs} inputs and {outputs} outputs; supported are 3 and 1 for "
+            "depth of a gel, 1 and 2 for contact of a bubble",
             path,
         )
-    config |= {"levels": levels, **_read_description(path, _U_NET_SETTINGS)}
-    card = {"task": task, "file": path.name}
-    return Weights(name=path.stem, kind=U_NET, config=config, tensors=tensors, card=card)
+    config: dict[str, Value] = {
+        "inputs": inputs,
+        "outputs": outputs,
+        "width": width,
+        "levels": 1 + len({name.split(".")[1] for name in tensors if name.startswith("down.")}),
+        **_read_description(path, _U_NET_SETTINGS),
+    }
+    return _make_weights(path, U_NET, config, tensors, task)
 
 
 def _select_unet(names: Collection[str], path: Path) -> dict[str, str]:
@@ -378,7 +371,11 @@ def _select_unet(names: Collection[str], path: Path) -> dict[str, str]:
 @_or_own(VQVAE)
 def read_vqvae(path: Path) -> Weights:
     """Read a state of the released VQ-VAE; raises FileProblem for any other file."""
-    tensors = read_tensors(path, lambda names: _select_vqvae(names, path)).tensors
+    missing = (
+        f"not VQ-VAE weights under their original names: {_ENCODER}, {_CODES} or {_DECODER} "
+        "is missing"
+    )
+    tensors = read_tensors(path, _require(path, missing, _ENCODER, _DECODER, _CODES))[0]
     codes, width = tensors[_CODES].shape
     config: dict[str, Value] = {
         "inputs": tensors[_ENCODER].shape[1],
@@ -387,18 +384,7 @@ def read_vqvae(path: Path) -> Weights:
         "codes": codes,
         "half_turn": True,
     }
-    card = {"task": VQVAE, "file": path.name}
-    return Weights(name=path.stem, kind=VQVAE, config=config, tensors=tensors, card=card)
-
-
-def _select_vqvae(names: Collection[str], path: Path) -> Mapping[str, str]:
-    if not {_ENCODER, _DECODER, _CODES} <= set(names):
-        raise FileProblem(
-            f"not VQ-VAE weights under their original names: {_ENCODER}, {_CODES} or {_DECODER} "
-            "is missing",
-            path,
-        )
-    return select_all(names)
+    return _make_weights(path, VQVAE, config, tensors, VQVAE)
 
 
 READERS: Mapping[str, ReadWeights] = {

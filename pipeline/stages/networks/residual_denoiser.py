@@ -3,9 +3,8 @@ condition.
 
 A U-Net like `compact_unet` with a noise embedding: every block scales and shifts its normalised
 features by functions of log sigma. Values are in units of `unit_mm`; noisy = clean + sigma * noise,
-as in `samplers`. The network predicts the clean field, the noise, or v, a mixture of both (Salimans
-and Ho 2022); the output is always the clean field. At `sigma_max` the noisy field is replaced by 0,
-so that the first step and one-step inference use the condition alone.
+as in `samplers`. The network predicts the clean field. At `sigma_max` the noisy field is replaced
+by 0, so that the first step and one-step inference use the condition alone.
 
 The last channel is the expected error of the clean field. `error_factor_in_view` and
 `error_factor_outside` calibrate it inside and outside the source's contact, `error_exponent` is its
@@ -26,7 +25,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Literal, cast
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -36,7 +35,6 @@ from pipeline.stages.networks.compact_unet import CompactUnet, make_fold_kernel,
 from pipeline.stages.networks.onnx_predictor import FIELD_LIMIT
 from pipeline.stages.networks.onnx_predictor import ResidualConstants as Constants
 
-PredictionTarget = Literal["clean", "v", "noise"]
 FIELD_CHANNELS = 2  # denoised channels: indentation and contact
 _N_WAVES = 16  # frequencies of the noise embedding
 _EMBEDDING_WIDTH = 64  # width of the noise embedding
@@ -56,7 +54,6 @@ class ResidualDenoiser(nn.Module):
         levels: int = 4,
         max_channels: int = 112,
         fold: int = 2,
-        prediction: PredictionTarget = "clean",
         sigma_max: float = Constants.sigma_max,
         sigma_min: float = Constants.sigma_min,
         noise_correlation: float = Constants.noise_correlation,
@@ -66,12 +63,9 @@ class ResidualDenoiser(nn.Module):
         trained_on_recordings: float = Constants.trained_on_recordings,
     ) -> None:
         super().__init__()
-        if prediction not in ("clean", "v", "noise"):
-            raise ValueError(f"prediction must be clean, v or noise, got {prediction!r}")
         self.unit_mm = unit_mm
         self.sigma_max = sigma_max
         self.sigma_min = sigma_min
-        self.prediction = prediction
         self.inputs = inputs
         self.fold = fold
         self.noise_correlation = noise_correlation
@@ -107,12 +101,8 @@ class ResidualDenoiser(nn.Module):
             lambda padded: functional.pixel_unshuffle(padded, self.fold),
             self.noise_embedding(_embed_sigma(sigma)),
         ).float()
-        clean = output[:, :FIELD_CHANNELS]
-        if self.prediction == "noise":
-            clean = noisy - level * clean
-        elif self.prediction == "v":
-            clean = scaled / torch.sqrt(1.0 + level**2) - level / torch.sqrt(1.0 + level**2) * clean
-        return torch.cat([clean.clamp(-FIELD_LIMIT, FIELD_LIMIT), output[:, FIELD_CHANNELS:]], 1)
+        clean = output[:, :FIELD_CHANNELS].clamp(-FIELD_LIMIT, FIELD_LIMIT)
+        return torch.cat([clean, output[:, FIELD_CHANNELS:]], 1)
 
     @torch.no_grad()
     def make_first_pass(self) -> nn.Module:
@@ -134,15 +124,12 @@ class _Block(nn.Module):
     def forward(self, field: Tensor, embedding: Tensor) -> Tensor:
         scale, shift = self.modulation(embedding).chunk(2, 1)
         if not self.training and len(field) == 1:
-            return self._forward_folded(field, 1.0 + scale[0], shift[0])
+            weight, bias = self._fold(1.0 + scale[0], shift[0])
+            return functional.relu(functional.conv2d(field, weight, bias, padding=1))
         normed = self.norm(self.filter(field))
         return functional.relu(
             torch.addcmul(shift[..., None, None], normed, 1.0 + scale[..., None, None])
         )
-
-    def _forward_folded(self, field: Tensor, scale: Tensor, shift: Tensor) -> Tensor:
-        weight, bias = self._fold(scale, shift)
-        return functional.relu(functional.conv2d(field, weight, bias, padding=1))
 
     def make_convolution(self, embedding: Tensor, first_channel: int = 0) -> nn.Sequential:
         """The block at one noise level, as a convolution of its inputs from `first_channel` on."""
@@ -192,9 +179,7 @@ class _FirstPass(CompactUnet):
         self.register_buffer(
             "fold_kernel", make_fold_kernel(net.inputs, net.fold), persistent=False
         )
-        n_noisy = FIELD_CHANNELS * net.fold**2
-        patch = net.fold**2
-        self.start = net.start.make_convolution(embedding, n_noisy)
+        self.start = net.start.make_convolution(embedding, FIELD_CHANNELS * net.fold**2)
         pairs = cast("list[_Pair]", list(net.down))
         self.down = nn.ModuleList(
             nn.Sequential(
@@ -206,15 +191,7 @@ class _FirstPass(CompactUnet):
         self.merge = nn.ModuleList(
             block.make_convolution(embedding) for block in cast("list[_Block]", list(net.merge))
         )
-        self.finish = nn.Conv2d(net.finish.in_channels, net.finish.out_channels, 3, padding=1)
-        level = net.sigma_max
-        of_clean = {"clean": 1.0, "noise": -level, "v": -level / (1.0 + level**2) ** 0.5}[
-            net.prediction
-        ]
-        gain = torch.ones(net.finish.out_channels)
-        gain[: FIELD_CHANNELS * patch] = of_clean
-        self.finish.weight.copy_(net.finish.weight * gain[:, None, None, None])
-        self.finish.bias = nn.Parameter(cast("Tensor", net.finish.bias) * gain)
+        self.finish = net.finish
 
 
 _POWER = 1.5  # spectrum of an exponential covariance in the plane, as of fields with edges

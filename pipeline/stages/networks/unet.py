@@ -6,6 +6,7 @@ processing: the difference image, reduced to the training size by area means, gi
 training data's depth range.
 """
 
+from collections import OrderedDict
 from itertools import pairwise
 from typing import cast
 
@@ -43,8 +44,8 @@ class UNet(nn.Module):
         self.uses_difference = bool(uses_difference)
         self.min_depth_mm = float(min_depth_mm)
         self.norm_scale = float(norm_scale)
-        self.inc = _DoubleConvolution(inputs, width)
-        self.down = nn.ModuleList(_Down(narrow, wide) for narrow, wide in pairwise(widths))
+        self.inc = _make_double_convolution(inputs, width)
+        self.down = nn.ModuleList(_make_down(narrow, wide) for narrow, wide in pairwise(widths))
         self.up = nn.ModuleList(
             _Up(wide, narrow) for narrow, wide in reversed(list(pairwise(widths)))
         )
@@ -72,36 +73,27 @@ class UNet(nn.Module):
         return functional.interpolate(depth_mm, size=image.shape[-2:], mode="area")
 
 
-class _DoubleConvolution(nn.Module):
-    def __init__(self, inputs: int, outputs: int) -> None:
-        super().__init__()
-        layers: list[nn.Module] = []
-        for channels in (inputs, outputs):
-            layers += [
-                nn.Conv2d(channels, outputs, 3, padding=1, bias=False),
-                nn.BatchNorm2d(outputs),
-                nn.ReLU(),
-            ]
-        self.double_conv = nn.Sequential(*layers)
-
-    def forward(self, field: Tensor) -> Tensor:
-        return self.double_conv(field)
+def _make_double_convolution(inputs: int, outputs: int) -> nn.Module:
+    layers: list[nn.Module] = []
+    for channels in (inputs, outputs):
+        layers += [
+            nn.Conv2d(channels, outputs, 3, padding=1, bias=False),
+            nn.BatchNorm2d(outputs),
+            nn.ReLU(),
+        ]
+    return nn.Sequential(OrderedDict(double_conv=nn.Sequential(*layers)))
 
 
-class _Down(nn.Module):
-    def __init__(self, inputs: int, outputs: int) -> None:
-        super().__init__()
-        self.maxpool_conv = nn.Sequential(nn.MaxPool2d(2), _DoubleConvolution(inputs, outputs))
-
-    def forward(self, field: Tensor) -> Tensor:
-        return self.maxpool_conv(field)
+def _make_down(inputs: int, outputs: int) -> nn.Module:
+    halved = nn.Sequential(nn.MaxPool2d(2), _make_double_convolution(inputs, outputs))
+    return nn.Sequential(OrderedDict(maxpool_conv=halved))
 
 
 class _Up(nn.Module):
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
         self.up = nn.ConvTranspose2d(inputs, outputs, 2, stride=2)
-        self.conv = _DoubleConvolution(inputs, outputs)
+        self.conv = _make_double_convolution(inputs, outputs)
 
     def forward(self, field: Tensor, skip: Tensor) -> Tensor:
         """Twice the size, padded to that of `skip`, which an odd size halves with a remainder."""

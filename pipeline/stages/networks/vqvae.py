@@ -104,7 +104,7 @@ class ResidualBlock(nn.Module):
     def forward(self, field: Tensor) -> Tensor:
         """Features of the same shape."""
         positive = functional.relu(field)
-        return positive + self.block[3](self.block[2](self.block[1](positive)))
+        return positive + self.block[1:](positive)
 
 
 class Codebook(nn.Module):
@@ -139,13 +139,14 @@ class Codebook(nn.Module):
 
     def _replace_unused(self, positions: Tensor, index: Tensor) -> None:
         unused = torch.bincount(index, minlength=self.embedding.num_embeddings) == 0
-        chosen = torch.randint(
-            len(positions), (self.embedding.num_embeddings,), device=positions.device
-        )
+        chosen = self._choose(positions)
         with torch.no_grad():
-            self.embedding.weight.copy_(
-                torch.where(unused[:, None], positions[chosen], self.embedding.weight)
-            )
+            self.embedding.weight.copy_(torch.where(unused[:, None], chosen, self.embedding.weight))
+
+    def _choose(self, positions: Tensor) -> Tensor:
+        """A position for each entry."""
+        n = self.embedding.num_embeddings
+        return positions[torch.randint(len(positions), (n,), device=positions.device)]
 
     def _is_new(self) -> bool:
         return (
@@ -154,10 +155,6 @@ class Codebook(nn.Module):
         )
 
     def _initialise(self, positions: Tensor) -> None:
-        chosen = torch.randint(
-            len(positions), (self.embedding.num_embeddings,), device=positions.device
-        )
+        chosen = self._choose(positions)
         with torch.no_grad():
-            self.embedding.weight.copy_(
-                positions[chosen] + 0.01 * positions.std() * torch.randn_like(positions[chosen])
-            )
+            self.embedding.weight.copy_(chosen + 0.01 * positions.std() * torch.randn_like(chosen))

@@ -42,14 +42,17 @@ _VERSION = "1"
 _ONNX = "onnx"
 _ZLIB = b"\x78"  # first byte of a zlib stream; no ONNX file begins with it
 _MAX_ONNX_BYTES = 1 << 28  # of an unpacked ONNX file; the largest that is shipped has 8 MB
-_FLOATS = {"F64": np.float64, "F32": np.float32, "F16": np.float16}
-_COUNTS = {
-    "I64": np.int64,
-    "I32": np.int32,
-    "I16": np.int16,
-    "I8": np.int8,
-    "U8": np.uint8,
-    "BOOL": np.bool_,
+# names of safetensors -> numpy's
+_TYPES = {
+    "F64": "f8",
+    "F32": "f4",
+    "F16": "f2",
+    "I64": "i8",
+    "I32": "i4",
+    "I16": "i2",
+    "I8": "i1",
+    "U8": "u1",
+    "BOOL": "?",
 }
 
 
@@ -118,16 +121,10 @@ class Weights:
 
     def __post_init__(self) -> None:
         """Freeze the tensors, count them and compute their digest once."""
-        for tensor in self.tensors.values():
-            freeze(tensor)
-        object.__setattr__(
-            self, "n_parameters", sum(tensor.size for tensor in self.tensors.values())
-        )
-        object.__setattr__(
-            self,
-            "content_digest",
-            compute_digest((self.kind, dict(self.config), dict(self.tensors))),
-        )
+        n_parameters = sum(freeze(tensor).size for tensor in self.tensors.values())
+        digest = compute_digest((self.kind, dict(self.config), dict(self.tensors)))
+        object.__setattr__(self, "n_parameters", n_parameters)
+        object.__setattr__(self, "content_digest", digest)
 
     def place(self, placement: str) -> Weights:
         """Return the same weights for a network elsewhere; nothing is copied."""
@@ -189,13 +186,13 @@ def stamp_file(path: Path) -> tuple[int, int]:
 
 def _require_same(path: Path, stamp: tuple[int, int]) -> None:
     try:
-        if stamp_file(path) == stamp:
-            return
+        is_same = stamp_file(path) == stamp
     except OSError as error:
         raise FileProblem(f"{_WHAT} cannot be read again", path) from error
-    raise FileProblem(
-        f"{_WHAT} have changed since they were opened; open the recording again", path
-    )
+    if not is_same:
+        raise FileProblem(
+            f"{_WHAT} have changed since they were opened; open the recording again", path
+        )
 
 
 def load_weights(path: Path) -> Weights:
@@ -219,23 +216,15 @@ def _load(path: Path) -> tuple[Weights, bool]:
             "these weights do not name their network; use a file written by Tactoscope", path
         )
     try:
-        said = {
-            **metadata,
-            **{key: json.loads(metadata.get(key, "null")) for key in ("config", "card")},
-        }
+        parsed = {key: json.loads(metadata.get(key, "null")) for key in ("config", "card")}
+        header = {**metadata, **parsed}
     except (ValueError, RecursionError) as error:
         raise FileProblem(f"{_WHAT} are damaged: their header cannot be read", path) from error
-    header = convert(said, _Header, _WHAT, path)
-    return (
-        Weights(
-            name=path.stem,
-            kind=header.kind,
-            config=header.config,
-            tensors=tensors,
-            card=header.card,
-        ),
-        has_onnx,
+    said = convert(header, _Header, _WHAT, path)
+    weights = Weights(
+        name=path.stem, kind=said.kind, config=said.config, tensors=tensors, card=said.card
     )
+    return weights, has_onnx
 
 
 def _unpack_onnx(stored: bytes, path: Path) -> bytes:
@@ -321,18 +310,12 @@ def _convert_entries(entries: Mapping[str, Mapping[str, Any]], path: Path) -> di
     """The tensors as float32; raises FileProblem for unknown types and values that are not
     finite.
     """
-    tensors: dict[str, Floats] = {}
-    for name, entry in entries.items():
-        tensor = _as_float(entry)
-        if tensor is None:
-            raise FileProblem(
-                f"{_WHAT} hold {name!r} in the unsupported type {entry['dtype']}", path
-            )
+    tensors = {name: _as_float(entry, name, path) for name, entry in entries.items()}
+    for name, tensor in tensors.items():
         if not np.isfinite(tensor).all():
             raise FileProblem(
                 f"{_WHAT} contain NaN or infinity in {name!r}; train or download them again", path
             )
-        tensors[name] = tensor
     return tensors
 
 
@@ -386,16 +369,16 @@ def _format_card(name: str, weights: Weights) -> str:
     return f"# {name}\n\n| | |\n|---|---|\n{table}"
 
 
-def _as_float(entry: Mapping[str, Any]) -> Floats | None:
-    """A tensor of a file as float32 in its own memory; None for a type that numpy lacks."""
+def _as_float(entry: Mapping[str, Any], name: str, path: Path) -> Floats:
+    """A tensor of a file as float32 in its own memory; raises FileProblem for unknown types."""
     kind = str(entry["dtype"])
     raw = bytes(entry["data"])
     if kind == "BF16":  # the upper half of a float32
         wide: NDArray[Any] = (np.frombuffer(raw, np.uint16).astype(np.uint32) << 16).view(
             np.float32
         )
-    elif kind in _FLOATS or kind in _COUNTS:
-        wide = np.frombuffer(raw, _FLOATS.get(kind) or _COUNTS[kind]).astype(np.float32)
+    elif kind in _TYPES:
+        wide = np.frombuffer(raw, _TYPES[kind]).astype(np.float32)
     else:
-        return None
+        raise FileProblem(f"{_WHAT} hold {name!r} in the unsupported type {kind}", path)
     return wide.reshape(entry["shape"])

@@ -286,8 +286,6 @@ def _sample_touch(
     """Sample an image and add it to the target's reference image."""
     encoded, notes = sample_image(net, condition, params, progress)
     generated = decode_image(encoded, target.kind)
-    if target.sensor_kind.is_depth:
-        generated = _renormalise_depth(generated, net.generated_stats, net.true_stats)
     if net.half_turn:
         generated = generated[:, ::-1, ::-1]
     change = resize_from_square(np.ascontiguousarray(generated), target.camera.shape)
@@ -356,14 +354,3 @@ def sample_image(
         return net.decode_images(encoded.clean)[0].numpy(), (
             guidance_plan.note,
         ) if guidance_plan.note else ()
-
-
-def _renormalise_depth(
-    made_mm: Floats, generated: tuple[float, float], true: tuple[float, float]
-) -> Floats:
-    """Rescale an imprint from the statistics (mean, std in mm) of generated imprints to those of
-    true ones.
-    """
-    if generated[1] <= 0.0 or true[1] <= 0.0:
-        return made_mm
-    return ((made_mm - generated[0]) * (true[1] / generated[1]) + true[0]).astype(np.float32)

@@ -75,11 +75,9 @@ def thin_curve(dense_mm: Doubles, beyond_mm: float) -> Doubles:
     return dense_mm[np.append(chosen, -1)]
 
 
-def orient_counter_clockwise(outline_mm: Outline | Doubles, name: str) -> Doubles:
-    """The outline (n, 2) running counter-clockwise; raises MeshProblem when it crosses itself."""
+def orient_counter_clockwise(outline_mm: Outline | Doubles) -> Doubles:
+    """The outline (n, 2) running counter-clockwise."""
     ring = np.array(outline_mm, dtype=np.float64)
-    if _crosses_itself(ring):
-        raise MeshProblem(f"the outline of {name!r} must not cross itself")
     return ring[::-1] if compute_area(ring) < 0 else ring
 
 
@@ -128,31 +126,11 @@ def triangulate_polygon(ring: Doubles) -> list[tuple[int, int, int]]:
     return [*triangles, (left[0], left[1], left[2])]
 
 
-def _crosses_itself(ring: Doubles) -> bool:
-    n = len(ring)
-    for i in range(n):
-        for k in range(i + 2, n - (i == 0)):  # edges that share a corner do not count
-            a = ring[i]
-            b = ring[(i + 1) % n]
-            c = ring[k]
-            d = ring[(k + 1) % n]
-            sides = [
-                compute_area(np.array([p, q, r])) > 0
-                for p, q, r in ((a, b, c), (a, b, d), (c, d, a), (c, d, b))
-            ]
-            if sides[0] != sides[1] and sides[2] != sides[3]:
-                return True
-    return False
-
-
 def _inside(corner: Doubles, points: Doubles) -> Mask:
     """Which points lie in a counter-clockwise triangle, its border included."""
-    inside = np.ones(len(points), dtype=np.bool_)
-    for k in range(3):
-        edge = corner[(k + 1) % 3] - corner[k]
-        to = points - corner[k]
-        inside &= edge[0] * to[:, 1] - edge[1] * to[:, 0] >= -_FLAT
-    return inside
+    edge = np.roll(corner, -1, axis=0) - corner
+    to = points[:, None] - corner
+    return (edge[:, 0] * to[..., 1] - edge[:, 1] * to[..., 0] >= -_FLAT).all(axis=1)
 
 
 SHOULDER_MM = 7.5  # radius of the lab's shoulders, and half the width of its tools' arms

@@ -6,13 +6,13 @@ Triangles run counter-clockwise seen from outside.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, freeze
-from pipeline.core.errors import MeshProblem, SettingProblem
+from pipeline.core.errors import MeshProblem
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh, load_mesh
 from pipeline.core.geometry.symmetry import Symmetry, asymmetric
@@ -133,51 +133,38 @@ def sweep_section(
     )
     k, n = rings.shape[:2]
     faces = make_wall_faces(k, n, endless=endless)
-    last = (k - 1) * n
     if not endless:
-        lid = triangulate_polygon(section_mm)
-        faces += [(c, b, a) for a, b, c in lid]
-        faces += [(a + last, b + last, c + last) for a, b, c in lid]
+        faces += _make_lids(section_mm, section_mm, (k - 1) * n)
     return make_mesh(rings.reshape(-1, 3), faces, name)
 
 
 def transform_mesh(mesh: Mesh, object_from_mesh: Doubles) -> Mesh:
     """The mesh with `object_from_mesh` (4, 4) applied."""
-    vertices = rigid.apply(object_from_mesh, mesh.vertices_mm)
-    return Mesh(vertices_mm=freeze(vertices), triangles=mesh.triangles, name=mesh.name)
-
-
-FACES = ("-x", "+x", "-y", "+y", "-z", "+z")
+    return replace(mesh, vertices_mm=freeze(rigid.apply(object_from_mesh, mesh.vertices_mm)))
 
 
 def load_mesh_shape(path: Path, unit: str = "auto", face: str = "-z") -> Shape:
-    """A shape from an STL, PLY or OBJ file, its tactile side toward `face`; without symmetry.
+    """A shape from an STL, PLY or OBJ file, its tactile side toward `face`, such as "+x"; without
+    symmetry.
 
     That side is rotated to -z, and the mesh centred over the origin with its lowest point at z = 0.
-    Raises SettingProblem for an unknown face, FileProblem or MeshProblem for what `load_mesh`
-    refuses.
+    Raises FileProblem or MeshProblem for what `load_mesh` refuses.
     """
-    if face not in FACES:
-        raise SettingProblem(f"the tactile face must be one of {', '.join(FACES)}, got {face!r}")
     mesh = transform_mesh(load_mesh(Path(path), unit), _rotate_down(face))
     low = mesh.vertices_mm.min(axis=0)
-    high = mesh.vertices_mm.max(axis=0)
-    place = np.eye(4)
-    place[:3, 3] = (*(-0.5 * (low + high)[:2]), -low[2])
-    mesh = transform_mesh(mesh, place)
+    x, y = -0.5 * (low + mesh.vertices_mm.max(axis=0))[:2]
+    mesh = transform_mesh(mesh, rigid.translation(x, y, -low[2]))
     return Shape(mesh=mesh, symmetry=asymmetric())
 
 
 def _rotate_down(face: str) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     """The rotation (4, 4) that takes an axis to -z."""
     axis = "xyz".index(face[1])
-    down = np.zeros(3)
-    down[axis] = 1.0 if face[0] == "+" else -1.0
-    side = np.zeros(3)
-    side[(axis + 1) % 3] = 1.0
+    up = (-1.0 if face[0] == "+" else 1.0) * np.eye(3)[axis]
+    side = np.eye(3)[(axis + 1) % 3]
     turn = np.eye(4)
     # rows are x, y, z; right-handed: x = y cross z
-    turn[:3, :3] = np.stack([np.cross(side, -down), side, -down])
+    turn[:3, :3] = np.stack([np.cross(side, up), side, up])
     return turn
 
 
@@ -188,15 +175,9 @@ def make_chamfered_prism(
 
     Raises MeshProblem when the outline crosses itself or the chamfer is wider than the polygon.
     """
-    outer = orient_counter_clockwise(outline_mm, name)
-    return stack_rings(
-        [
-            lift_outline(inset_polygon(outer, chamfer_mm), 0.0),
-            lift_outline(outer, chamfer_mm),
-            lift_outline(outer, height_mm),
-        ],
-        name,
-    )
+    outer = orient_counter_clockwise(outline_mm)
+    rings = ((inset_polygon(outer, chamfer_mm), 0.0), (outer, chamfer_mm), (outer, height_mm))
+    return stack_rings([lift_outline(*ring) for ring in rings], name)
 
 
 def make_rounded_prism(
@@ -206,7 +187,7 @@ def make_rounded_prism(
 
     Raises MeshProblem when the outline crosses itself or the rounding is wider than the polygon.
     """
-    outer = orient_counter_clockwise(outline_mm, name)
+    outer = orient_counter_clockwise(outline_mm)
     return stack_rings(
         [*make_rounded_rings(outer, radius_mm), lift_outline(outer, height_mm)], name
     )
@@ -216,13 +197,18 @@ def stack_rings(rings_mm: Sequence[Doubles], name: str) -> Mesh:
     """A body over level outlines (n, 3) from the tactile face up, counter-clockwise, with equal
     numbers of points.
     """
+    k = len(rings_mm)
     n = len(rings_mm[0])
-    top = (len(rings_mm) - 1) * len(rings_mm[0])
-    faces: list[Face] = [
-        (c, b, a) for a, b, c in triangulate_polygon(rings_mm[0][:, :2])
-    ]  # the tactile face looks to -z
-    faces += [(a + top, b + top, c + top) for a, b, c in triangulate_polygon(rings_mm[-1][:, :2])]
-    return make_mesh(np.concatenate(rings_mm), [*faces, *make_wall_faces(len(rings_mm), n)], name)
+    # the tactile face looks to -z
+    faces = _make_lids(rings_mm[0][:, :2], rings_mm[-1][:, :2], (k - 1) * n)
+    return make_mesh(np.concatenate(rings_mm), [*faces, *make_wall_faces(k, n)], name)
+
+
+def _make_lids(first_mm: Doubles, last_mm: Doubles, begin: int) -> list[Face]:
+    """Faces of the first ring (n, 2) backwards, and of the last one from this vertex on."""
+    first = [(c, b, a) for a, b, c in triangulate_polygon(first_mm)]
+    last = triangulate_polygon(last_mm)
+    return [*first, *((a + begin, b + begin, c + begin) for a, b, c in last)]
 
 
 def lift_outline(outline_mm: Doubles, z_mm: float) -> Doubles:

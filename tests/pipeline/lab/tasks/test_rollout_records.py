@@ -14,7 +14,6 @@ from pipeline.lab.tasks.rerun import (
     attribute_rollout,
     compare_rollouts,
     copy_case,
-    describe_error,
     replay_rollout,
     run_again,
     write_rollout_bundle,
@@ -22,7 +21,7 @@ from pipeline.lab.tasks.rerun import (
 from pipeline.lab.tasks.rollout_file import read_rollout
 from pipeline.lab.tasks.runner import make_jobs, run_job
 from pipeline.lab.tasks.scene_view import build_scene, cut_dashes, find_edges, make_box
-from pipeline.lab.tasks.task import load_task
+from pipeline.lab.tasks.task import describe_error, load_task
 from pipeline.lab.tasks.trial_rows import compute_error_deg, is_rollout_folder, list_trials
 
 # the first grasp compiles kernels where `tactoscope prepare` has not

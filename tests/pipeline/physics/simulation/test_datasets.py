@@ -60,8 +60,7 @@ def prints(path):
 
 def images(plan, index):
     return {
-        frame.sensor: frame.image.tobytes()
-        for frame, _ in datasets.simulate_moment(plan, index).frames
+        frame.sensor: frame.image.tobytes() for frame, _ in datasets.simulate_moment(plan, index)
     }
 
 
@@ -77,7 +76,7 @@ def test_a_frame_does_not_depend_on_the_other_sensors():
 
 
 def test_the_transform_of_a_pair_is_exactly_that_of_the_true_poses():
-    (_, source), (_, target) = datasets.simulate_moment(PLAN, 0).frames
+    (_, source), (_, target) = datasets.simulate_moment(PLAN, 0)
     pair = next(
         p
         for p in datasets.compute_pairings(PLAN)
@@ -89,7 +88,7 @@ def test_the_transform_of_a_pair_is_exactly_that_of_the_true_poses():
 
 def test_without_noise_only_the_touch_differs_from_the_reference():
     plan = replace(PLAN, noise=False, sensors=("soft_bubble",), n_poses=1)
-    ((frame, truth),) = datasets.simulate_moment(plan, 0).frames
+    ((frame, truth),) = datasets.simulate_moment(plan, 0)
     assert truth.contact.any()
     # float32 at 80 mm
     assert np.allclose(frame.reference - frame.image, truth.indentation_mm, atol=1e-4)
@@ -98,7 +97,7 @@ def test_without_noise_only_the_touch_differs_from_the_reference():
 def test_varied_instances_change_the_reference_and_keep_the_true_poses():
     plan = replace(PLAN, vary=1.0)
     (plain, truth), (varied, varied_truth) = (
-        datasets.simulate_moment(p, 0).frames[0] for p in (PLAN, plan)
+        datasets.simulate_moment(p, 0)[0] for p in (PLAN, plan)
     )
     assert not np.array_equal(plain.reference, varied.reference)
     assert np.array_equal(truth.sensor_from_object, varied_truth.sensor_from_object)
@@ -109,9 +108,7 @@ def test_varied_instances_change_the_reference_and_keep_the_true_poses():
 
 def test_a_drag_shears_gels_alone_and_the_truth_holds_its_force():
     plan = replace(PLAN, sensors=("digit", "gelslim", "soft_bubble"), n_poses=1, noise=False)
-    still, dragged = (
-        datasets.simulate_moment(p, 0).frames for p in (plan, replace(plan, drag_mm=0.3))
-    )
+    still, dragged = (datasets.simulate_moment(p, 0) for p in (plan, replace(plan, drag_mm=0.3)))
     for (frame, truth), (dragged_frame, dragged_truth) in zip(still, dragged, strict=True):
         gel = frame.sensor != "soft_bubble"
         along = np.hypot(*dragged_truth.force_n[:2])
@@ -134,7 +131,7 @@ def test_a_recording_keeps_the_force(tmp_path):
     try:
         assert np.array_equal(
             recording.streams[0].truth(0).force_n,
-            datasets.simulate_moment(plan, 0).frames[0][1].force_n,
+            datasets.simulate_moment(plan, 0)[0][1].force_n,
         )
     finally:
         recording.close()

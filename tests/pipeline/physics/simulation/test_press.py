@@ -67,9 +67,7 @@ def test_the_face_of_the_elbow_is_level_at_zero_and_its_chamfer_rises_one_to_one
     assert np.isinf(z[(x > 2.0) & (y > 2.0)]).all()
 
 
-def test_an_outline_that_crosses_itself_or_is_too_thin_for_its_chamfer_is_refused():
-    with pytest.raises(MeshProblem):
-        shapes.make_chamfered_prism([(0, 0), (4, 4), (4, 0), (0, 4)], 2.0, 0.1, "bow")
+def test_an_outline_that_is_too_thin_for_its_chamfer_is_refused():
     with pytest.raises(MeshProblem, match="chamfer"):
         shapes.make_chamfered_prism([(0, 0), (4, 0), (4, 1), (0, 1)], 2.0, 0.6, "blade")
 

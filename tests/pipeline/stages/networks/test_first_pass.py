@@ -21,14 +21,13 @@ from pipeline.stages.networks.onnx_predictor import FirstPassPredictor
 from pipeline.stages.networks.samplers import raise_steps
 from pipeline.stages.networks.weights import Weights
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual
-from tests.pipeline.stages.networks.test_residual_denoiser import PREDICTIONS
 
 RNG = np.random.default_rng(0)
 CONDITION = RNG.normal(size=(3, 24, 31)).astype(np.float32)
 
 
-@pytest.fixture(scope="module", params=PREDICTIONS)
-def weights(request) -> Weights:
+@pytest.fixture(scope="module")
+def weights() -> Weights:
     config = {
         "inputs": 3,
         "unit_mm": 0.5,
@@ -36,7 +35,6 @@ def weights(request) -> Weights:
         "levels": 3,
         "max_channels": 16,
         "sigma_max": 10.0,
-        "prediction": request.param,
         "error_exponent": 2.0,
     }
     torch.manual_seed(0)

@@ -1,7 +1,4 @@
-"""The residual denoiser: three prediction targets, one output format.
-
-Noise level and condition have an effect.
-"""
+"""The residual denoiser: noise level and condition have an effect."""
 
 from __future__ import annotations
 
@@ -10,10 +7,8 @@ import torch
 
 from pipeline.stages.networks.residual_denoiser import FIELD_LIMIT, ResidualDenoiser
 
-PREDICTIONS = ("clean", "v", "noise")
 
-
-def small(prediction="clean", seed=0, scale=0.3, levels=2):
+def small(seed=0, scale=0.3, levels=2):
     """A network with a random last layer; the initial one adds nothing."""
     torch.manual_seed(seed)
     net = ResidualDenoiser(
@@ -22,7 +17,6 @@ def small(prediction="clean", seed=0, scale=0.3, levels=2):
         base_channels=8,
         levels=levels,
         max_channels=16,
-        prediction=prediction,
     ).eval()
     torch.nn.init.normal_(net.finish.weight, std=scale)
     for part in net.modules():
@@ -31,10 +25,9 @@ def small(prediction="clean", seed=0, scale=0.3, levels=2):
     return net
 
 
-@pytest.mark.parametrize("prediction", PREDICTIONS)
 @pytest.mark.parametrize("size", [(24, 32), (23, 17)])
-def test_outputs_have_the_input_size_and_stay_within_the_limit(prediction, size):
-    net = small(prediction)
+def test_outputs_have_the_input_size_and_stay_within_the_limit(size):
+    net = small()
     condition = torch.randn(2, 3, *size)
     with torch.inference_mode():
         for sigma in (0.001, 0.02, 1.0, 8.0, 200.0):
@@ -47,15 +40,6 @@ def test_outputs_have_the_input_size_and_stay_within_the_limit(prediction, size)
 def test_an_untrained_network_adds_nothing():
     net = ResidualDenoiser(inputs=3, unit_mm=1.0, base_channels=8, levels=2, max_channels=16).eval()
     assert not net(torch.randn(1, 2, 16, 16), torch.ones(1), torch.randn(1, 3, 16, 16)).any()
-
-
-def test_noise_and_v_prediction_keep_a_nearly_clean_field():
-    noisy = torch.randn(1, 2, 16, 16)
-    condition = torch.randn(1, 3, 16, 16)
-    for prediction in ("v", "noise"):
-        with torch.inference_mode():
-            answer = small(prediction, scale=0.05)(noisy, torch.full((1,), 1e-3), condition)
-        assert (answer[:, :2] - noisy).abs().max() < 0.05
 
 
 def test_noise_level_and_condition_change_the_output():
@@ -85,8 +69,3 @@ def test_a_single_field_and_a_batch_give_equal_outputs():
             assert torch.allclose(
                 net(noisy[k : k + 1], sigma[k : k + 1], condition[k : k + 1])[0], both[k], atol=1e-4
             )
-
-
-def test_an_unknown_prediction_target_is_refused():
-    with pytest.raises(ValueError, match="prediction"):
-        ResidualDenoiser(inputs=3, unit_mm=1.0, prediction="image")
