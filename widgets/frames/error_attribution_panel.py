@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 from PyQt6.QtCore import QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QMouseEvent, QPainter, QPalette
-from PyQt6.QtWidgets import QComboBox, QLabel, QSizePolicy, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QSizePolicy, QVBoxLayout, QWidget
 
 from pipeline.lab.tasks.task import Decision
 from widgets.style.base import ChoiceBox, PaintedWidget
 from widgets.style.run_bar import StartBar
-from widgets.style.styling import fill, make_bold, set_spacing
+from widgets.style.styling import fill, make_bold, make_text, set_spacing
 from widgets.style.theme import ThemeColours, to_qcolor
 
 _BAR_PX = 8
@@ -109,10 +109,8 @@ class WaterfallPanel(QWidget):
 
     def __init__(self, control: QWidget) -> None:
         super().__init__()
-        self.sentence = QLabel()
+        self.sentence = make_bold(make_text())
         self.waterfall = Waterfall()
-        self.sentence.setWordWrap(True)
-        make_bold(self.sentence)
         fill(set_spacing(QVBoxLayout(self), 4), self.sentence, control, (self.waterfall, 1))
 
 
@@ -125,10 +123,7 @@ class ErrorAttributionPanel(WaterfallPanel):
     share_clicked = pyqtSignal(int)
 
     def __init__(self) -> None:
-        self.metric_box = ChoiceBox("attributed_metric", "metric to attribute")
-        self.metric_box.setSizeAdjustPolicy(
-            QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
-        )
+        self.metric_box = ChoiceBox("attributed_metric", "metric to attribute", is_narrow=True)
         super().__init__(self.metric_box)
         self.waterfall.setToolTip(
             "How much less or more the error is with the truth in one stage after the other; a "
@@ -144,7 +139,7 @@ class ErrorAttributionPanel(WaterfallPanel):
     def offer_metrics(self, names: Mapping[str, str], chosen: str) -> None:
         """Offer the metrics (name -> text) that this frame has; emits no signal."""
         self.metric_box.offer(names, chosen)
-        self.metric_box.setEnabled(bool(names))
+        self.metric_box.setVisible(bool(names))
 
     def show_empty(self, why: str) -> None:
         """Show why there is no error to attribute."""

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, pyqtSignal
-from PyQt6.QtWidgets import QBoxLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QBoxLayout, QVBoxLayout, QWidget
 
 from pipeline.views.preview import Preview
 from widgets.style.base import EventListener, FixedSizeLabel
-from widgets.style.styling import fill, set_spacing
+from widgets.style.styling import fill, make_text, set_spacing
 from widgets.views.canvas import Canvas
 from widgets.views.colour_bar import ColourBar
 from widgets.views.comparison_overlay import ComparisonOverlay
@@ -35,8 +35,8 @@ class PreviewView(QWidget):
         self.colour_bar = ColourBar()
         self.caption = FixedSizeLabel()
         self.caption.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
-        self.message = QLabel(self.canvas)
-        self.message.setWordWrap(True)
+        self.message = make_text()
+        self.message.setParent(self.canvas)
         self.message.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self.message.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.message.setAutoFillBackground(True)
