@@ -47,11 +47,11 @@ class FolderController(BackgroundController):
     def rank(self) -> None:
         """Find the worst frame of every recording."""
         catalogue = self._controller.catalogue
-        self.start(partial(_rank_recordings, self._page.model.paths, catalogue))
+        self.start(partial(_rank_recordings, self._page.paths, catalogue))
 
     def show_part(self, part: object) -> None:
         """Fill one row."""
-        self._page.model.show_part(*cast("_Part", part))
+        self._page.show_part(*cast("_Part", part))
         self._page.show_count(self.folder)
 
 

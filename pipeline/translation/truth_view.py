@@ -34,14 +34,7 @@ def build_observation_view(
     preview: Preview, observed: DepthMap, target: SensorSpec, display: DisplayParams
 ) -> TruthView:
     """The target's own measured depth, and the difference of a reprojected preview to it."""
-    recorded = make_indentation_preview(
-        observed.indentation_mm,
-        observed.depth_mm,
-        observed.contact,
-        observed.camera,
-        target,
-        display,
-    )
+    recorded = make_indentation_preview(observed.indentation_mm, observed, target, display)
     difference = compute_difference(preview, recorded, label="reprojected minus recorded")
     return TruthView(
         truth=replace(recorded, caption=f"recorded by {target.title}"),

@@ -45,12 +45,7 @@ def make_depth_view(name: str, legend: str, sensor_role: Literal["source", "targ
 
     def make_preview(depth: DepthMap, context: PreviewContext) -> Preview:
         return make_indentation_preview(
-            depth.indentation_mm,
-            depth.depth_mm,
-            depth.contact,
-            depth.camera,
-            select_sensor(context),
-            context.display,
+            depth.indentation_mm, depth, select_sensor(context), context.display
         )
 
     def make_layers(
@@ -60,18 +55,15 @@ def make_depth_view(name: str, legend: str, sensor_role: Literal["source", "targ
         surface = make_surface_layer(
             name, depth.depth_mm, depth.indentation_mm, depth.camera, preview, stretch
         )
-        return (
-            (surface,)
-            if sensor_role == "source"
-            else (surface, make_membrane_layer(context.target))
-        )
+        rest = () if sensor_role == "source" else (make_membrane_layer(context.target),)
+        return (surface, *rest)
 
     def trace_point(depth: DepthMap, before: ProbePoint) -> ProbePoint:
         index = look_up_element(depth.source_index, before.index)
         return (
             _make_probe_point(name, depth, index)
             if index >= 0
-            else ProbePoint(stage=name, index=-1, text="outside the depth map")
+            else ProbePoint(stage=name, text="outside the depth map")
         )
 
     return View(
@@ -105,9 +97,7 @@ def _draw_target_depth(depth: TargetDepth, context: PreviewContext) -> Preview:
         )
     )
     caption = f"{INDENTATION_LABEL}; mask outlined"
-    return make_indentation_preview(
-        shown, depth.depth_mm, depth.contact, depth.camera, context.target, context.display, caption
-    )
+    return make_indentation_preview(shown, depth, context.target, context.display, caption)
 
 
 def _layer_target_depth(
@@ -126,17 +116,13 @@ def _trace_target_depth(depth: TargetDepth, before: ProbePoint) -> ProbePoint:
     """The target pixel of a cloud point; several points share one where the target is coarser."""
     point = before.point_mm
     if point is None:
-        return ProbePoint(stage="target_depth", index=-1, text="not in the cloud")
+        return ProbePoint(stage="target_depth", text="not in the cloud")
     x_px, y_px, visible = (a[0] for a in depth.camera.project(np.array([point])))
     if not visible:
         out_x = max(-x_px, x_px - depth.camera.cols + 1, 0.0)
         out_y = max(-y_px, y_px - depth.camera.rows + 1, 0.0)
-        return ProbePoint(
-            stage="target_depth",
-            index=-1,
-            point_mm=point,
-            text=f"outside the image by {max(out_x, out_y):.0f} px",
-        )
+        text = f"outside the image by {max(out_x, out_y):.0f} px"
+        return ProbePoint(stage="target_depth", point_mm=point, text=text)
     row = int(np.floor(y_px + 0.5))
     col = int(np.floor(x_px + 0.5))
     seen_mm = float(depth.depth_mm[row, col])
@@ -201,26 +187,18 @@ def _trace_touch(touch: GeneratedTouch, before: ProbePoint) -> ProbePoint:
             if has_no_contact
             else "source pixel unknown for this method"
         )
-        return ProbePoint(stage="touch", index=-1, text=text)
+        return ProbePoint(stage="touch", text=text)
     row, col = divmod(index, touch.camera.cols)
     if touch.image.ndim == 2:
-        text = (
-            f"{_describe_displacement(touch, row, col)}{float(touch.image[row, col]):.2f} mm "
-            "from the camera"
-        )
+        text = f"{float(touch.image[row, col]):.2f} mm from the camera"
+        if touch.membrane is not None:
+            moved_mm = float(touch.membrane.indentation_mm[row, col])
+            text = f"{abs(moved_mm):.2f} mm {'out' if moved_mm < 0 else 'in'}, {text}"
     else:
-        text = "generated rgb {} {} {}".format(*(int(v) for v in touch.image[row, col]))
+        text = "generated rgb {} {} {}".format(*touch.image[row, col].tolist())
     return ProbePoint(
         stage="touch", index=index, row=row, col=col, point_mm=before.point_mm, text=text
     )
-
-
-def _describe_displacement(touch: GeneratedTouch, row: int, col: int) -> str:
-    """Displacement of a bubble's membrane and its direction, where it is known."""
-    if touch.membrane is None:
-        return ""
-    moved_mm = float(touch.membrane.indentation_mm[row, col])
-    return f"{abs(moved_mm):.2f} mm {'out' if moved_mm < 0 else 'in'}, "
 
 
 def _split_steps(touch: GeneratedTouch) -> tuple[GeneratedTouch, ...]:

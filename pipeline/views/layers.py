@@ -118,17 +118,8 @@ def make_lines_layer(
 def make_membrane_layer(sensor: SensorSpec) -> Layer:
     """Return the rest surface within the image, faint; one object, so that it is rendered once."""
     camera = sensor.camera.scale(min(1.0, _MEMBRANE_COLS / sensor.camera.cols))
-    points, triangles, normals = _surface(
-        camera.back_project(compute_rest_depth_mm(sensor, camera)), 1
-    )
-    return Layer(
-        name="membrane",
-        points_mm=points,
-        rgb=repeat_colour(MEMBRANE_COLOUR, len(points)),
-        triangles=triangles,
-        normals=normals,
-        opacity=0.22,
-    )
+    surface = _surface(camera.back_project(compute_rest_depth_mm(sensor, camera)), 1)
+    return _make_solid_layer("membrane", surface, MEMBRANE_COLOUR, 0.22)
 
 
 def make_object_layer(mesh: Mesh, sensor_from_object: Doubles) -> Layer:
@@ -139,7 +130,11 @@ def make_object_layer(mesh: Mesh, sensor_from_object: Doubles) -> Layer:
 
 def make_mesh_layer(name: str, mesh: Mesh, colour: Rgb, *, opacity: float = 1.0) -> Layer:
     """Return a mesh in its own frame."""
-    points, triangles, normals = _mesh_arrays(mesh)
+    return _make_solid_layer(name, _mesh_arrays(mesh), colour, opacity)
+
+
+def _make_solid_layer(name: str, surface: _Surface, colour: Rgb, opacity: float) -> Layer:
+    points, triangles, normals = surface
     return Layer(
         name=name,
         points_mm=points,
@@ -185,13 +180,8 @@ def thin_grid(layer: Layer) -> Layer:
         points_mm=layer.points_mm[kept.ravel()],
         rgb=layer.rgb[kept.ravel()],
         normals=None if layer.normals is None else layer.normals[kept.ravel()],
-        triangles=_triangulate(*kept.shape),
+        triangles=make_grid_triangles(*kept.shape),
     )
-
-
-@derive_once
-def _triangulate(rows: int, cols: int) -> Indices:
-    return make_grid_triangles(rows, cols)
 
 
 def _choose_stride(rows: int, cols: int) -> int:
@@ -211,7 +201,7 @@ def _texture_surface(name: str, surface: _Surface, pixels: Image, preview: Previ
 
 
 @derive_once
-def _mesh_arrays(mesh: Mesh) -> tuple[Floats, NDArray[np.int32], Floats]:
+def _mesh_arrays(mesh: Mesh) -> _Surface:
     """Return the mesh with separate corners for every triangle, so that edges stay sharp."""
     corners = mesh.vertices_mm[mesh.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

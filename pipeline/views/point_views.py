@@ -3,8 +3,9 @@ registration.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,7 +33,6 @@ from pipeline.views.layers import (
 )
 from pipeline.views.preview import (
     PixelPositions,
-    PointPositions,
     Preview,
     compute_pixel_mm,
     make_deviation_scale,
@@ -60,7 +60,9 @@ def _draw_cloud(cloud: Cloud, context: PreviewContext) -> Preview:
     index = _splat(cloud, camera)
     drawn = index >= 0
     reach = np.full(camera.shape, np.nan, dtype=np.float32)
+    positions = np.full((*camera.shape, 3), np.nan, dtype=np.float32)
     if len(cloud.points_mm):
+        positions[drawn] = cloud.points_mm[index[drawn]]
         reach[drawn] = -target.membrane.signed_distance_mm(cloud.points_mm[index[drawn]])
     scale = make_deviation_scale(context.target, context.display, _REACH_LABEL)
     return Preview(
@@ -68,7 +70,7 @@ def _draw_cloud(cloud: Cloud, context: PreviewContext) -> Preview:
         values=freeze(reach),
         scale=scale,
         frame_name=f"{target.title} frame",
-        positions_mm=PointPositions(cloud.points_mm, index),
+        positions_mm=freeze(positions),
         element_index=index,
         camera=camera,
         pixel_mm=compute_pixel_mm(camera, target),
@@ -78,9 +80,8 @@ def _draw_cloud(cloud: Cloud, context: PreviewContext) -> Preview:
 
 def _layer_cloud(cloud: Cloud, context: PreviewContext, _preview: Preview) -> tuple[Layer, ...]:
     """The points over the faint rest surface."""
-    points = stretch_depth(
-        cloud.points_mm, context.target, context.display.get_depth_stretch(context.target)
-    )
+    times = context.display.get_depth_stretch(context.target)
+    points = stretch_depth(cloud.points_mm, context.target, times)
     reach = -context.target.membrane.signed_distance_mm(cloud.points_mm).astype(np.float32)
     scale = make_deviation_scale(context.target, context.display, _REACH_LABEL)
     colours = apply_colour_map(reach, scale)
@@ -92,7 +93,7 @@ def _trace_cloud(cloud: Cloud, before: ProbePoint) -> ProbePoint:
     point = look_up_element(cloud.source_index, before.index)
     if point < 0:
         why = "skipped by the stride" if cloud.stride > 1 else "not in the cloud"
-        return ProbePoint(stage="cloud", index=-1, text=why)
+        return ProbePoint(stage="cloud", text=why)
     x, y, z = to_xyz(cloud.points_mm[point])
     return ProbePoint(
         stage="cloud", index=point, point_mm=(x, y, z), text=f"({x:.2f}, {y:.2f}, {z:.2f}) mm"
@@ -120,8 +121,7 @@ CLOUD = View(
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Correspondences:
+class Correspondences(NamedTuple):
     """Nearest points on the object of the registered points (n, 3) at one step."""
 
     nearest_mm: Doubles  # (n, 3) nearest points on the object, in the sensor's frame
@@ -140,11 +140,7 @@ def compute_correspondences(pose: ObjectPose, grid: DistanceGrid) -> Corresponde
     size = np.linalg.norm(gradients, axis=1, keepdims=True)
     foot = in_object - distance_mm[:, None] * gradients / np.maximum(size, 1e-12)
     inliers = np.abs(distance_mm) <= (pose.steps[0].max_correspondence_mm if pose.steps else np.inf)
-    return Correspondences(
-        nearest_mm=rigid.apply(pose.sensor_from_object, foot),
-        distance_mm=distance_mm,
-        is_inlier=inliers,
-    )
+    return Correspondences(rigid.apply(pose.sensor_from_object, foot), distance_mm, inliers)
 
 
 def split_steps(pose: ObjectPose) -> tuple[ObjectPose, ...]:
@@ -267,37 +263,29 @@ def _layer_step(pose: ObjectPose, context: PreviewContext, preview: Preview) -> 
     """
     if context.mesh is None or pose.sensor_from_object is None:
         return _layer_pose(pose, context, preview)
-    correspondences = compute_correspondences(pose, load_distance_grid(context.mesh))
-    scale = make_residual_scale(context.display)
-    colours = np.where(
-        correspondences.is_inlier[:, None],
-        apply_colour_map(correspondences.distance_mm.astype(np.float32), scale),
-        UNMATCHED_POINT_COLOUR,
+    nearest_mm, distance_mm, is_inlier = compute_correspondences(
+        pose, load_distance_grid(context.mesh)
     )
+    scale = make_residual_scale(context.display)
+    mapped = apply_colour_map(distance_mm.astype(np.float32), scale)
+    colours = np.where(is_inlier[:, None], mapped, UNMATCHED_POINT_COLOUR).astype(np.uint8)
     every = slice(None, None, max(1, math.ceil(len(colours) / _MAX_LINES)))
-    ends = np.stack([pose.scene_mm, correspondences.nearest_mm.astype(np.float32)], axis=1)
+    ends = np.stack([pose.scene_mm, nearest_mm.astype(np.float32)], axis=1)
     return (
-        make_cloud_layer("scene", pose.scene_mm, colours.astype(np.uint8), 4.0, scale),
-        make_lines_layer("correspondences", ends[every], colours[every].astype(np.uint8), scale),
+        make_cloud_layer("scene", pose.scene_mm, colours, 4.0, scale),
+        make_lines_layer("correspondences", ends[every], colours[every], scale),
         *_layer_pose(pose, context, preview)[1:],
     )
 
 
 def _trace_pose(pose: ObjectPose, before: ProbePoint) -> ProbePoint:
     point = look_up_element(pose.source_index, before.index)
+    here = replace(before, stage="pose", index=-1, point_mm=None)
     if point < 0:
-        return ProbePoint(
-            stage="pose",
-            index=-1,
-            row=before.row,
-            col=before.col,
-            text="not among the registered points",
-        )
+        return replace(here, text="not among the registered points")
     x, y, z = to_xyz(pose.scene_mm[point])
     text = f"registered at ({x:.2f}, {y:.2f}, {z:.2f}) mm"
-    return ProbePoint(
-        stage="pose", index=point, row=before.row, col=before.col, point_mm=(x, y, z), text=text
-    )
+    return replace(here, index=point, point_mm=(x, y, z), text=text)
 
 
 def _make_faded_background(context: PreviewContext, touch_depth: DepthMap) -> Image:

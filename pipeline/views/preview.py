@@ -6,6 +6,7 @@ Tile of a comparison: a preview with its text.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from pipeline.core.arrays import Floats, Image, Indices, Mask, freeze
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthMap, TargetDepth
 from pipeline.sensors.spec import SensorSpec
 from pipeline.views.colours import ColourScale, apply_colour_map
 from pipeline.views.display_params import DisplayParams
@@ -42,26 +44,6 @@ class PixelPositions(NamedTuple):
         return float(x[col]) * z, float(y[row]) * z, z
 
 
-class PointPositions(NamedTuple):
-    """Positions of the points on display, looked up on demand."""
-
-    points_mm: Floats  # (n, 3)
-    element_index: Indices  # (rows, cols) of the point on display, -1 = none
-
-    def compute_all_mm(self) -> Floats:
-        """Return the position (rows, cols, 3) of each pixel, NaN = none."""
-        positions = np.full((*self.element_index.shape, 3), np.nan, dtype=np.float32)
-        shown = self.element_index >= 0
-        positions[shown] = self.points_mm[self.element_index[shown]]
-        return freeze(positions)
-
-    def compute_point_mm(self, row: int, col: int) -> tuple[float, float, float]:
-        """Return the position of one pixel."""
-        at = int(self.element_index[row, col])
-        x, y, z = (float(v) for v in self.points_mm[at]) if at >= 0 else (math.nan,) * 3
-        return x, y, z
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Preview:
     """Pixels and their meaning."""
@@ -73,7 +55,7 @@ class Preview:
     distance_mm: Floats | None = None
     scale: ColourScale | None = None  # None = true colours
     # of each pixel; as an array (rows, cols, 3), NaN = none
-    positions_mm: PixelPositions | PointPositions | Floats | None = None
+    positions_mm: PixelPositions | Floats | None = None
     outline_px: Floats | None = None  # (n, 2) x, y of the contact outline, NaN between pieces
     observed_outline_px: Floats | None = None  # (n, 2) outline of another contact to compare with
     pixel_mm: float = math.nan  # width of a pixel on the surface
@@ -85,49 +67,35 @@ class Preview:
 
     def get_value(self, row: int, col: int) -> float | None:
         """Return the value of a pixel, NaN for none; None of a colour image and outside."""
-        rows, cols = self.pixels.shape[:2]
-        is_value = (
-            self.values is not None
-            and self.scale is not None
-            and 0 <= row < rows
-            and 0 <= col < cols
-        )
+        has_values = self.values is not None and self.scale is not None
+        is_value = has_values and self._holds(row, col)
         return float(self.values[row, col]) if is_value and self.values is not None else None
 
     def format_value(self, row: int, col: int) -> str:
         """Return the value of a pixel with its unit, or its colour; "" outside the image."""
-        rows, cols = self.pixels.shape[:2]
-        if not (0 <= row < rows and 0 <= col < cols):
+        if not self._holds(row, col):
             return ""
         value = self.get_value(row, col)
         if value is None or self.scale is None:
-            return "rgb {} {} {}".format(*(int(v) for v in self.pixels[row, col]))
+            return "rgb {} {} {}".format(*self.pixels[row, col].tolist())
         return f"{value:.3f} {self.scale.unit}" if math.isfinite(value) else "none"
 
     def describe_pixel(self, row: int, col: int) -> str:
         """Return (x, y) in pixels, value with unit, position with frame; "" outside the image."""
-        rows, cols = self.pixels.shape[:2]
-        if not (0 <= row < rows and 0 <= col < cols):
+        if not self._holds(row, col):
             return ""
-        parts = [f"({col}, {row})"]
-        if self.values is None or self.scale is None:
-            parts.append(self.format_value(row, col))
-        else:
-            value = float(self.values[row, col])
+        value = self.format_value(row, col)
+        if self.values is not None and self.scale is not None:
             quantity = self.scale.quantity.split(",")[0]
-            parts.append(
-                f"{quantity} {value:.3f} {self.scale.unit}"
-                if math.isfinite(value)
-                else f"{quantity}: none"
-            )
-        if self.distance_mm is not None and math.isfinite(
-            distance_mm := float(self.distance_mm[row, col])
-        ):
+            value = f"{quantity}: none" if value == "none" else f"{quantity} {value}"
+        parts = [f"({col}, {row})", value]
+        distance_mm = math.nan if self.distance_mm is None else float(self.distance_mm[row, col])
+        if math.isfinite(distance_mm):
             parts.append(f"distance {distance_mm:.2f} mm")
-        if self.positions_mm is not None:
-            places = self.positions_mm
+        places = self.positions_mm
+        if places is not None:
             x, y, z = (
-                (float(v) for v in places[row, col])
+                places[row, col].tolist()
                 if isinstance(places, np.ndarray)
                 else places.compute_point_mm(row, col)
             )
@@ -141,22 +109,22 @@ class Preview:
         None where no position is known.
         """
         places = self.positions_mm
-        return (
-            places if places is None or isinstance(places, np.ndarray) else places.compute_all_mm()
-        )
+        return places.compute_all_mm() if isinstance(places, PixelPositions) else places
+
+    def _holds(self, row: int, col: int) -> bool:
+        rows, cols = self.pixels.shape[:2]
+        return 0 <= row < rows and 0 <= col < cols
 
 
 def make_indentation_preview(
     heights_mm: Floats,
-    depth_mm: Floats,
-    contact: Mask,
-    camera: Camera,
+    depth: DepthMap | TargetDepth,
     sensor: SensorSpec,
     display: DisplayParams,
     caption: str = INDENTATION_LABEL,
 ) -> Preview:
     """Return the preview of indentation (rows, cols) on its absolute scale, with the contact
-    outline.
+    outline of the depth that it belongs to.
     """
     scale = make_indentation_scale(sensor, display)
     return Preview(
@@ -164,9 +132,9 @@ def make_indentation_preview(
         values=heights_mm,
         scale=scale,
         frame_name=f"{sensor.title} frame",
-        positions_mm=PixelPositions(camera, depth_mm),
-        outline_px=trace_outline(contact),
-        pixel_mm=compute_pixel_mm(camera, sensor),
+        positions_mm=PixelPositions(depth.camera, depth.depth_mm),
+        outline_px=trace_outline(depth.contact),
+        pixel_mm=compute_pixel_mm(depth.camera, sensor),
         caption=caption,
     )
 
@@ -190,36 +158,35 @@ def make_frame_preview(
     which a reading that was `recorded` need not have had.
     """
     place = f"{sensor.title} frame"
-    border = None if contact is None else trace_outline(contact)
-    if image.ndim == 2:
-        depth = np.asarray(image, dtype=np.float32)
-        if display.bubble_quantity == "distance":
-            values = depth
-            scale = make_distance_scale(sensor, display, reference)
-            caption = f"{scale.quantity}, {place}"
-        else:
-            rest, whose = _rest_of(sensor, camera, reference, depth.shape, recorded=is_recorded)
-            values = freeze((rest - depth).astype(np.float32))
-            scale = make_deviation_scale(sensor, display)
-            caption = f"{scale.quantity}{whose}"
-        return Preview(
-            pixels=apply_colour_map(values, scale),
-            values=values,
-            scale=scale,
-            frame_name=place,
-            outline_px=border,
-            pixel_mm=compute_pixel_mm(camera, sensor),
-            positions_mm=PixelPositions(camera, depth),
-            caption=caption,
-            distance_mm=None if values is depth else depth,
-        )
-    return Preview(
-        pixels=np.asarray(image, dtype=np.uint8),
+    make_preview = partial(
+        Preview,
         frame_name=place,
         pixel_mm=compute_pixel_mm(camera, sensor),
-        positions_mm=None if depth_mm is None else PixelPositions(camera, depth_mm),
-        outline_px=border,
-        caption=f"rgb image, {camera.cols} x {camera.rows} px",
+        outline_px=None if contact is None else trace_outline(contact),
+    )
+    if image.ndim == 3:
+        return make_preview(
+            pixels=np.asarray(image, dtype=np.uint8),
+            positions_mm=None if depth_mm is None else PixelPositions(camera, depth_mm),
+            caption=f"rgb image, {camera.cols} x {camera.rows} px",
+        )
+    depth = np.asarray(image, dtype=np.float32)
+    if display.bubble_quantity == "distance":
+        values = depth
+        scale = make_distance_scale(sensor, display, reference)
+        caption = f"{scale.quantity}, {place}"
+    else:
+        rest, whose = _rest_of(sensor, camera, reference, depth.shape, recorded=is_recorded)
+        values = freeze((rest - depth).astype(np.float32))
+        scale = make_deviation_scale(sensor, display)
+        caption = f"{scale.quantity}{whose}"
+    return make_preview(
+        pixels=apply_colour_map(values, scale),
+        values=values,
+        scale=scale,
+        positions_mm=PixelPositions(camera, depth),
+        caption=caption,
+        distance_mm=None if values is depth else depth,
     )
 
 
@@ -253,19 +220,22 @@ def enlarge_preview(picture: Preview, shape: tuple[int, int]) -> Preview:
     if (old_rows, old_cols) == shape:
         return picture
 
-    def enlarge_array(values: Any) -> Any:
-        return freeze(cv2.resize(values, (cols, rows), interpolation=cv2.INTER_NEAREST))
+    def enlarge(values: Any) -> Any:
+        enlarged = cv2.resize(values, (cols, rows), interpolation=cv2.INTER_NEAREST)
+        return freeze(enlarged)
 
     times = np.array([cols / old_cols, rows / old_rows], dtype=np.float32)
-    places = picture.compute_positions_mm()
+    arrays = {
+        "pixels": picture.pixels,
+        "values": picture.values,
+        "positions_mm": picture.compute_positions_mm(),
+        "distance_mm": picture.distance_mm,
+    }
     return replace(
         picture,
-        pixels=enlarge_array(picture.pixels),
         pixel_mm=picture.pixel_mm / float(times[0]),
-        values=None if picture.values is None else enlarge_array(picture.values),
-        positions_mm=None if places is None else enlarge_array(places),
         outline_px=None if picture.outline_px is None else freeze(picture.outline_px * times),
-        distance_mm=None if picture.distance_mm is None else enlarge_array(picture.distance_mm),
+        **{name: enlarge(array) for name, array in arrays.items() if array is not None},
     )
 
 
@@ -321,7 +291,7 @@ def _rest_of(
 
 
 def make_distance_scale(
-    sensor: SensorSpec, display: DisplayParams, reference: NDArray[np.generic] | None = None
+    sensor: SensorSpec, display: DisplayParams, reference: NDArray[np.generic] | None
 ) -> ColourScale:
     """The scale of distances that a bubble's camera can see, wider where the recorded unit is
     built longer.

@@ -52,7 +52,7 @@ class ProbePoint:
     """Where a traced pixel is in one stage."""
 
     stage: str  # or "source"
-    index: int  # flat index into the elements of that stage, -1 = the trace ended before
+    index: int = -1  # flat index into the elements of that stage, -1 = the trace ended before
     row: int = -1  # of an image, -1 for a stage without one
     col: int = -1
     point_mm: tuple[float, float, float] | None = None  # in the frame of the stage's sensor

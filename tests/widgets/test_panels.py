@@ -95,16 +95,16 @@ def test_a_grid_offers_axes_with_values_and_keeps_what_is_chosen(qtbot):
     metrics = {"touch_depth.contact_mae_mm": "touch depth: error in contact, mm", "": "time only"}
     qtbot.addWidget(tab)
     axes = {"touch.guidance": "1, 4", "touch.steps": "4, 8", "touch.seed": "0, 1"}
-    tab.offer_axes(axes, metrics, "")
+    tab.offer_axes(axes, metrics, "", {})
     assert [tab.metric_box.itemText(i) for i in range(2)] == list(metrics.values())
     assert (tab.metric_box.currentText(), tab.metric_box.currentData()) == ("time only", "")
     assert tab.axis_texts == ("touch.guidance=1, 4", "touch.steps=4, 8")
     tab.values[0].setText("2")
     tab.axes[1].setCurrentIndex(0)
     tab.axes[1].chosen.emit("")
-    tab.offer_axes({**axes, "depth.method": "physics, network"}, metrics, "")
+    tab.offer_axes({**axes, "depth.method": "physics, network"}, metrics, "", {})
     assert tab.axis_texts == ("touch.guidance=2", "")
-    tab.offer_axes({"depth.method": "physics, network"}, metrics, "")
+    tab.offer_axes({"depth.method": "physics, network"}, metrics, "", {})
     assert tab.axis_texts == ("depth.method=physics, network", "")
 
 

@@ -22,6 +22,8 @@ from widgets.style.styling import (
     make_command_button,
     make_icon_button,
     make_single_shot_timer,
+    make_text,
+    name_widget,
     set_spacing,
 )
 
@@ -69,8 +71,7 @@ class AlignmentPanel(VerticalScrollArea):
 
     def __init__(self) -> None:
         super().__init__()
-        self.setObjectName("alignment")
-        self.setAccessibleName("alignment")
+        name_widget(self, "alignment", "alignment")
         self.rows = {axis: AxisRow(axis, self) for axis in AXES}
         self.gauges = {
             "iou": Gauge(_IOU),
@@ -81,8 +82,8 @@ class AlignmentPanel(VerticalScrollArea):
         self.refine = RefineBox()
         self.dragging = False  # whether a handle is being dragged
         self._still = make_single_shot_timer(self, SETTLE_MS, self.end_drag)
-        self.origin = QLabel()
-        self._pivot = QLabel()
+        self.origin = make_text()
+        self._pivot = make_text()
         self.no_score_reason = ThemedLabel(lambda inks: inks.warning_text)
         self._lay_out()
         for row in self.rows.values():
@@ -117,7 +118,6 @@ class AlignmentPanel(VerticalScrollArea):
         self.show_empty()
 
     def _head(self) -> QVBoxLayout:
-        self.origin.setWordWrap(True)
         self.original = make_icon_button(
             "reset", "alignment_original", "Return to the alignment of the recording"
         )
@@ -129,7 +129,6 @@ class AlignmentPanel(VerticalScrollArea):
         )
 
     def _foot(self) -> QHBoxLayout:
-        self._pivot.setWordWrap(True)
         self.here = make_icon_button(
             "target",
             "alignment_pivot",
@@ -223,7 +222,6 @@ class AlignmentPanel(VerticalScrollArea):
 
 
 def _title(text: str) -> QLabel:
-    label = QLabel(text)
-    make_bold(label)
+    label = make_bold(QLabel(text))
     label.setContentsMargins(0, 6, 0, 0)
     return label

@@ -4,15 +4,15 @@ import math
 from collections.abc import Callable
 from html import escape
 
-from PyQt6.QtCore import QEvent, Qt
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtCore import QEvent
+from PyQt6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
 
 from pipeline.core.arrays import Doubles
 from pipeline.translation.alignment.refine import AlignmentFit, Refinement
 from pipeline.views.colours import Rgb
 from widgets.style.base import EventListener
 from widgets.style.run_bar import StartBar
-from widgets.style.styling import fill, make_button, set_spacing
+from widgets.style.styling import fill, make_button, make_text, set_spacing
 from widgets.style.theme import ThemeColours, get_theme_colours, to_hex
 
 _IDLE = "least squares over all frames with contact on both sensors; a quarter is held out"
@@ -24,15 +24,12 @@ class RefineBox(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self.run_bar = StartBar("refine", "Refine on all frames")
-        self.text = QLabel()
+        self.text = make_text(rich=True, selectable=True)
         self.accept = make_button(
             "Accept", "refine_accept", "Use the refined alignment (one undo step)"
         )
         self.discard = make_button("Discard", "refine_discard", "Keep the alignment as it is")
         self.run_bar.start_button.setToolTip(_IDLE[0].upper() + _IDLE[1:])
-        self.text.setWordWrap(True)
-        self.text.setTextFormat(Qt.TextFormat.RichText)
-        self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         choice = fill(QHBoxLayout(), self.accept, self.discard)
         fill(set_spacing(QVBoxLayout(self), 4), self.run_bar, self.text, choice)
         EventListener(self, lambda: self._say(self._format_mm), QEvent.Type.PaletteChange)

@@ -18,6 +18,7 @@ from PyQt6.QtWidgets import (
 
 from pipeline.lab.evaluation.grid_comparison import GridCell
 from widgets.style.base import EventListener
+from widgets.style.styling import name_widget
 from widgets.views.preview_renderer import make_themed_qimage
 
 CellIndex = tuple[int, int]  # row, col
@@ -58,8 +59,7 @@ class CellGrid(QTableWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.setObjectName("comparison_grid")
-        self.setAccessibleName("results of the grid")
+        name_widget(self, "comparison_grid", "results of the grid")
         self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
         self.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
         self.cells: dict[CellIndex, GridCell] = {}

@@ -10,7 +10,7 @@ from PyQt6.QtWidgets import QLabel, QTabWidget, QVBoxLayout, QWidget
 from pipeline.lab.evaluation.method_comparison import SortOrder
 from widgets.compare.comparison_tab import ComparisonTab, GridTab, TileTab
 from widgets.style.base import ChoiceBox
-from widgets.style.styling import make_command_button, set_spacing
+from widgets.style.styling import fill, make_command_button, name_widget, set_spacing
 
 ALL_STAGES = "all stages"
 
@@ -35,15 +35,12 @@ class ComparisonPage(QWidget):
             "two": self.variants,
             "grid": self.grid,
         }
-        self._tab_bar = QTabWidget()
+        self._tab_bar = name_widget(QTabWidget(), "compare_tabs", "comparisons")
         self._n_commands = 0
         self._tab_bar.setDocumentMode(True)
-        self._tab_bar.setObjectName("compare_tabs")
-        self._tab_bar.setAccessibleName("comparisons")
         for tab, title in zip(self.tabs.values(), ("Methods", "Two settings", "Grid"), strict=True):
             self._tab_bar.addTab(tab, title)
-        layout = set_spacing(QVBoxLayout(self), 0)
-        layout.addWidget(self._tab_bar)
+        fill(set_spacing(QVBoxLayout(self), 0), self._tab_bar)
         self._tab_bar.currentChanged.connect(self._emit_choice)
 
     @property

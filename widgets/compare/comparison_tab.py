@@ -4,7 +4,6 @@ grid.
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from types import MappingProxyType
 
 from PyQt6.QtWidgets import (
     QGridLayout,
@@ -12,7 +11,6 @@ from PyQt6.QtWidgets import (
     QLabel,
     QLayout,
     QLineEdit,
-    QPushButton,
     QSizePolicy,
     QVBoxLayout,
     QWidget,
@@ -24,7 +22,7 @@ from widgets.compare.comparison_grid import CellGrid
 from widgets.compare.tile_grid import TileGrid
 from widgets.style.base import ChoiceBox
 from widgets.style.run_bar import RunBar
-from widgets.style.styling import fill, set_spacing
+from widgets.style.styling import fill, make_button, make_line, make_text, set_spacing
 
 
 class ComparisonTab(QWidget):
@@ -32,12 +30,11 @@ class ComparisonTab(QWidget):
 
     def __init__(self, controls: Sequence[QWidget] | QLayout, results: QWidget) -> None:
         super().__init__()
-        self.message = QLabel()
+        self.message = make_text()
         self.run_bar = RunBar("compare", keeps_room=True)
-        self.message.setWordWrap(True)
         self.message.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Minimum)
-        self.head = set_spacing(QHBoxLayout(), 6)
-        fill(self.head, *([(controls, 1)] if isinstance(controls, QLayout) else [*controls, 1]))
+        parts = [(controls, 1)] if isinstance(controls, QLayout) else [*controls, 1]
+        self.head = fill(set_spacing(QHBoxLayout(), 6), *parts)
         fill(
             set_spacing(QVBoxLayout(self), 4, (4, 4, 4, 2)),
             self.head,
@@ -73,22 +70,21 @@ class GridTab(ComparisonTab):
     def __init__(self) -> None:
         # across, down
         self.axes = tuple(ChoiceBox(f"grid_{word}", f"what the {word} try") for word in _AXES)
-        self.values = QLineEdit(), QLineEdit()
+        self.values = tuple(
+            make_line(f"grid_{word}_values", f"values of the {word}", "", "Comma-separated values")
+            for word in _AXES
+        )
         self.metric_box = ChoiceBox("grid_metric", "metric")
-        self.start_button = QPushButton("Start")
+        self.start_button = make_button("Start", "grid_start")
         self.grid = CellGrid()
         self._offers: Mapping[str, str] = {}
         controls = set_spacing(QGridLayout(), 6)
         super().__init__(controls, self.grid)
         for which, (word, box, line) in enumerate(zip(_AXES, self.axes, self.values, strict=True)):
-            line.setObjectName(f"grid_{word}_values")
-            line.setAccessibleName(f"values of the {word}")
-            line.setToolTip("Comma-separated values")
             line.returnPressed.connect(self.start_button.click)
             box.chosen.connect(partial(self._suggest_values, line))
             for col, widget in enumerate((QLabel(word), box, line)):
                 controls.addWidget(widget, which, col)
-        self.start_button.setObjectName("grid_start")
         controls.addWidget(QLabel("metric"), 0, 3)
         controls.addWidget(self.metric_box, 0, 4)
         controls.addWidget(self.start_button, 1, 4)
@@ -103,7 +99,7 @@ class GridTab(ComparisonTab):
         offers: Mapping[str, str],
         metrics: Mapping[str, str],
         metric: str,
-        labels: Mapping[str, str] = MappingProxyType({}),
+        labels: Mapping[str, str],
     ) -> None:
         """Offer axes (name -> suggested values) with their `labels`, and metrics (name -> title);
         emits no signal.

@@ -17,6 +17,8 @@ _FULL_IOU = 0.02
 _NEARER = "\N{BLACK UP-POINTING TRIANGLE}"
 _FARTHER = "\N{BLACK DOWN-POINTING TRIANGLE}"
 _CELL_ROOM_PX = 10  # padding of a cell
+_LEFT = Qt.AlignmentFlag.AlignVCenter
+_RIGHT = Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignRight
 _TIP = (
     "change of the score per {step:g} mm or {step:g}° along each axis, mean of either side; the "
     "triangle shows "
@@ -60,39 +62,34 @@ class SensitivityBars(PaintedWidget):
 
     def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint header and rows."""
-        row = self._row_px()
         left = self._left_px()
         width = (self.width() - left) / len(_FIGURES)
-        soft = self.palette().placeholderText().color()
-        text = self.palette().text().color()
+        line = QRectF(0, 0, self.width() - 4, self._row_px())
+        soft, text = self.palette().placeholderText().color(), self.palette().text().color()
+        cells = [
+            line.adjusted(left + i * width, 0, (i + 1 - len(_FIGURES)) * width, 0)
+            for i in range(len(_FIGURES))
+        ]
         painter.setPen(soft)
-        middle = int(Qt.AlignmentFlag.AlignVCenter)
-        painter.drawText(QRectF(0, 0, left, row), middle, "per")
-        for i, (name, unit, *_) in enumerate(_FIGURES):
-            cell = QRectF(left + i * width, 0, width - 4, row)
-            painter.drawText(
-                cell, middle | int(Qt.AlignmentFlag.AlignRight), f"{name} {unit}".strip()
-            )
-        for n, axis in enumerate(self.axes):
-            top = (n + 1) * row
+        painter.drawText(line, _LEFT, "per")
+        for cell, (name, unit, *_) in zip(cells, _FIGURES, strict=True):
+            painter.drawText(cell, _RIGHT, f"{name} {unit}".strip())
+        for axis in self.axes:
+            line.translate(0, line.height())
             painter.setPen(text)
-            painter.drawText(QRectF(0, top, left, row), middle, axis.axis)
+            painter.drawText(line, _LEFT, axis.axis)
             painter.setPen(soft)
-            unit = "°" if axis.unit == "deg" else " mm"
-            painter.drawText(
-                QRectF(self.fontMetrics().horizontalAdvance("rx  "), top, left, row),
-                middle,
-                f"{UNIT_STEP:g}{unit}",
-            )
+            step = f"{UNIT_STEP:g}{'°' if axis.unit == 'deg' else ' mm'}"
+            name_px = self.fontMetrics().horizontalAdvance("rx  ")
+            painter.drawText(line.adjusted(name_px, 0, 0, 0), _LEFT, step)
+            painter.setPen(text)
             for i, change in enumerate(_changes(axis)):
-                cell = QRectF(left + i * width, top + 1, width - 4, row - 2)
+                cell = cells[i].translated(0, line.top()).adjusted(0, 1, 0, -1)
                 painter.fillRect(cell, to_qcolor(ink.gauge_background))
-                share = min(1.0, (change.magnitude or 0.0) / self._full[i])
-                bar = QRectF(cell.left(), cell.top(), share * cell.width(), cell.height())
+                bar = QRectF(cell)
+                bar.setWidth(min(1.0, (change.magnitude or 0.0) / self._full[i]) * cell.width())
                 painter.fillRect(bar, to_qcolor(ink.sensitivity))
-                painter.setPen(text)
-                right = middle | int(Qt.AlignmentFlag.AlignRight)
-                painter.drawText(cell.adjusted(2, 0, -3, 0), right, _format_change(change, i))
+                painter.drawText(cell.adjusted(2, 0, -3, 0), _RIGHT, _format_change(change, i))
 
     def _left_px(self) -> int:
         """Return the width of an axis' name and step."""
@@ -107,23 +104,13 @@ def _changes(axis: Sensitivity) -> tuple[ScoreChange, ScoreChange, ScoreChange]:
 
 
 def _format_change(change: ScoreChange, figure: int) -> str:
+    """Return the size of a change, and whether raising or lowering the axis improves the metric
+    unless both are about as bad.
+    """
     if change.magnitude is None:
         return "-"
     *_, digits, more_is_better = _FIGURES[figure]
     number = f"{change.magnitude:.{digits}f}"
-    return f"{_better_way(change, more_is_better)} {number}".strip() if float(number) else number
-
-
-def _better_way(change: ScoreChange, more_is_better: bool) -> str:
-    """Return whether raising or lowering the axis improves the metric.
-
-    "" where both are about as bad.
-    """
-    if (
-        change.slope is None
-        or change.magnitude is None
-        or abs(change.slope) < 0.5 * change.magnitude
-    ):
-        return ""
-    raising_helps = (change.slope > 0) == more_is_better
-    return _NEARER if raising_helps else _FARTHER
+    if not float(number) or change.slope is None or abs(change.slope) < 0.5 * change.magnitude:
+        return number
+    return f"{_NEARER if (change.slope > 0) == more_is_better else _FARTHER} {number}"

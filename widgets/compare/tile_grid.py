@@ -17,7 +17,7 @@ from PyQt6.QtWidgets import (
 
 from pipeline.views.preview import Tile
 from widgets.style.base import EventListener
-from widgets.style.styling import fill, make_bold, set_spacing
+from widgets.style.styling import fill, make_bold, make_text, set_spacing
 from widgets.views.preview_view import SIDE_TEXT_PX, PreviewView
 
 _MOST_COLUMNS = 8
@@ -40,14 +40,12 @@ class TileView(QFrame):
         super().__init__()
         self.setFrameShape(QFrame.Shape.StyledPanel)
         self.tile = Tile(title="")
-        self._title = QLabel()
-        self._subtitle = QLabel()
+        self._title = make_bold(QLabel())
+        self._subtitle = make_text()
         self.view = PreviewView()
-        make_bold(self._title)
         for label in (self._title, self._subtitle):
             label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self._subtitle.setWordWrap(True)
         self._subtitle.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self.view.caption.set_lines(1)
         self._text_at_side = False

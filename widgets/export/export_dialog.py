@@ -8,14 +8,12 @@ from PyQt6.QtWidgets import (
     QDialog,
     QFormLayout,
     QHBoxLayout,
-    QLabel,
-    QLineEdit,
     QPushButton,
     QWidget,
 )
 
 from widgets.style.base import ChoiceBox
-from widgets.style.styling import fill
+from widgets.style.styling import fill, make_line, make_text, name_widget
 
 FORMATS = (  # suffix, title, content it can hold
     (".png", "image, PNG", "every"),
@@ -44,22 +42,20 @@ class ExportDialog(QDialog):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setWindowTitle("Export")
-        self.setObjectName("export_dialog")
+        name_widget(self, "export_dialog")
         contents = {name: name for name in ("computed", "truth", "difference")}
         self.pane_box = ChoiceBox("export_pane", "export pane")
-        self.frames = QLineEdit()
         self.content_box = ChoiceBox("export_shows", "export shows", contents)
         self.format_box = ChoiceBox(
             "export_as", "export as", {suffix: words for suffix, words, _ in FORMATS}
         )
-        self.frames.setObjectName("export_frames")
-        self.frames.setAccessibleName("export frames")
-        self.frames.setPlaceholderText("all, or for example 0,3-7")
-        self.frames.setToolTip("frames of a table or a video, by number")
-        self.size_line = QLineEdit()
-        self.size_line.setObjectName("export_size")
-        self.size_line.setAccessibleName("export size")
-        self.size_line.setPlaceholderText("pixels, for example 1920 x 1080")
+        self.frames = make_line(
+            "export_frames",
+            "export frames",
+            "all, or for example 0,3-7",
+            "frames of a table or a video, by number",
+        )
+        self.size_line = make_line("export_size", "export size", "pixels, for example 1920 x 1080")
         form = QFormLayout(self)
         for label, widget in (
             ("pane", self.pane_box),
@@ -69,8 +65,7 @@ class ExportDialog(QDialog):
             ("size", self.size_line),
         ):
             form.addRow(label, widget)
-        self._told = QLabel()
-        self._told.setWordWrap(True)
+        self._told = make_text()
         form.addRow(self._told)
         self.copy = QPushButton("Copy as command")
         self.write = QPushButton("Export…")
@@ -95,9 +90,9 @@ class ExportDialog(QDialog):
         self, panes: Sequence[tuple[str, str]], chosen: str, shown: str, suffix: str
     ) -> None:
         """Offer these panes (name, title) and select one of them with its content and format."""
-        self.format_box.setCurrentIndex(max(0, self.format_box.findData(suffix)))
+        self.format_box.choose(suffix)
         self.pane_box.offer(dict(panes), chosen)
-        self.content_box.setCurrentIndex(max(0, self.content_box.findData(shown)))
+        self.content_box.choose(shown)
         self._fit()
 
     def _fit(self) -> None:

@@ -4,13 +4,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from PyQt6.QtCore import QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QMouseEvent, QPainter, QPalette
-from PyQt6.QtWidgets import QComboBox, QLabel, QSizePolicy, QVBoxLayout, QWidget
+from PyQt6.QtGui import QMouseEvent, QPainter
+from PyQt6.QtWidgets import QSizePolicy, QVBoxLayout, QWidget
 
 from pipeline.lab.tasks.task import Decision
 from widgets.style.base import ChoiceBox, PaintedWidget
 from widgets.style.run_bar import StartBar
-from widgets.style.styling import fill, make_bold, set_spacing
+from widgets.style.styling import fill, make_bold, make_text, set_spacing
 from widgets.style.theme import ThemeColours, to_qcolor
 
 _BAR_PX = 8
@@ -39,10 +39,9 @@ def make_bars(
     ends, and of the rest.
     """
     rows = [WaterfallBar(title=title, begin=0.0, end=total, is_total=True)]
-    left = total
     for name, share in parts:
+        left = rows[-1].end
         rows.append(WaterfallBar(title=name, begin=left, end=left - share))
-        left -= share
     if rest is not None:
         rows.append(WaterfallBar(title="left with all truth", begin=0.0, end=rest, is_total=True))
     return tuple(rows)
@@ -82,26 +81,22 @@ class Waterfall(PaintedWidget):
         """Paint title and value of each row over its bar; all bars have one axis."""
         if not self.bars:
             return
-        low = min(0.0, *(min(bar.begin, bar.end) for bar in self.bars))
-        high = max(1e-9, *(max(bar.begin, bar.end) for bar in self.bars))
-        per_unit = (self.width() - 8) / (high - low)
+        ends = [end for bar in self.bars for end in (bar.begin, bar.end)]
+        low = min(0.0, *ends)
+        per_unit = (self.width() - 8) / (max(1e-9, *ends) - low)
         line_px = self.fontMetrics().height()
+        painter.setPen(self.palette().windowText().color())
         for row, bar in enumerate(self.bars):
-            top = row * self._row_px
-            painter.setPen(self.palette().color(QPalette.ColorRole.WindowText))
-            line = QRectF(4, top, self.width() - 8, line_px)
+            line = QRectF(4, row * self._row_px, self.width() - 8, line_px)
             painter.drawText(line, Qt.AlignmentFlag.AlignLeft, bar.title)
-            way = "less" if bar.change <= 0 else "more"
-            value = f"{bar.end:.3f} {self._unit}"
-            value = value if bar.is_total else f"{abs(bar.change):.3f} {way}"
+            colour = ink.accent if bar.change <= 0 else ink.worse
+            value = f"{abs(bar.change):.3f} {'less' if bar.change <= 0 else 'more'}"
+            if bar.is_total:
+                colour, value = ink.neutral, f"{bar.end:.3f} {self._unit}"
             painter.drawText(line, Qt.AlignmentFlag.AlignRight, value)
-            ends = sorted((bar.begin, bar.end))
-            colour = ink.neutral if bar.is_total else ink.accent if bar.change <= 0 else ink.worse
-            wide = max(1.0, (ends[1] - ends[0]) * per_unit)
-            painter.fillRect(
-                QRectF(4 + (ends[0] - low) * per_unit, top + line_px, wide, _BAR_PX),
-                to_qcolor(colour),
-            )
+            left = 4 + (min(bar.begin, bar.end) - low) * per_unit
+            wide = max(1.0, abs(bar.change) * per_unit)
+            painter.fillRect(QRectF(left, line.bottom(), wide, _BAR_PX), to_qcolor(colour))
 
 
 class WaterfallPanel(QWidget):
@@ -109,10 +104,8 @@ class WaterfallPanel(QWidget):
 
     def __init__(self, control: QWidget) -> None:
         super().__init__()
-        self.sentence = QLabel()
+        self.sentence = make_bold(make_text())
         self.waterfall = Waterfall()
-        self.sentence.setWordWrap(True)
-        make_bold(self.sentence)
         fill(set_spacing(QVBoxLayout(self), 4), self.sentence, control, (self.waterfall, 1))
 
 
@@ -125,10 +118,7 @@ class ErrorAttributionPanel(WaterfallPanel):
     share_clicked = pyqtSignal(int)
 
     def __init__(self) -> None:
-        self.metric_box = ChoiceBox("attributed_metric", "metric to attribute")
-        self.metric_box.setSizeAdjustPolicy(
-            QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
-        )
+        self.metric_box = ChoiceBox("attributed_metric", "metric to attribute", is_narrow=True)
         super().__init__(self.metric_box)
         self.waterfall.setToolTip(
             "How much less or more the error is with the truth in one stage after the other; a "
@@ -144,7 +134,7 @@ class ErrorAttributionPanel(WaterfallPanel):
     def offer_metrics(self, names: Mapping[str, str], chosen: str) -> None:
         """Offer the metrics (name -> text) that this frame has; emits no signal."""
         self.metric_box.offer(names, chosen)
-        self.metric_box.setEnabled(bool(names))
+        self.metric_box.setVisible(bool(names))
 
     def show_empty(self, why: str) -> None:
         """Show why there is no error to attribute."""

@@ -3,15 +3,16 @@
 import math
 from collections.abc import Mapping
 
-from PyQt6.QtCore import QModelIndex, QObject, Qt, pyqtSignal
-from PyQt6.QtGui import QGuiApplication, QIcon, QImage, QPixmap
+from PyQt6.QtCore import QAbstractTableModel, QModelIndex, QObject, Qt, pyqtSignal
+from PyQt6.QtGui import QGuiApplication, QIcon, QPixmap
 
-from pipeline.core.arrays import Image
 from widgets.frames.frame_summary import FrameSummary
 from widgets.style.icons import make_state_icon
-from widgets.style.tables import RowsModel
+from widgets.style.tables import RIGHT, SORT_ROLE, get_sort_key
 from widgets.style.theme import is_dark
+from widgets.views.preview_renderer import make_qimage
 
+_Role = Qt.ItemDataRole
 FRAME, METRIC, CAUSE, DEPTH, CONTACT, WARNINGS, NOTE = range(7)
 _TITLES = ("frame", "error", "cause", "depth\nmm", "area\nmm²", "warn", "note")
 _TIPS = (
@@ -24,11 +25,11 @@ _TIPS = (
     "number of warnings that not every frame has",
     "your note on the frame",
 )
-_DECIMALS = {METRIC: 3, DEPTH: 2, CONTACT: 1, WARNINGS: 0}
+_DECIMALS = {FRAME: 0, METRIC: 3, DEPTH: 2, CONTACT: 1, WARNINGS: 0}
 _N_WARNINGS = "frame.n_warnings"
 
 
-class FramesModel(RowsModel):
+class FramesModel(QAbstractTableModel):
     """Frame numbers, summaries and notes; a frame that nobody looked at costs nothing.
 
     Emits `noted(frame, text)` when a note is written.
@@ -37,7 +38,9 @@ class FramesModel(RowsModel):
     note_edited = pyqtSignal(int, str)
 
     def __init__(self, parent: QObject) -> None:
-        super().__init__(_TITLES, _TIPS, parent)
+        super().__init__(parent)
+        self.n_rows = 0
+        self._headings = {_Role.DisplayRole: [*_TITLES], _Role.ToolTipRole: [*_TIPS]}
         self._figure = ""  # of the metric's column
         self._known: dict[int, FrameSummary] = {}
         # measured on request, also of frames without summary
@@ -45,6 +48,21 @@ class FramesModel(RowsModel):
         self._notes: Mapping[int, str] = {}
         self._common: frozenset[str] | None = None  # None = not computed yet
         self._thumbnails: dict[int, tuple[QPixmap, QPixmap]] = {}  # in the light and the dark theme
+
+    def rowCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
+        """Return the number of rows."""
+        return 0 if parent.isValid() else self.n_rows
+
+    def columnCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
+        """Return the number of columns."""
+        return 0 if parent.isValid() else len(_TITLES)
+
+    def headerData(  # noqa: N802 - Qt's name
+        self, section: int, orientation: Qt.Orientation, role: int = _Role.DisplayRole
+    ) -> object:
+        """Return title or tooltip of a column."""
+        is_column = orientation == Qt.Orientation.Horizontal and 0 <= section < len(_TITLES)
+        return self._headings[role][section] if is_column and role in self._headings else None
 
     @property
     def metrics(self) -> tuple[str, ...]:
@@ -161,7 +179,10 @@ class FramesModel(RowsModel):
             return
         if summary.thumbnail is not None and frame not in self._thumbnails:
             dark = summary.thumbnail if summary.dark_thumbnail is None else summary.dark_thumbnail
-            self._thumbnails[frame] = _to_pixmap(summary.thumbnail), _to_pixmap(dark)
+            self._thumbnails[frame] = (
+                QPixmap.fromImage(make_qimage(summary.thumbnail)),
+                QPixmap.fromImage(make_qimage(dark)),
+            )
         self._known[frame] = summary if old is None else old.merge(summary)
         self._common = None
         self._emit_changed(frame, frame)
@@ -199,12 +220,25 @@ class FramesModel(RowsModel):
         self.note_edited.emit(index.row(), str(value).strip())
         return True
 
-    def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
-        """Return what Qt asks of a cell; a note can be edited."""
-        is_note = index.isValid() and index.column() == NOTE
-        if is_note and role == Qt.ItemDataRole.EditRole:
-            return self.get_note(index.row())
-        return super().data(index, role)
+    def data(self, index: QModelIndex, role: int = _Role.DisplayRole) -> object:
+        """Return what Qt asks of a cell; numbers are sorted as such and stand at the right."""
+        if not index.isValid():
+            return None
+        row, column = index.row(), index.column()
+        number = self.get_number(row, column)
+        if role == SORT_ROLE and number is not None:
+            return get_sort_key(number)
+        if role == _Role.TextAlignmentRole:
+            return None if number is None else RIGHT
+        if role == _Role.EditRole:
+            return self.get_note(row) if column == NOTE else None
+        reads = {
+            _Role.DisplayRole: self.format_cell,
+            SORT_ROLE: self.format_cell,
+            _Role.DecorationRole: self.get_picture,
+            _Role.ToolTipRole: self.get_tip,
+        }
+        return reads[_Role(role)](row, column) if role in reads else None
 
     def get_picture(self, row: int, column: int) -> object:
         """Return the image of a frame, or the sign next to its number of warnings."""
@@ -223,30 +257,29 @@ class FramesModel(RowsModel):
 
     def get_number(self, row: int, column: int) -> float | None:
         """Return the number of a cell, NaN if unknown; None for a column of texts."""
-        summary = self._known.get(row)
-        if column in (CAUSE, NOTE):
-            return None
+        figures = {
+            METRIC: self._figure,
+            DEPTH: "frame.max_indentation_mm",
+            WARNINGS: _N_WARNINGS,
+        }
         if column == FRAME:
             return float(row)
-        if column == METRIC:
-            return self._get_metric(row, self._figure)
-        if summary is None or summary.problem:
-            return math.nan
         if column == CONTACT:
-            return summary.contact_area_mm2
-        figures = {WARNINGS: _N_WARNINGS, DEPTH: "frame.max_indentation_mm"}
-        return self._get_metric(row, figures[column])
+            summary = self._known.get(row)
+            unknown = summary is None or summary.problem
+            return math.nan if unknown else summary.contact_area_mm2
+        return self._get_metric(row, figures[column]) if column in figures else None
 
     def format_cell(self, row: int, column: int) -> str:
         """Return the text of a cell."""
         summary = self._known.get(row)
         number = self.get_number(row, column)
+        has_failed = summary is not None and bool(summary.problem)
+        if column == NOTE:
+            return self.get_note(row)
         if number is None:
-            known = "" if summary is None or summary.problem else summary.cause
-            return self.get_note(row) if column == NOTE else known
-        if column == FRAME:
-            return str(row)
-        if summary is not None and summary.problem:
+            return "" if summary is None or has_failed else summary.cause
+        if has_failed and column != FRAME:
             return "failed" if column == METRIC else ""
         unknown = "" if summary is None else "-"
         return f"{number:.{_DECIMALS[column]}f}" if math.isfinite(number) else unknown
@@ -254,10 +287,3 @@ class FramesModel(RowsModel):
     def _emit_changed(self, first: int, last: int) -> None:
         if last >= first:
             self.dataChanged.emit(self.index(first, FRAME), self.index(last, WARNINGS))
-
-
-def _to_pixmap(image: Image) -> QPixmap:
-    rows, cols = image.shape[:2]
-    return QPixmap.fromImage(
-        QImage(image.tobytes(), cols, rows, 3 * cols, QImage.Format.Format_RGB888)
-    )

@@ -11,7 +11,7 @@ from PyQt6.QtWidgets import QPlainTextEdit, QPushButton
 from widgets.style.base import EventListener
 from widgets.style.icons import StateIcon
 from widgets.style.notification_bar import Choice, NotificationBar
-from widgets.style.styling import copy_text
+from widgets.style.styling import copy_text, name_widget
 from widgets.style.theme import is_dark
 
 _READ_MS = 30_000  # until an error leaves; the log keeps it
@@ -30,21 +30,20 @@ class Banner(NotificationBar):
         self._take_colours()
         EventListener(self, self._take_colours, QEvent.Type.PaletteChange)
         sign = StateIcon(20)
-        self._copy = QPushButton("Copy report")
         sign.show_state("failed")
         self._text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self._more = QPushButton("Details")
-        self._details = QPlainTextEdit()
         self._more.setCheckable(True)
-        self._details.setAccessibleName("details")
+        self._details = name_widget(QPlainTextEdit(), "", "details")
         self._details.setReadOnly(True)
         self._details.setMaximumHeight(160)
         self._row.insertWidget(0, sign)
-        for button in (self._more, self._copy):
+        copy = QPushButton("Copy report")
+        copy.clicked.connect(self.copy_report)
+        for button in (self._more, copy):
             self._row.insertWidget(self._row.count() - 1, button)
         self._column.addWidget(self._details)
         self._more.toggled.connect(self._details.setVisible)
-        self._copy.clicked.connect(self.copy_report)
         self._details.hide()
 
     def _take_colours(self) -> None:

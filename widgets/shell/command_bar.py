@@ -10,7 +10,7 @@ from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QTabBar, QToolBar, QToolButton, QWidget
 
 from widgets.style.base import EventListener
-from widgets.style.styling import make_single_shot_timer
+from widgets.style.styling import make_single_shot_timer, name_widget
 
 _Style = Qt.ToolButtonStyle
 _SPARE_PX = 12  # left free at the right end
@@ -105,8 +105,7 @@ class ActionTabs(QTabBar):
         super().__init__()
         self._actions = tuple(actions)
         self._hidden = set[QAction]()  # unless they are checked
-        self.setObjectName(f"{name}_tabs")
-        self.setAccessibleName(name)
+        name_widget(self, f"{name}_tabs", name)
         self.setDrawBase(False)
         self.setExpanding(False)
         self.setUsesScrollButtons(False)

@@ -6,18 +6,15 @@ from PyQt6.QtCore import QEvent, QObject, Qt
 from PyQt6.QtGui import QAction, QKeyEvent
 from PyQt6.QtWidgets import (
     QDialog,
-    QLabel,
-    QLineEdit,
     QListWidget,
     QListWidgetItem,
     QVBoxLayout,
     QWidget,
 )
 
-from widgets.style.styling import set_spacing
+from widgets.style.styling import fill, make_line, make_text, name_widget, set_spacing
 
 _WIDTH_PX = 560
-_MOST_SHOWN = 200
 _KEYS = (Qt.Key.Key_Up, Qt.Key.Key_Down, Qt.Key.Key_PageUp, Qt.Key.Key_PageDown)
 _FAR = 10_000  # rank of a command that is found by its description, after those by name
 
@@ -28,21 +25,14 @@ class CommandPalette(QDialog):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setWindowTitle("Commands")
-        self.setObjectName("palette")
+        name_widget(self, "palette")
         self._actions: Sequence[QAction] = ()
-        self.line = QLineEdit()
-        self.results = QListWidget()
-        self._tip = QLabel()
-        self.line.setPlaceholderText(
-            "a few letters of a command, its key, or a word of what it does"
-        )
-        self.line.setAccessibleName("command")
-        self.results.setObjectName("palette_found")
-        self.results.setAccessibleName("commands that match")
-        self._tip.setWordWrap(True)
+        placeholder = "a few letters of a command, its key, or a word of what it does"
+        self.line = make_line("", "command", placeholder)
+        self.results = name_widget(QListWidget(), "palette_found", "commands that match")
+        self._tip = make_text()
         layout = set_spacing(QVBoxLayout(self), 4, (8, 8, 8, 8))
-        for widget in (self.line, self.results, self._tip):
-            layout.addWidget(widget)
+        fill(layout, self.line, self.results, self._tip)
         self.resize(_WIDTH_PX, 380)
         self.line.installEventFilter(self)
         self.line.textChanged.connect(self._filter)
@@ -76,16 +66,11 @@ class CommandPalette(QDialog):
 
     def _filter(self) -> None:
         text = self.line.text()
-        ranked = sorted(
-            (
-                (score, i)
-                for i, action in enumerate(self._actions)
-                if (score := _rank(text, action)) >= 0
-            ),
-        )
+        ranks = {action: _rank(text, action) for action in self._actions}
         self.results.clear()
-        for _, i in ranked[:_MOST_SHOWN]:
-            action = self._actions[i]
+        for action in sorted(ranks, key=ranks.__getitem__):
+            if ranks[action] < 0:
+                continue
             key = action.shortcut().toString()
             item = QListWidgetItem(
                 f"{get_command_name(action)}    {key}" if key else get_command_name(action)

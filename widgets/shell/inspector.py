@@ -10,7 +10,7 @@ from PyQt6.QtWidgets import QFormLayout, QLabel, QVBoxLayout, QWidget
 from widgets.frames.error_attribution_panel import ErrorAttributionPanel
 from widgets.stages.parameters_panel import ALL_STAGES, ParametersPanel
 from widgets.style.base import enlarge_font
-from widgets.style.styling import fill, make_bold, make_button, set_spacing
+from widgets.style.styling import fill, make_bold, make_button, name_widget, set_spacing
 
 _WIDTH_PX = 260
 _FIGURE_PT = 2.0  # by which figures are larger than text
@@ -21,8 +21,7 @@ class Inspector(QWidget):
 
     def __init__(self, parameters: ParametersPanel, attribution: ErrorAttributionPanel) -> None:
         super().__init__()
-        self.setObjectName("inspector")
-        self.setAccessibleName("inspector")
+        name_widget(self, "inspector", "inspector")
         self.setFixedWidth(_WIDTH_PX)
         self._parameters = parameters
         self._stage = ""
@@ -31,8 +30,7 @@ class Inspector(QWidget):
         )
         self.all_button.setCheckable(True)
         self.all_button.toggled.connect(self._choose)
-        self._title = QLabel("This frame")
-        make_bold(self._title)
+        self._title = make_bold(QLabel("This frame"))
         self._figures = set_spacing(QFormLayout(), 2)
         self._figures.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.AllNonFixedFieldsGrow)
         layout = set_spacing(QVBoxLayout(self), 8, (4, 4, 4, 4))

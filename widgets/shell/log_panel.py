@@ -13,7 +13,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from widgets.style.styling import fill, set_spacing
+from widgets.style.styling import fill, name_widget, set_spacing
 
 _KEPT = 5000
 _LEVELS = {
@@ -30,16 +30,13 @@ class LogPanel(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self._lines: deque[tuple[int, str]] = deque(maxlen=_KEPT)
-        self._level = QComboBox()
-        self._level.setObjectName("log_level")
-        self._level.setAccessibleName("lowest level")
+        self._level = name_widget(QComboBox(), "log_level", "lowest level")
         self._level.addItems(list(_LEVELS))
         self._level.setCurrentText("info")
         self._level.currentTextChanged.connect(self._fill)
         clear = QPushButton("Clear")
         clear.clicked.connect(self.clear)
-        self._text = QPlainTextEdit()
-        self._text.setAccessibleName("log")
+        self._text = name_widget(QPlainTextEdit(), "", "log")
         self._text.setReadOnly(True)
         self._text.setMaximumBlockCount(_KEPT)
         self._text.setLineWrapMode(QPlainTextEdit.LineWrapMode.NoWrap)

@@ -7,7 +7,7 @@ from PyQt6.QtWidgets import QMenu, QToolButton
 
 from pipeline.core.errors import escape_text
 from widgets.style.icons import make_command_icon
-from widgets.style.styling import copy_text
+from widgets.style.styling import copy_text, name_widget
 
 MOST_MESSAGES = 10
 
@@ -17,10 +17,9 @@ class MessageBell(QToolButton):
 
     def __init__(self) -> None:
         super().__init__()
-        self.setObjectName("bell")
-        self.setAccessibleName("last messages")
+        tip = "The last ten messages; a click on one copies it"
+        name_widget(self, "bell", "last messages", tip)
         self.setIcon(make_command_icon("bell"))
-        self.setToolTip("The last ten messages; a click on one copies it")
         self.setAutoRaise(True)
         self.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
         self.messages = deque[tuple[str, str]](maxlen=MOST_MESSAGES)  # time and sentence

@@ -2,14 +2,22 @@
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any
 
 from PyQt6.QtCore import QEvent, QObject, QSize, Qt, pyqtSignal
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QToolButton, QVBoxLayout, QWidget
+from PyQt6.QtGui import QPalette
+from PyQt6.QtWidgets import (
+    QFrame,
+    QHBoxLayout,
+    QLabel,
+    QSplitter,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
 
 from widgets.stages.stage_column import StageColumn
 from widgets.style.base import EventListener
-from widgets.style.styling import FittingSplitter, fill, make_bold, set_spacing
+from widgets.style.styling import fill, make_bold, make_single_shot_timer, name_widget, set_spacing
 from widgets.timeline.filmstrip import Filmstrip
 from widgets.views.view_3d_panel import View3DPanel
 
@@ -22,8 +30,10 @@ _USUAL_TALL = 0.78  # rows over columns for the layout: all panes use the same o
 _WORTH = 1.15
 _STILL = 1.08
 _WAY = Qt.Orientation
-DIMS = ("2D", "3D", "both", "scene")
-_DIMS_WORDS = {
+# what a pane shows, in words
+DIMS = {
+    "2D": "2D",
+    "3D": "3D",
     "both": "the image and the 3D view",
     "scene": "both sensors and the object",
 }
@@ -34,18 +44,26 @@ _LEAST_WIDE_PX = 480
 _COLLAPSED_BELOW_PX = 550  # a lower page collapses the cards to names
 
 
-class PaneSplitter(FittingSplitter):
+class PaneSplitter(QSplitter):
     """Image and 3D view of a stage, above each other or side by side: whatever makes the image
-    larger.
+    larger, until the user drags the handle.
     """
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__(_WAY.Vertical)
+        self.setChildrenCollapsible(False)
+        self._is_user_sized = False
         self._held: tuple[StageColumn, View3DPanel] | None = None
+        self._soon = make_single_shot_timer(self, 0, self._fit_sizes)
+        self.splitterMoved.connect(self._keep_sizes)
+        EventListener(self, self._soon.start, QEvent.Type.Resize)
+
+    def _keep_sizes(self) -> None:
+        self._is_user_sized = True
 
     def set_contents(self, column: StageColumn, cell: View3DPanel) -> None:
         """Show these widgets; the previous ones must have been released."""
-        self.is_user_sized = False
+        self._is_user_sized = False
         for widget in (column, cell):
             self.addWidget(widget)
         column.view.shape_changed.connect(self._soon.start)
@@ -58,16 +76,13 @@ class PaneSplitter(FittingSplitter):
             self._held[0].view.shape_changed.disconnect(self._soon.start)
         self._held = None
 
-    def fit_sizes(self) -> None:
-        """Choose the sizes that make the image largest, unless the user set them."""
-        if (
-            self._held is None
-            or self.is_user_sized
-            or not all(_is_shown_in(widget, self) for widget in self._held)
-        ):
+    def _fit_sizes(self) -> None:
+        if self._held is None or self._is_user_sized:
             return
-        column, _ = self._held
-        around = _around(column)
+        column, cell = self._held
+        if not (self._shows(column) and self._shows(cell)):
+            return
+        around = column.size() - column.view.canvas.size()
         room = self.size() - QSize(self.handleWidth(), self.handleWidth())
         under, at_side = _wide(room, around, _USUAL_TALL)
         stands = self.orientation() == _WAY.Vertical
@@ -85,9 +100,8 @@ class PaneSplitter(FittingSplitter):
         if abs(self.sizes()[0] - first) > 1:
             self.setSizes([first, whole - first])
 
-
-def _is_shown_in(widget: QWidget, by: QWidget) -> bool:
-    return widget.parentWidget() is by and widget.isVisibleTo(by)
+    def _shows(self, widget: QWidget) -> bool:
+        return widget.parentWidget() is self and widget.isVisibleTo(self)
 
 
 def _wide(room: QSize, around: QSize, tall: float) -> tuple[float, float]:
@@ -99,11 +113,6 @@ def _wide(room: QSize, around: QSize, tall: float) -> tuple[float, float]:
         _MOST_WIDE * room.width() - around.width(), (room.height() - around.height()) / tall
     )
     return under, at_side
-
-
-def _around(column: StageColumn) -> QSize:
-    """Return the size of a column without its image."""
-    return column.size() - column.view.canvas.size()
 
 
 class Pane(QFrame):
@@ -118,24 +127,27 @@ class Pane(QFrame):
         self._rim = QFrame()
         self._rim.setFixedHeight(2)
         self._rim.setAutoFillBackground(True)
-        self._buttons = {dims: QToolButton() for dims in DIMS}
+        self._buttons = {
+            dims: name_widget(
+                QToolButton(), f"pane_{number}_{dims.lower()}", tip=f"Show {words} in this pane"
+            )
+            for dims, words in DIMS.items()
+        }
         for dims, button in self._buttons.items():
             button.setText(dims)
             button.setCheckable(True)
             button.setAutoRaise(True)
-            button.setObjectName(f"pane_{number}_{dims.lower()}")
-            button.setToolTip(f"Show {_DIMS_WORDS.get(dims, dims)} in this pane")
             button.clicked.connect(partial(self.dims_chosen.emit, dims))
         self._both = PaneSplitter()
         self._both.setObjectName(f"split_pane_{number}")
-        self._title = QLabel(_SCENE_TITLE)
+        self._title = make_bold(QLabel(_SCENE_TITLE))
         self._title.setIndent(4)
-        make_bold(self._title)
         self._head = fill(set_spacing(QHBoxLayout(), 0), (self._title, 1), *self._buttons.values())
         fill(set_spacing(QVBoxLayout(self), 0), self._rim, self._head, (self._both, 1))
         self._held: tuple[StageColumn, View3DPanel] | None = None
         self._dims = ""
         self._own_title = ""
+        self.installEventFilter(self)
 
     def set_contents(self, column: StageColumn, cell: View3DPanel, dims: str) -> None:
         """Show these widgets; the previous ones must have been released."""
@@ -156,9 +168,8 @@ class Pane(QFrame):
     def show_title(self, text: str) -> None:
         """Show a large text in place of all controls; "" for the usual head."""
         self._own_title = text
-        font = self.font()
-        font.setBold(True)
-        font.setPointSizeF(font.pointSizeF() * (_LARGE if text else 1.0))
+        font = self._title.font()
+        font.setPointSizeF(self.font().pointSizeF() * (_LARGE if text else 1.0))
         self._title.setFont(font)
         self._title.setText(text or _SCENE_TITLE)
         self._title.setWordWrap(bool(text))
@@ -181,21 +192,14 @@ class Pane(QFrame):
 
     def set_active(self, active: bool) -> None:
         """Set whether a click on a card fills this pane."""
-        palette = self.palette()
-        self._rim.setPalette(palette)
-        role = palette.ColorRole.Highlight if active else palette.ColorRole.Midlight
-        self._rim.setBackgroundRole(role)
+        role = QPalette.ColorRole
+        self._rim.setBackgroundRole(role.Highlight if active else role.Midlight)
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
-        """Activate the pane on a press in any child."""
-        if a1 is not None and a1.type() == QEvent.Type.MouseButtonPress and self._held is not None:
+        """Activate the pane on a press in it or in any child."""
+        if a1 is not None and a1.type() == QEvent.Type.MouseButtonPress:
             self.activated.emit()
         return super().eventFilter(a0, a1)
-
-    def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
-        """Activate the pane on a press outside its children."""
-        super().mousePressEvent(a0)
-        self.activated.emit()
 
 
 class LookPage(QWidget):

@@ -17,7 +17,7 @@ from PyQt6.QtWidgets import (
 
 from pipeline.core.errors import escape_text
 from widgets.style.base import EventListener, enlarge_font
-from widgets.style.styling import fill, make_bold, set_spacing
+from widgets.style.styling import fill, make_bold, name_widget, set_spacing
 from widgets.style.theme import get_theme_colours, to_qcolor
 
 _WIDTH_PX = 620
@@ -37,13 +37,8 @@ class DropArea(QLabel):
         super().paintEvent(a0)
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        painter.setPen(
-            QPen(
-                to_qcolor(get_theme_colours(self.palette()).secondary_text),
-                1.5,
-                Qt.PenStyle.DashLine,
-            )
-        )
+        colour = to_qcolor(get_theme_colours(self.palette()).secondary_text)
+        painter.setPen(QPen(colour, 1.5, Qt.PenStyle.DashLine))
         painter.drawRoundedRect(QRectF(self.rect()).adjusted(1, 1, -1, -1), 6, 6)
 
 
@@ -61,26 +56,22 @@ class WelcomePage(QWidget):
         """`formats` are the names of what can be opened."""
         super().__init__(over)
         self._first = first
-        self.setObjectName("welcome")
+        name_widget(self, "welcome")
         self.setAutoFillBackground(True)
-        title = QLabel("Tactoscope")
+        title = make_bold(QLabel("Tactoscope"))
         purpose = QLabel(_PURPOSE)
         drop = DropArea("Drop a recording here, or a folder of recordings")
         drop.setToolTip(formats)
-        make_bold(title)
         enlarge_font(title, 9.0)
         purpose.setWordWrap(True)
         drop.setAlignment(Qt.AlignmentFlag.AlignCenter)
         drop.setMinimumHeight(72)
         drop.setMargin(10)
         self.buttons = [_button(command) for command in commands]
-        self._told = QLabel("Recent")
-        make_bold(self._told)
-        self.recent = QListWidget()
-        self.recent.setObjectName("recent")
-        self.recent.setAccessibleName("recent recordings")
-        self.recent.itemActivated.connect(self._open_recent)
-        self.recent.itemClicked.connect(self._open_recent)
+        self._told = make_bold(QLabel("Recent"))
+        self.recent = name_widget(QListWidget(), "recent", "recent recordings")
+        for chosen in (self.recent.itemActivated, self.recent.itemClicked):
+            chosen.connect(self._open_recent)
         self._sheet = QWidget()
         self._sheet.setMaximumWidth(_WIDTH_PX)
         row = fill(set_spacing(QHBoxLayout(), 8), *self.buttons, 1)

@@ -20,16 +20,16 @@ from PyQt6.QtWidgets import (
 
 from pipeline.core.params import Setting, Value
 from widgets.style.base import ChoiceBox, NumberBox
+from widgets.style.styling import fill, set_spacing
 
 _SLIDER_STEPS = 400
 _SLIDER_PX = 40
+_GAP_PX = 6
 # integer ranges up to the first have a linear slider, up to the second one that favours small
 # values
 _MANY = 200
 _TOO_MANY = 10_000
 _BEND = 3.0
-_TIP = "tip"  # property that keeps the tooltip while a reason is shown
-_USED_TIP = "used_tip"  # property: tooltip of a widget that is marked as unused
 _WIDEST = 1e9  # stands for "no limit" in a spin box
 
 
@@ -50,44 +50,8 @@ class ParameterControl:
         parts.
         """
         self.widget.setObjectName(object_name)
-        for part in (self.widget, *self.sliders, *self._spin_boxes):
+        for part in (self.widget, *self.widget.findChildren(QWidget)):
             part.setAccessibleName(text)
-
-    def set_unavailable(self, reason: str) -> None:
-        """Grey it out with the reason as its tooltip; "" = it can act."""
-        if self.widget.isEnabled() == bool(reason):
-            self.widget.setEnabled(not reason)
-        if reason:
-            self.widget.setProperty(_TIP, self.widget.property(_TIP) or self.widget.toolTip())
-            self.widget.setToolTip(reason)
-        elif self.widget.property(_TIP):
-            self.widget.setToolTip(self.widget.property(_TIP))
-
-    @property
-    def _spin_boxes(self) -> list[QSpinBox | QDoubleSpinBox]:
-        """Its spin boxes, none or one."""
-        return [
-            box
-            for box in (self.widget, *self.widget.findChildren(QWidget))
-            if isinstance(box, QSpinBox | QDoubleSpinBox)
-        ]
-
-
-def mark_unused(widget: QWidget, reason: str) -> None:
-    """Strike out a widget whose value has no effect on what is shown, with the reason as its
-    tooltip; "" = it has.
-    """
-    for part in (widget, *widget.findChildren(QWidget)):
-        if part.font().strikeOut() != bool(reason):
-            font = part.font()
-            font.setStrikeOut(bool(reason))
-            part.setFont(font)
-    if reason:
-        widget.setProperty(_USED_TIP, widget.property(_USED_TIP) or widget.toolTip() or " ")
-        widget.setToolTip(f"without effect on this frame: {reason}")
-    elif widget.property(_USED_TIP):
-        widget.setToolTip(widget.property(_USED_TIP).strip())
-        widget.setProperty(_USED_TIP, None)
 
 
 def make_control(
@@ -174,14 +138,11 @@ def _whole(value: int, setting: Setting, edited: Callable[[Value], None]) -> Par
 
 
 def _number(value: float, setting: Setting, edited: Callable[[Value], None]) -> ParameterControl:
-    box = NumberBox()
     low = max(setting.low, -_WIDEST)
     high = min(setting.high, _WIDEST)
     is_bounded = math.isfinite(setting.low) and math.isfinite(setting.high)
     step = setting.step or ((high - low) / 10 if is_bounded else 0.1)
-    box.setDecimals(max(2, min(6, 2 - math.floor(math.log10(step)))))
-    box.setRange(low, high)
-    box.setSingleStep(step)
+    box = NumberBox(low, high, step, max(2, min(6, 2 - math.floor(math.log10(step)))))
     return _with_slider(box, box.setValue, value, setting, edited, float(is_bounded))
 
 
@@ -201,8 +162,6 @@ def _with_slider(
         return _quiet(box, put)
     both = QWidget()
     slider = QSlider(Qt.Orientation.Horizontal)
-    row = QHBoxLayout(both)
-    row.setContentsMargins(0, 0, 0, 0)
     low = setting.low
     span = setting.high - setting.low
     slider.setRange(0, _SLIDER_STEPS)
@@ -223,6 +182,5 @@ def _with_slider(
     place_slider(value)
     box.valueChanged.connect(place_slider)
     slider.valueChanged.connect(apply_dragged)
-    row.addWidget(slider, 1)
-    row.addWidget(box)
+    fill(set_spacing(QHBoxLayout(both), _GAP_PX), (slider, 1), box)
     return ParameterControl(widget=both, show=show)

@@ -12,7 +12,6 @@ from widgets.stages.parameter_controls import (
     describe_setting,
     format_label,
     make_control,
-    mark_unused,
 )
 from widgets.style.base import FixedSizeLabel, VerticalScrollArea
 from widgets.style.styling import fill, make_bold, make_icon_button, set_spacing
@@ -36,16 +35,15 @@ class ParametersPanel(VerticalScrollArea):
     def __init__(self) -> None:
         super().__init__()
         self.setAccessibleName("parameters")
-        self._body = QWidget()
-        self._layout = QVBoxLayout(self._body)
+        body = QWidget()
+        self._layout = fill(QVBoxLayout(body), 1)
         self._layout.setContentsMargins(6, 4, 6, 4)
-        self._layout.addStretch(1)
-        self.setWidget(self._body)
+        self.setWidget(body)
         self._params: dict[str, object] = {}
         self._controls: dict[str, dict[str, ParameterControl]] = {}
         self._groups: dict[str, QWidget] = {}
         self._titles: dict[str, str] = {}
-        self._heads: dict[str, QWidget] = {}
+        self._heads: dict[str, tuple[QWidget, str]] = {}  # with its tooltip
         self._rows: list[tuple[str, QFormLayout, QWidget, Setting]] = []
         self._kinds: Mapping[str, str] = {}  # method key -> kind of its sensor, of the route
         self._stage = ALL_STAGES
@@ -116,12 +114,19 @@ class ParametersPanel(VerticalScrollArea):
     def show_unavailable(self, key: str, reasons: Mapping[str, str]) -> None:
         """Grey out the parameters of a method that cannot act; `reasons` is name -> why."""
         for name, control in self._controls.get(key, {}).items():
-            control.set_unavailable(reasons.get(name, ""))
+            reason = reasons.get(name, "")
+            _, setting = list_settings(self._params[key])[name]
+            control.widget.setEnabled(not reason)
+            control.widget.setToolTip(reason or describe_setting(setting))
 
     def show_unused(self, key: str, reason: str) -> None:
         """Strike out the title of a method that did not answer, with the reason; "" = it did."""
         if key in self._heads:
-            mark_unused(self._heads[key], reason)
+            head, tip = self._heads[key]
+            font = head.font()
+            font.setStrikeOut(bool(reason))
+            head.setFont(font)
+            head.setToolTip(f"without effect on this frame: {reason}" if reason else tip)
 
     def list_offered(self) -> list[tuple[str, Setting, QWidget]]:
         """List (group title, setting, control) of every parameter of the route."""
@@ -148,20 +153,16 @@ class ParametersPanel(VerticalScrollArea):
     def _group(self, key: str, title: str, tip: str) -> tuple[QWidget, QFormLayout]:
         group = QWidget()
         outer = set_spacing(QVBoxLayout(group), 3, (0, 2, 0, 6))
-        head = QHBoxLayout()
-        name = FixedSizeLabel(title)
-        name.setToolTip(f"{title}\n{tip}" if tip else title)
-        make_bold(name)
-        self._heads[key] = name
+        name = make_bold(FixedSizeLabel(title))
+        self._heads[key] = name, f"{title}\n{tip}" if tip else title
+        self.show_unused(key, "")
         button = make_icon_button("reset", f"reset_{key}", f"Reset {title.lower()} to its defaults")
         button.setAccessibleName(f"reset {key}")
         button.clicked.connect(lambda: self.reset(key))
-        form = QFormLayout()
-        fill(outer, fill(head, (name, 1), button), form)
+        form = set_spacing(QFormLayout(), 3, (4, 0, 0, 0))
+        fill(outer, fill(QHBoxLayout(), (name, 1), button), form)
         form.setRowWrapPolicy(QFormLayout.RowWrapPolicy.DontWrapRows)
         form.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.AllNonFixedFieldsGrow)
-        form.setContentsMargins(4, 0, 0, 0)
-        form.setSpacing(3)
         return group, form
 
     def _emit_edited(self, key: str, name: str, value: Value) -> None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from html import escape
 
 from PyQt6.QtCore import QEvent, QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QIcon, QPixmap
+from PyQt6.QtGui import QIcon, QPixmap
 from PyQt6.QtWidgets import (
     QFrame,
     QHBoxLayout,
@@ -20,7 +20,7 @@ from PyQt6.QtWidgets import (
 )
 
 from widgets.style.base import EventListener
-from widgets.style.styling import fill, set_spacing
+from widgets.style.styling import fill, make_text, name_widget, set_spacing
 from widgets.style.tables import prepare_table
 from widgets.style.theme import get_probe_colour, get_theme_colours, to_hex, to_qcolor
 
@@ -30,7 +30,6 @@ _INVITATION = (
     "Move the mouse over an image to follow that pixel through every stage. "
     "A click pins it; <b>Esc</b> clears all."
 )
-_LINES = 1  # more lines scroll
 
 
 class TracePanel(QScrollArea):
@@ -38,24 +37,18 @@ class TracePanel(QScrollArea):
 
     def __init__(self) -> None:
         super().__init__()
-        self.setObjectName("trace")
-        self.setAccessibleName("trace of the pixel")
+        name_widget(self, "trace", "trace of the pixel")
         self.setWidgetResizable(True)
         self.setFrameShape(QFrame.Shape.NoFrame)
-        self._label = QLabel(_INVITATION)
-        self._label.setWordWrap(True)
-        self._label.setTextFormat(Qt.TextFormat.RichText)
-        self._label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self._label = make_text(rich=True, selectable=True)
         self._label.setAlignment(Qt.AlignmentFlag.AlignTop)
-        body = QWidget()
-        layout = QVBoxLayout(body)
-        layout.setContentsMargins(6, 1, 6, 1)
-        layout.addWidget(self._label)
-        self.setWidget(body)
-        self.setFixedHeight(_LINES * self.fontMetrics().lineSpacing() + 3)
+        self._label.setContentsMargins(6, 1, 6, 1)
+        self.setWidget(self._label)
+        self.setFixedHeight(self.fontMetrics().lineSpacing() + 3)  # more lines scroll
         self.text = ""
         self._shown: tuple[Sequence[tuple[str, str]], bool, str, bool] = ((), False, "", False)
         EventListener(self, self._show, QEvent.Type.PaletteChange)
+        self._show()
 
     def show_steps(
         self,
@@ -75,8 +68,9 @@ class TracePanel(QScrollArea):
 
     def _show(self) -> None:
         steps, pinned, ending, is_waiting = self._shown
-        soft = to_hex(get_theme_colours(self.palette()).secondary_text)
-        alarm = to_hex(get_theme_colours(self.palette()).warning_text)
+        ink = get_theme_colours(self.palette())
+        soft = to_hex(ink.secondary_text)
+        alarm = to_hex(ink.warning_text)
         parts = [
             f"<span style='color:{soft}'>{escape(title)}</span> <b>{escape(text)}</b>"
             for title, text in steps
@@ -139,5 +133,5 @@ class ProbesPanel(QWidget):
 
 def _make_icon(number: int) -> QIcon:
     pixmap = QPixmap(_ICON_PX, _ICON_PX)
-    pixmap.fill(QColor(to_qcolor(get_probe_colour(number))))
+    pixmap.fill(to_qcolor(get_probe_colour(number)))
     return QIcon(pixmap)

@@ -7,7 +7,14 @@ from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 from pipeline.translation.cross_section import CrossSection, SectionLine, format_csv
 from widgets.stages.section_plot import SectionPlot
 from widgets.style.base import ChoiceBox, FixedSizeLabel, NumberBox
-from widgets.style.styling import copy_text, fill, make_button, make_command_button, set_spacing
+from widgets.style.styling import (
+    copy_text,
+    fill,
+    make_button,
+    make_command_button,
+    name_widget,
+    set_spacing,
+)
 from widgets.views.canvas import Canvas
 from widgets.views.preview_key_filter import get_arrow_step_px
 
@@ -41,17 +48,14 @@ class SectionPanel(QWidget):
         self._head = set_spacing(QHBoxLayout(), 5)
         self.ends: list[NumberBox] = []
         for k, (name, tip) in enumerate(zip(_NAMES, _TIPS, strict=True)):
-            box = NumberBox()
-            end = "AB"[k // 2]
-            box.setObjectName(f"section_{end.lower()}_{'xy'[k % 2]}")
-            box.setAccessibleName(f"{end}, {'xy'[k % 2]} in mm")
-            box.setRange(-_REACH_MM, _REACH_MM)
-            box.setDecimals(_DIGITS)
-            box.setSingleStep(_STEP_MM)
-            box.setToolTip(
-                f"How far {tip} from the source camera's axis the line's end {end} lies, on the gel"
+            end, axis = "AB"[k // 2], "xy"[k % 2]
+            box = name_widget(
+                NumberBox(-_REACH_MM, _REACH_MM, _STEP_MM, _DIGITS),
+                f"section_{end.lower()}_{axis}",
+                f"{end}, {axis} in mm",
+                f"How far {tip} from the source camera's axis the line's end {end} lies, on the "
+                "gel",
             )
-            box.setKeyboardTracking(False)
             box.valueChanged.connect(self._emit_typed)
             fill(self._head, *([QLabel(name)] if name else []), box)
             self.ends.append(box)

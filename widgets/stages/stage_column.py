@@ -7,11 +7,9 @@ from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QPalette, QStandardItemModel
 from PyQt6.QtWidgets import (
     QBoxLayout,
-    QComboBox,
     QFrame,
     QHBoxLayout,
     QLabel,
-    QPushButton,
     QSizePolicy,
     QVBoxLayout,
     QWidget,
@@ -21,7 +19,7 @@ from pipeline.core.errors import name_options
 from pipeline.stages.stage import TRUTH
 from widgets.style.base import ChoiceBox
 from widgets.style.icons import PENDING, StateIcon, is_trouble
-from widgets.style.styling import fill, make_bold, set_spacing
+from widgets.style.styling import fill, make_bold, make_button, set_spacing
 from widgets.style.theme import get_theme_colours, to_hex
 from widgets.views.preview_view import PreviewView
 
@@ -41,8 +39,7 @@ class StageColumn(QFrame):
         super().__init__()
         self.setObjectName(f"column_{name}")
         self.title = title
-        self._title = QLabel(title)
-        make_bold(self._title)
+        self._title = make_bold(QLabel(title))
         self._sign = StateIcon()
         self.view = PreviewView()
         self.view.remark.setObjectName(f"note_{name}")
@@ -51,15 +48,11 @@ class StageColumn(QFrame):
         self.view.text_layout.setStretch(0, 2)
         self.view.text_layout.setStretch(1, 3)
         self.view.shape_changed.connect(self._fit_text)
-        self._method = ChoiceBox(f"method_{name}", f"method of {title}")
-        self._method.setSizeAdjustPolicy(
-            QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
-        )
+        self._method = ChoiceBox(f"method_{name}", f"method of {title}", is_narrow=True)
         self._method.chosen.connect(partial(self.method_chosen.emit, name))
         self._method.hide()
-        self._unpin = QPushButton("Unpin")
-        self._unpin.setObjectName(f"unpin_{name}")
-        self._unpin.setToolTip("Compute this stage again in place of the recording's truth")
+        tip = "Compute this stage again in place of the recording's truth"
+        self._unpin = make_button("Unpin", f"unpin_{name}", tip)
         self._unpin.clicked.connect(lambda: self.method_chosen.emit(name, ""))
         self._unpin.hide()
         self.head = QWidget()  # a pane shows it over image and 3D view

@@ -3,12 +3,12 @@
 from collections.abc import Mapping, Sequence
 
 from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.views.view import StepCurve, StepHistory
 from widgets.style.base import ChoiceBox
 from widgets.style.plots import Strip, StripPlot
-from widgets.style.styling import fill, set_spacing
+from widgets.style.styling import fill, make_button, make_text, set_spacing
 
 _NOTHING = "Step through keeps the steps and shows them one by one; the result stays the same"
 KEEP_STEPS = "Step through"
@@ -34,15 +34,14 @@ class StepsPanel(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self.stage_box = ChoiceBox("steps_slot", "stage to step through")
-        self.keep_button = QPushButton(KEEP_STEPS)
+        self.keep_button = make_button(KEEP_STEPS, "steps_keep")
         self.plot = StripPlot("steps_plot", "metrics of every step")
         # why it stopped, or what can be done
-        self.message = QLabel(_NOTHING)
+        self.message = make_text()
         self.step_text = QLabel()
         self._way: StepHistory | None = None
         self._kept = False
-        self.keep_button.setObjectName("steps_keep")
-        self.message.setWordWrap(True)
+        self.message.setText(_NOTHING)
         head = fill(
             set_spacing(QHBoxLayout(), 8), self.stage_box, self.keep_button, (self.message, 1)
         )

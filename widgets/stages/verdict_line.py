@@ -1,14 +1,16 @@
 """What is wrong with the frame on screen in one sentence, and the list of all that is."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
+from html import escape
 
-from PyQt6.QtCore import Qt, pyqtSignal
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QMenu, QPushButton, QSizePolicy
+from PyQt6.QtCore import pyqtSignal
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QMenu, QPushButton, QSizePolicy
 
 from widgets.style.icons import StateIcon
 from widgets.style.notification_bar import Choice, make_choice_button
-from widgets.style.styling import fill, make_button, set_spacing
+from widgets.style.styling import fill, make_button, make_text, name_widget, set_spacing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,15 +31,12 @@ class VerdictLine(QFrame):
 
     def __init__(self) -> None:
         super().__init__()
-        self.setObjectName("verdict")
-        self.setAccessibleName("verdict")
+        name_widget(self, "verdict", "verdict")
         self.setFrameShape(QFrame.Shape.StyledPanel)
         self.sentence = ""
         self.findings: tuple[Finding, ...] = ()
         self._sign = StateIcon()
-        self._sentence = QLabel()
-        self._sentence.setWordWrap(True)
-        self._sentence.setTextFormat(Qt.TextFormat.RichText)
+        self._sentence = make_text(rich=True)
         self._sentence.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
         self.list_button = make_button("", "findings", "Everything that is wrong with this frame")
         self._menu = QMenu(self.list_button)
@@ -63,14 +62,14 @@ class VerdictLine(QFrame):
         """Show a state's sign, a sentence in bold letters and its cause, and all findings."""
         self.sentence = " ".join(filter(None, (sentence, cause)))
         self._sign.show_state(state)
-        self._sentence.setText(f"<b>{_escape(sentence)}</b> {_escape(cause)}")
+        self._sentence.setText(f"<b>{escape(sentence)}</b> {escape(cause)}")
         self.setVisible(bool(self.sentence))  # an empty bar would take a row of every page
         self.findings = tuple(findings)
         self._menu.clear()
         for finding in self.findings:
-            action = self._menu.addAction(_escape_menu(finding.sentence))
+            action = self._menu.addAction(finding.sentence.replace("&", "&&"))
             assert action is not None
-            action.triggered.connect(self._make_chooser(finding.stage))
+            action.triggered.connect(partial(self._choose, finding.stage))
         self.list_button.setText("1 finding" if len(findings) == 1 else f"{len(findings)} findings")
         self.list_button.setVisible(bool(findings))
         for button in self.buttons:
@@ -81,13 +80,5 @@ class VerdictLine(QFrame):
         for place, button in enumerate(self.buttons, start=2):
             self._row.insertWidget(place, button)
 
-    def _make_chooser(self, stage: str) -> Callable[[], None]:
-        return lambda: self.finding_chosen.emit(stage)
-
-
-def _escape(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;")
-
-
-def _escape_menu(text: str) -> str:
-    return text.replace("&", "&&")
+    def _choose(self, stage: str, _checked: bool) -> None:
+        self.finding_chosen.emit(stage)

@@ -6,7 +6,7 @@ from PyQt6.QtWidgets import QSizePolicy, QSlider
 from pipeline.sensors.alignment import Axis
 from pipeline.translation.alignment.nudge import axis_unit
 from widgets.style.base import NumberBox
-from widgets.style.styling import ThemedLabel, make_bold
+from widgets.style.styling import ThemedLabel, make_bold, name_widget
 
 _PER_UNIT = {"mm": 20, "deg": 10}  # slider steps per unit: 0.05 mm, 0.1 deg
 _REACH = {"mm": 5, "deg": 10}  # range of the slider to either side
@@ -21,52 +21,38 @@ class AxisRow(QObject):
 
     value_changed = pyqtSignal(str, float)  # axis, mm or degrees
 
-    def __init__(self, axis: Axis, parent: QObject | None = None) -> None:
+    def __init__(self, axis: Axis, parent: QObject) -> None:
         super().__init__(parent)
         self.axis: Axis = axis
         unit = axis_unit(axis)
         self._per_unit = _PER_UNIT[unit]
-        self.label = ThemedLabel(lambda inks: inks.axes["xyz".index(axis[-1])], axis)
-        make_bold(self.label)
+        self.label = make_bold(ThemedLabel(lambda inks: inks.axes["xyz".index(axis[-1])], axis))
         self.slider = QSlider(Qt.Orientation.Horizontal)
         self.slider.setRange(-_REACH[unit] * self._per_unit, _REACH[unit] * self._per_unit)
-        self.slider.setSingleStep(1)
         self.slider.setPageStep(self._per_unit)
         self.slider.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        self.box = NumberBox()
-        self.box.setDecimals(_DIGITS[unit])
-        self.box.setRange(-_FARTHEST[unit], _FARTHEST[unit])
-        self.box.setSingleStep(_STEP[unit])
+        self.box = NumberBox(-_FARTHEST[unit], _FARTHEST[unit], _STEP[unit], _DIGITS[unit])
         self.box.setSuffix(_SIGN[unit])
-        self.box.setKeyboardTracking(False)
         self.box.setAlignment(Qt.AlignmentFlag.AlignRight)
-        self._explain(axis, unit)
+        way = "translation along" if unit == "mm" else "rotation about"
+        what = f"{way} {axis[-1]}, {'millimetres' if unit == 'mm' else 'degrees'}"
+        name_widget(self.slider, f"align_{axis}_slider", what)
+        name_widget(self.box, f"align_{axis}_box", what)
+        self.show_frame_name("target")
         self.slider.valueChanged.connect(self._slid)
         self.box.valueChanged.connect(self._apply_typed)
 
-    def _explain(self, axis: Axis, unit: str) -> None:
-        along = axis[-1]
-        what = f"translation along {along}" if unit == "mm" else f"rotation about {along}"
-        self.show_frame_name("target")
-        for widget, kind in ((self.slider, "slider"), (self.box, "box")):
-            widget.setObjectName(f"align_{axis}_{kind}")
-            widget.setAccessibleName(f"{what}, {'millimetres' if unit == 'mm' else 'degrees'}")
-
     def show_frame_name(self, frame: str) -> None:
         """Show the name of the frame that the axes belong to."""
-        along = self.axis[-1]
-        if axis_unit(self.axis) == "mm":
-            tip = f"Translate the touch along {along} of the {frame} frame, mm"
-        else:
+        unit = axis_unit(self.axis)
+        tip = f"Translate the touch along {self.axis[-1]} of the {frame} frame, mm"
+        if unit != "mm":
             tip = (
-                f"Rotate the touch about {along} of the {frame} frame, degrees, about the centre "
-                f"of the contact; the three form a rotation vector"
+                f"Rotate the touch about {self.axis[-1]} of the {frame} frame, degrees, about the "
+                "centre of the contact; the three form a rotation vector"
             )
-        tip += (
-            "; offset from the open alignment. Wheel and arrow keys: steps of "
-            f"{_STEP[axis_unit(self.axis)]:g}"
-        )
-        tip += _SIGN[axis_unit(self.axis)]
+        tip += "; offset from the open alignment. Wheel and arrow keys: steps of "
+        tip += f"{_STEP[unit]:g}{_SIGN[unit]}"
         for widget in (self.label, self.slider, self.box):
             widget.setToolTip(tip)
 

@@ -181,13 +181,24 @@ class ChoiceBox(QComboBox):
     chosen = pyqtSignal(str)
 
     def __init__(
-        self, name: str, description: str, choices: Mapping[str, str] | None = None
+        self,
+        name: str,
+        description: str,
+        choices: Mapping[str, str] | None = None,
+        *,
+        is_narrow: bool = False,
     ) -> None:
-        """`name` finds the box, `description` is what a screen reader says."""
+        """`name` finds the box, `description` is what a screen reader says.
+
+        A narrow one does not ask for the room of its longest text.
+        """
         super().__init__()
         self.setObjectName(name)
         self.setAccessibleName(description)
-        self.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
+        how = QComboBox.SizeAdjustPolicy
+        self.setSizeAdjustPolicy(
+            how.AdjustToMinimumContentsLengthWithIcon if is_narrow else how.AdjustToContents
+        )
         self.offer(choices or {})
         self.activated.connect(lambda: self.chosen.emit(self.choice))
 
@@ -217,7 +228,11 @@ class ChoiceBox(QComboBox):
                     self.setItemData(
                         self.count() - 1, (tips or {}).get(name), Qt.ItemDataRole.ToolTipRole
                     )
-            self.setCurrentIndex(max(0, self.findData(chosen)))
+            self.choose(chosen)
+
+    def choose(self, name: str) -> None:
+        """Choose a name, the first one for another."""
+        self.setCurrentIndex(max(0, self.findData(name)))
 
     def paintEvent(self, e: Any) -> None:  # noqa: N802
         """Paint the box with the part of the text that fits."""
@@ -242,6 +257,15 @@ class NumberBox(QDoubleSpinBox):
     """Writes a decimal point, as every figure of the window has, and takes a typed comma for
     one.
     """
+
+    def __init__(
+        self, low: float = 0.0, high: float = 99.0, step: float = 1.0, decimals: int = 2
+    ) -> None:
+        super().__init__()
+        self.setDecimals(decimals)
+        self.setRange(low, high)
+        self.setSingleStep(step)
+        self.setKeyboardTracking(False)
 
     def validate(self, input: str | None, pos: int) -> tuple[QValidator.State, str, int]:  # noqa: A002 - Qt's name
         """Return whether the text is a number, and the text with a point.

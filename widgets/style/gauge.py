@@ -4,12 +4,14 @@ import math
 from dataclasses import dataclass
 
 from PyQt6.QtCore import QPointF, QRectF, Qt
-from PyQt6.QtGui import QColor, QPainter, QPen, QPolygonF
+from PyQt6.QtGui import QPainter, QPen, QPolygonF
 
 from widgets.style.base import FIXED, PaintedWidget
 from widgets.style.theme import ThemeColours, to_qcolor
 
 _BAR_PX = 9
+_TICK = (-3, -4), (3, -4), (0, 0)  # corners over a bar
+_RIGHT = Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignRight
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,40 +68,29 @@ class Gauge(PaintedWidget):
 
     def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint name, bar, tick and number."""
-        metrics = self.fontMetrics()
+        wide = self.fontMetrics().horizontalAdvance
+        room = QRectF(self.rect())
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        left = metrics.horizontalAdvance("mask IoU") + 8
-        right = metrics.horizontalAdvance("00.000 mm") + 6
-        height = self.height()
         painter.setPen(self.palette().text().color())
-        middle = int(Qt.AlignmentFlag.AlignVCenter)
-        painter.drawText(
-            QRectF(0, 0, left, height), middle | int(Qt.AlignmentFlag.AlignLeft), self._scale.name
-        )
-        number = QRectF(self.width() - right, 0, right, height)
-        painter.drawText(number, middle | int(Qt.AlignmentFlag.AlignRight), self.text)
-        bar = QRectF(left, (height - _BAR_PX) / 2, max(10.0, self.width() - left - right), _BAR_PX)
+        painter.drawText(room, Qt.AlignmentFlag.AlignVCenter, self._scale.name)
+        painter.drawText(room, _RIGHT, self.text)
+        left, right = wide("mask IoU") + 8, wide("00.000 mm") + 6
+        long_px = max(10.0, self.width() - left - right)
+        bar = QRectF(left, (self.height() - _BAR_PX) / 2, long_px, _BAR_PX)
         painter.setPen(Qt.PenStyle.NoPen)
         painter.setBrush(to_qcolor(ink.gauge_background))
         painter.drawRoundedRect(bar, 2, 2)
         if self.value is not None and math.isfinite(self.value):
+            bar.setWidth(long_px * self._share(self.value))
             painter.setBrush(to_qcolor(ink.gauge))
-            painter.drawRoundedRect(
-                QRectF(bar.left(), bar.top(), bar.width() * self._share(self.value), _BAR_PX), 2, 2
-            )
+            painter.drawRoundedRect(bar, 2, 2)
         if self.ghost is not None and math.isfinite(self.ghost):
-            self._draw_ghost(painter, bar, to_qcolor(ink.ghost))
-
-    def _draw_ghost(self, painter: QPainter, bar: QRectF, colour: QColor) -> None:
-        x = bar.left() + bar.width() * self._share(self.ghost or 0.0)
-        painter.setPen(QPen(colour, 1.6))
-        painter.drawLine(QPointF(x, bar.top() - 2), QPointF(x, bar.bottom() + 2))
-        painter.setPen(Qt.PenStyle.NoPen)
-        painter.setBrush(colour)
-        top = bar.top() - 1
-        painter.drawPolygon(
-            QPolygonF([QPointF(x - 3, top - 3), QPointF(x + 3, top - 3), QPointF(x, top + 1)])
-        )
+            tip = QPointF(left + long_px * self._share(self.ghost), bar.top())
+            painter.setPen(QPen(to_qcolor(ink.ghost), 1.6))
+            painter.drawLine(tip - QPointF(0, 2), tip + QPointF(0, _BAR_PX + 2))
+            painter.setPen(Qt.PenStyle.NoPen)
+            painter.setBrush(to_qcolor(ink.ghost))
+            painter.drawPolygon(QPolygonF([tip + QPointF(*corner) for corner in _TICK]))
 
     def _share(self, value: float) -> float:
         return min(max(value / self._scale.full_value, 0.0), 1.0)

@@ -6,7 +6,6 @@ from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtWidgets import (
     QFrame,
     QHBoxLayout,
-    QLabel,
     QMenu,
     QPushButton,
     QSizePolicy,
@@ -16,7 +15,7 @@ from PyQt6.QtWidgets import (
 
 from pipeline.core.errors import escape_text
 from widgets.style.run_bar import RunBar
-from widgets.style.styling import fill, make_single_shot_timer
+from widgets.style.styling import fill, make_button, make_single_shot_timer, make_text, name_widget
 
 Act = Callable[[], object]
 # label, and what it does or the entries of its menu
@@ -29,8 +28,7 @@ def make_choice_button(choice: Choice, then: Act) -> QPushButton:
     One with a menu does so with the chosen entry.
     """
     words, act = choice
-    button = QPushButton(escape_text(words))
-    button.setObjectName(f"offer_{words.split(maxsplit=1)[0].lower()}")
+    button = make_button(escape_text(words), f"offer_{words.split(maxsplit=1)[0].lower()}")
 
     def follow(chosen: Act) -> Callable[[], None]:
         def run() -> None:
@@ -66,26 +64,21 @@ class NotificationBar(QFrame):
 
     def __init__(self, name: str, *, read_ms: int = _READ_MS, choices_below: bool = False) -> None:
         super().__init__()
-        self.setObjectName(name)
+        name_widget(self, name)
         self.setFrameShape(QFrame.Shape.StyledPanel)
         self.setAutoFillBackground(True)
-        self._text = QLabel()
+        self._text = make_text()
         self.run_bar = RunBar(name)
-        self._away = QToolButton()
+        self._away = name_widget(QToolButton(), "", "Dismiss", "Dismiss")
         self._text.setTextFormat(Qt.TextFormat.PlainText)  # file names are no markup
         self._text.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
-        self._text.setWordWrap(True)
         self._away.setText("\N{MULTIPLICATION SIGN}")
         self._away.setAutoRaise(True)
-        self._away.setToolTip("Dismiss")
-        self._away.setAccessibleName("Dismiss")
         self._away.clicked.connect(self.hide)
-        self._column = QVBoxLayout(self)
-        self._row = QHBoxLayout()
         self._choices = QHBoxLayout()
+        self._row = fill(QHBoxLayout(), (self._text, 1), self.run_bar)
+        self._column = fill(QVBoxLayout(self), self._row)
         self._column.setContentsMargins(8, 3, 8, 3)
-        fill(self._column, self._row)
-        fill(self._row, (self._text, 1), self.run_bar)
         fill(self._column if choices_below else self._row, fill(self._choices, int(choices_below)))
         fill(self._row, self._away)
         self.buttons: list[QPushButton] = []

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QAction, QPalette
+from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QVBoxLayout, QWidget
 
 from widgets.style.base import EventListener
-from widgets.style.styling import fill, set_spacing
+from widgets.style.styling import fill, name_widget, set_spacing
 from widgets.style.theme import ThemeColours, get_theme_colours, to_hex, to_qcolor
 
 _LABEL_PX = 52  # width of the numbers at the left: axes above each other begin at the same place
@@ -40,8 +40,7 @@ class Plot(QWidget):
     def __init__(self, name: str, description: str) -> None:
         """`name` finds the widget, `description` is what a screen reader says."""
         super().__init__()
-        self.setObjectName(name)
-        self.setAccessibleName(description)
+        name_widget(self, name, description)
         self._view: Any = None
         self._axes: list[Axes] = []
         self._layout = set_spacing(QVBoxLayout(self), 0)
@@ -71,7 +70,7 @@ class Plot(QWidget):
             self._view.ci.layout.setSpacing(2)
             self._view.scene().sigMouseClicked.connect(self.handle_click)
             fill(self._layout, (self._view, 1))
-        self._view.setBackground(self.palette().color(QPalette.ColorRole.Base))
+        self._view.setBackground(self.palette().base())
         for axes in self._axes:
             axes.view.clear()
         self.draw(pyqtgraph, get_theme_colours(self.palette()))
@@ -92,8 +91,8 @@ class Plot(QWidget):
         palette = self.palette()
         axes = self._axes[row]
         for axis, label in ((axes.bottom, across), (axes.left, up)):
-            axis.setPen(palette.color(QPalette.ColorRole.Mid))
-            axis.setTextPen(palette.color(QPalette.ColorRole.WindowText))
+            axis.setPen(palette.mid().color())
+            axis.setTextPen(palette.windowText().color())
             # values as they are, in the unit of the label
             axis.setLabel(label, siPrefixEnableRanges=())
         return axes
@@ -215,54 +214,42 @@ class StripPlot(Plot):
         axes = self.prepare_axes(pyqtgraph, row, self.across if is_last else "")
         axes.bottom.setVisible(is_last)
         every = max(1, len(self._labels) // _N_LABELS)
-        ticks = [(k, label) for k, label in enumerate(self._labels) if k % every == 0]
+        ticks = list(enumerate(self._labels))[::every]
         axes.bottom.setTicks([ticks] if ticks else None)
         for first, last, is_bad in self._bands:
-            colour = (
-                to_qcolor(ink.worse, _BAND_ALPHA)
-                if is_bad
-                else palette.color(QPalette.ColorRole.Midlight)
-            )
-            limits = first - 0.5, last + 0.5
             axes.view.addItem(
                 pyqtgraph.LinearRegionItem(
-                    limits, movable=False, brush=colour, pen=pyqtgraph.mkPen(None)
+                    (first - 0.5, last + 0.5),
+                    movable=False,
+                    brush=to_qcolor(ink.worse, _BAND_ALPHA) if is_bad else palette.midlight(),
+                    pen=pyqtgraph.mkPen(None),
                 )
             )
         for turn in self._turns:
-            pen = pyqtgraph.mkPen(palette.color(QPalette.ColorRole.Mid), style=Qt.PenStyle.DashLine)
+            pen = pyqtgraph.mkPen(palette.mid().color(), style=Qt.PenStyle.DashLine)
             axes.view.addItem(pyqtgraph.InfiniteLine(turn - 0.5, pen=pen))
         colours = ink.axes if strip.has_axis_colours else (ink.accent, ink.worse)
-        words = [
-            "<span style='color: "
-            f"{palette.color(QPalette.ColorRole.WindowText).name()}'>{escape(strip.title)}</span>"
-        ]
+        words = [_colour(palette.windowText().color().name(), strip.title)]
         for (name, values), colour, style in zip(strip.curves, colours, _STYLES, strict=False):
             pen = pyqtgraph.mkPen(to_qcolor(colour), width=1.5, style=style)
-            axes.plot(
-                np.arange(len(values)),
-                np.asarray(values, np.float64),
-                pen=pen,
-                connect="finite",
-                antialias=True,
-            )
-            words.append(f"<span style='color: {to_hex(colour)}'>{escape(name)}</span>")
+            heights = np.asarray(values, np.float64)
+            axes.plot(heights, pen=pen, connect="finite", antialias=True)
+            words.append(_colour(to_hex(colour), name))
         known = [value for _, values in strip.curves for value in values if math.isfinite(value)]
         low = min((0.0, *known))
-        high = max((0.0, *known))
-        high = max(high, low + strip.least_span)
+        high = max((low + strip.least_span, *known))
         axes.view.setYRange(low, high)
         if row == 0 and self.marks:
-            brush = to_qcolor(ink.worse)
             axes.plot(
                 self.marks,
                 [high] * len(self.marks),
                 pen=None,
                 symbol="t",
-                symbolBrush=brush,
+                symbolBrush=to_qcolor(ink.worse),
                 symbolPen=None,
             )
-        cover = to_qcolor(palette.color(QPalette.ColorRole.Base).getRgb()[:3], _COVER_ALPHA)
+        cover = palette.base().color()
+        cover.setAlpha(_COVER_ALPHA)
         title = pyqtgraph.TextItem(html=" &nbsp; ".join(words), anchor=(0, 0), fill=cover)
         axes.view.addItem(title, ignoreBounds=True)
         title.setPos(0, high)
@@ -298,3 +285,7 @@ class StripPlot(Plot):
             self._choose(ways[a0.key()])
         else:
             super().keyPressEvent(a0)
+
+
+def _colour(colour: str, text: str) -> str:
+    return f"<span style='color: {colour}'>{escape(text)}</span>"

@@ -23,6 +23,7 @@ from widgets.style.theme import ThemeColours, get_theme_colours, to_qcolor
 
 _Layout = TypeVar("_Layout", bound=QLayout)
 _Box = TypeVar("_Box", bound=QBoxLayout)
+_Widget = TypeVar("_Widget", bound=QWidget)
 
 
 def set_spacing(
@@ -61,11 +62,33 @@ def make_splitter(way: Qt.Orientation, *items: tuple[QWidget, int]) -> QSplitter
     return splitter
 
 
-def make_bold(widget: QWidget) -> None:
-    """Make a widget's font bold."""
+def name_widget(widget: _Widget, name: str, description: str = "", tip: str = "") -> _Widget:
+    """Return the widget with the name that finds it, what a screen reader says of it, and a
+    tooltip.
+    """
+    widget.setObjectName(name)
+    widget.setAccessibleName(description)
+    widget.setToolTip(tip)
+    return widget
+
+
+def make_bold(widget: _Widget) -> _Widget:
+    """Return the widget with a bold font."""
     font = widget.font()
     font.setBold(True)
     widget.setFont(font)
+    return widget
+
+
+def make_text(*, rich: bool = False, selectable: bool = False) -> QLabel:
+    """Return an empty label whose text wraps."""
+    label = QLabel()
+    label.setWordWrap(True)
+    if rich:
+        label.setTextFormat(Qt.TextFormat.RichText)
+    if selectable:
+        label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+    return label
 
 
 def make_single_shot_timer(parent: QObject, after_ms: int, then: Callable[[], object]) -> QTimer:
@@ -87,20 +110,13 @@ def make_command_button(action: QAction) -> QToolButton:
 
 def make_button(text: str, name: str, tip: str = "") -> QPushButton:
     """Return a button with a text, an object name and a tooltip."""
-    button = QPushButton(text)
-    button.setObjectName(name)
-    button.setToolTip(tip)
-    return button
+    return name_widget(QPushButton(text), name, tip=tip)
 
 
-def make_search_line(name: str, description: str, placeholder: str, tip: str = "") -> QLineEdit:
-    """Return a line for a search or filter, with a button that clears it."""
-    line = QLineEdit()
-    line.setObjectName(name)
-    line.setAccessibleName(description)
+def make_line(name: str, description: str, placeholder: str, tip: str = "") -> QLineEdit:
+    """Return a line to type in; its placeholder says what."""
+    line = name_widget(QLineEdit(), name, description, tip)
     line.setPlaceholderText(placeholder)
-    line.setToolTip(tip)
-    line.setClearButtonEnabled(True)
     return line
 
 
@@ -113,12 +129,9 @@ def copy_text(text: str) -> None:
 
 def make_icon_button(icon: str, name: str, tip: str) -> QToolButton:
     """Return a flat button with an icon, an object name and a tooltip."""
-    button = QToolButton()
+    button = name_widget(QToolButton(), name, tip, tip)
     button.setIcon(make_command_icon(icon))
     button.setAutoRaise(True)
-    button.setObjectName(name)
-    button.setToolTip(tip)
-    button.setAccessibleName(tip)
     return button
 
 
@@ -138,23 +151,3 @@ class ThemedLabel(QLabel):
             for group in (QPalette.ColorGroup.Active, QPalette.ColorGroup.Inactive):
                 own.setColor(group, QPalette.ColorRole.WindowText, colour)
             self.setPalette(own)
-
-
-class FittingSplitter(QSplitter):
-    """Fits its contents until the user drags the handle; subclasses override `fit_sizes`."""
-
-    def __init__(self) -> None:
-        super().__init__(Qt.Orientation.Vertical)
-        self.setChildrenCollapsible(False)
-        self.is_user_sized = False  # afterwards the contents keep their share
-        self._soon = make_single_shot_timer(self, 0, self.fit_sizes)
-        self.splitterMoved.connect(self.keep_sizes)
-        EventListener(self, self._soon.start, QEvent.Type.Resize)
-
-    def fit_sizes(self) -> None:
-        """Choose the sizes, unless the user set them."""
-        raise NotImplementedError
-
-    def keep_sizes(self) -> None:
-        """Keep the sizes that the user chose."""
-        self.is_user_sized = True

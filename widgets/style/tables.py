@@ -1,14 +1,12 @@
-"""Tables: models of rows, filters by words and limits, their common look, and their copy as
-text.
-"""
+"""Tables: their cells, filters by words and limits, their common look, and their copy as text."""
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
 from PyQt6.QtCore import (
-    QAbstractTableModel,
+    QAbstractItemModel,
     QEvent,
     QModelIndex,
     QObject,
@@ -16,79 +14,54 @@ from PyQt6.QtCore import (
     QSortFilterProxyModel,
     Qt,
 )
-from PyQt6.QtGui import QKeyEvent, QKeySequence
+from PyQt6.QtGui import QKeyEvent, QKeySequence, QStandardItem, QStandardItemModel
 from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QMenu, QTableView, QWidget
 
-from widgets.style.styling import copy_text
+from widgets.style.styling import copy_text, make_line, name_widget
 
 _Role = Qt.ItemDataRole
 SORT_ROLE = Qt.ItemDataRole.UserRole  # a number, so that 10 comes after 9; unknown values come last
-_RIGHT = int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+RIGHT = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
+# title, tooltip and format of the numbers of each, "" for texts
+Columns = Sequence[tuple[str, str, str]]
+# of a row: the number that limits are of, words that hold or not, and texts that are searched
+Terms = tuple[float, Mapping[str, bool], Iterable[str]]
 _LIMIT = re.compile(r"([<>])=?(-?\d+(?:\.\d*)?|-?\.\d+)$")
 
 
-class RowsModel(QAbstractTableModel):
-    """One row per thing under titled columns.
+def make_titled_model(columns: Columns, parent: QObject) -> QStandardItemModel:
+    """Return an empty model with the titles and tooltips of these columns."""
+    model = QStandardItemModel(0, len(columns), parent)
+    for at, (title, tip, _) in enumerate(columns):
+        model.setHeaderData(at, Qt.Orientation.Horizontal, title)
+        model.setHeaderData(at, Qt.Orientation.Horizontal, tip, _Role.ToolTipRole)
+    return model
 
-    Subclasses set `n_rows` and say of a cell its text, its number, its picture and its tooltip.
+
+def make_cells(
+    columns: Columns, values: Sequence[str | float], tip: str, unknown: str = ""
+) -> list[QStandardItem]:
+    """Return the cells of a row with one tooltip.
+
+    Numbers are sorted as such and stand at the right; NaN is written as `unknown`.
     """
+    cells: list[QStandardItem] = []
+    for (*_, form), value in zip(columns, values, strict=True):
+        if isinstance(value, str):
+            cell = QStandardItem(value)
+            cell.setData(value, SORT_ROLE)
+        else:
+            cell = QStandardItem(format(value, form) if math.isfinite(value) else unknown)
+            cell.setData(get_sort_key(value), SORT_ROLE)
+            cell.setTextAlignment(RIGHT)
+        cell.setToolTip(tip)
+        cells.append(cell)
+    return cells
 
-    def __init__(self, titles: Sequence[str], tips: Sequence[str], parent: QObject) -> None:
-        super().__init__(parent)
-        self.n_rows = 0
-        self._headings: dict[int, list[str]] = {
-            _Role.DisplayRole: list(titles),
-            _Role.ToolTipRole: list(tips),
-        }
 
-    def rowCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
-        """Return the number of rows."""
-        return 0 if parent.isValid() else self.n_rows
-
-    def columnCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
-        """Return the number of columns."""
-        return 0 if parent.isValid() else len(self._headings[_Role.DisplayRole])
-
-    def format_cell(self, row: int, column: int) -> str:
-        """Return the text of a cell."""
-        raise NotImplementedError
-
-    def get_number(self, row: int, column: int) -> float | None:  # noqa: ARG002
-        """Return the number of a cell, NaN if unknown; None for a column of texts."""
-        return None
-
-    def get_picture(self, row: int, column: int) -> object:  # noqa: ARG002
-        """Return the icon of a cell; None without one."""
-        return None
-
-    def get_tip(self, row: int, column: int) -> str:
-        """Return the tooltip of a cell."""
-        return self.format_cell(row, column)
-
-    def data(self, index: QModelIndex, role: int = _Role.DisplayRole) -> object:
-        """Return what Qt asks of a cell; numbers are sorted as such and stand at the right."""
-        if not index.isValid():
-            return None
-        cell = index.row(), index.column()
-        number = self.get_number(*cell)
-        if role == SORT_ROLE and number is not None:
-            return number if math.isfinite(number) else -math.inf
-        if role == _Role.TextAlignmentRole:
-            return None if number is None else _RIGHT
-        reads = {
-            _Role.DisplayRole: self.format_cell,
-            SORT_ROLE: self.format_cell,
-            _Role.DecorationRole: self.get_picture,
-            _Role.ToolTipRole: self.get_tip,
-        }
-        return reads[_Role(role)](*cell) if role in reads else None
-
-    def headerData(  # noqa: N802 - Qt's name
-        self, section: int, orientation: Qt.Orientation, role: int = _Role.DisplayRole
-    ) -> object:
-        """Return title or tooltip of a column."""
-        is_column = orientation == Qt.Orientation.Horizontal and 0 <= section < self.columnCount()
-        return self._headings[role][section] if is_column and role in self._headings else None
+def get_sort_key(number: float) -> float:
+    """Return what a number is sorted by: unknown ones come last."""
+    return number if math.isfinite(number) else -math.inf
 
 
 class RowFilter(QSortFilterProxyModel):
@@ -97,11 +70,11 @@ class RowFilter(QSortFilterProxyModel):
     Lists the rows of the source for which all terms of a filter hold.
     """
 
-    def __init__(self, model: QAbstractTableModel, matches: Callable[[int, str], bool]) -> None:
-        """`matches(row, term)` returns whether a term holds."""
+    def __init__(self, model: QAbstractItemModel, get_terms: Callable[[int], Terms]) -> None:
+        """`get_terms(row)` returns what terms of a row can hold for."""
         super().__init__(model)
         self._words = tuple[str, ...]()
-        self._matches = matches
+        self._get_terms = get_terms
         self.setSourceModel(model)
         self.setSortRole(SORT_ROLE)
 
@@ -115,20 +88,64 @@ class RowFilter(QSortFilterProxyModel):
     def filterAcceptsRow(self, source_row: int, source_parent: QModelIndex) -> bool:  # noqa: N802
         """Return whether a row is listed."""
         return not source_parent.isValid() and all(
-            self._matches(source_row, word) for word in self._words
+            _holds(word, *self._get_terms(source_row)) for word in self._words
         )
 
 
-def matches_limit(word: str, value: float) -> bool | None:
-    """Return whether a value is beyond the limit that a term is, never if it is unknown.
-
-    None for another term.
-    """
+def _holds(word: str, number: float, states: Mapping[str, bool], texts: Iterable[str]) -> bool:
+    """Return whether a term holds: a limit, never of an unknown number, a state, or a word."""
     limit = _LIMIT.match(word)
-    if limit is None:
-        return None
-    bound = float(limit.group(2))
-    return value > bound if limit.group(1) == ">" else -math.inf < value < bound
+    if limit is not None:
+        bound = float(limit.group(2))
+        return number > bound if limit.group(1) == ">" else -math.inf < number < bound
+    return states[word] if word in states else any(word in text.lower() for text in texts)
+
+
+class FilteredTable(QTableView):
+    """Rows of one line, sorted by a click on a title; a line to type in filters them."""
+
+    def __init__(
+        self, name: str, model: QAbstractItemModel, get_terms: Callable[[int], Terms], tip: str
+    ) -> None:
+        """`name` is what the rows are; `tip` are the terms of the filter."""
+        super().__init__()
+        self.listed = RowFilter(model, get_terms)
+        self.filter_line = make_line(f"{name}_filter", f"filter of the {name}", *tip.split("\n"))
+        self.filter_line.setClearButtonEnabled(True)
+        self.filter_line.textChanged.connect(self.listed.set_filter)
+        self.columns = prepare_table(self, name, name)
+        self.setModel(self.listed)
+        self.columns.setMinimumSectionSize(30)
+
+    def set_row_height(self, height_px: int) -> None:
+        """Set the height of all rows."""
+        rows = self.verticalHeader()
+        assert rows is not None
+        rows.setDefaultSectionSize(height_px)
+
+    def sort_from(self, column: int) -> None:
+        """Sort by a column until another is chosen."""
+        self.columns.setSortIndicator(column, Qt.SortOrder.AscendingOrder)
+        self.setSortingEnabled(True)
+
+    def find_row(self, index: QModelIndex) -> int:
+        """Return the row in the model of an index of the table."""
+        return self.listed.mapToSource(index).row()
+
+    def list_rows(self) -> list[int]:
+        """Return the rows in the model that are listed, in their order."""
+        return [self.find_row(self.listed.index(k, 0)) for k in range(self.listed.rowCount())]
+
+    def select_row(self, row: int) -> None:
+        """Select a row of the model; none where it is not listed."""
+        model = self.listed.sourceModel()
+        index = QModelIndex() if model is None else self.listed.mapFromSource(model.index(row, 0))
+        if not index.isValid():
+            self.clearSelection()
+            return
+        if index.row() not in {one.row() for one in self.selectedIndexes()}:
+            self.setCurrentIndex(index)
+        self.scrollTo(index)
 
 
 def prepare_table(table: QTableView, name: str, description: str) -> QHeaderView:
@@ -136,8 +153,7 @@ def prepare_table(table: QTableView, name: str, description: str) -> QHeaderView
 
     Returns the header of the columns.
     """
-    table.setObjectName(name)
-    table.setAccessibleName(description)
+    name_widget(table, name, description)
     table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
     table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
     table.setShowGrid(False)

@@ -34,13 +34,7 @@ _OUTLINE: dict[bool, Rgb] = {False: (122, 129, 140), True: (145, 152, 164)}
 _FUSION_OUTLINE = 140  # per cent, as `QColor.darker` takes it
 
 
-PROBE_COLOURS = (
-    CATEGORY_COLOURS[1],
-    CATEGORY_COLOURS[4],
-    CATEGORY_COLOURS[2],
-    CATEGORY_COLOURS[6],
-    CATEGORY_COLOURS[3],
-)
+PROBE_COLOURS = tuple(CATEGORY_COLOURS[k] for k in (1, 4, 2, 6, 3))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -173,36 +167,32 @@ def make_palette(*, dark: bool) -> QPalette:
     role = QPalette.ColorRole
     group = QPalette.ColorGroup
     table = (  # role, light, dark
-        (role.Window, (243, 244, 247), (38, 41, 47)),
-        (role.WindowText, (28, 30, 34), (226, 229, 234)),
-        (role.Base, (255, 255, 255), (26, 28, 33)),
-        (role.AlternateBase, (247, 248, 250), (33, 36, 41)),
-        (role.Text, (28, 30, 34), (226, 229, 234)),
-        (role.Button, (238, 240, 244), (52, 56, 63)),
-        (role.ButtonText, (28, 30, 34), (226, 229, 234)),
-        (role.BrightText, (190, 40, 40), (255, 138, 128)),
-        (role.ToolTipBase, (255, 255, 240), (58, 62, 70)),
-        (role.ToolTipText, (28, 30, 34), (236, 238, 242)),
-        (role.Highlight, (45, 110, 190), (48, 106, 184)),
-        (role.HighlightedText, (255, 255, 255), (255, 255, 255)),
-        (role.Link, (30, 95, 180), (125, 182, 245)),
-        (role.PlaceholderText, (96, 102, 110), (160, 166, 175)),
-        (role.Light, (255, 255, 255), (66, 71, 80)),
-        (role.Midlight, (226, 229, 234), (62, 66, 74)),
-        (role.Mid, (200, 204, 210), (84, 90, 100)),
-        (role.Dark, (160, 165, 173), (18, 20, 24)),
-        (role.Shadow, (110, 115, 124), (8, 9, 11)),
+        (role.Window, "#f3f4f7", "#26292f"),
+        (role.WindowText, "#1c1e22", "#e2e5ea"),
+        (role.Base, "#ffffff", "#1a1c21"),
+        (role.AlternateBase, "#f7f8fa", "#212429"),
+        (role.Text, "#1c1e22", "#e2e5ea"),
+        (role.Button, "#eef0f4", "#34383f"),
+        (role.ButtonText, "#1c1e22", "#e2e5ea"),
+        (role.BrightText, "#be2828", "#ff8a80"),
+        (role.ToolTipBase, "#fffff0", "#3a3e46"),
+        (role.ToolTipText, "#1c1e22", "#eceef2"),
+        (role.Highlight, "#2d6ebe", "#306ab8"),
+        (role.HighlightedText, "#ffffff", "#ffffff"),
+        (role.Link, "#1e5fb4", "#7db6f5"),
+        (role.PlaceholderText, "#60666e", "#a0a6af"),
+        (role.Light, "#ffffff", "#424750"),
+        (role.Midlight, "#e2e5ea", "#3e424a"),
+        (role.Mid, "#c8ccd2", "#545a64"),
+        (role.Dark, "#a0a5ad", "#121418"),
+        (role.Shadow, "#6e737c", "#08090b"),
     )
     for which, light, night in table:
-        palette.setColor(which, to_qcolor(night if dark else light))
+        palette.setColor(which, QColor(night if dark else light))
     for which in (role.WindowText, role.Text, role.ButtonText):
-        palette.setColor(
-            group.Disabled, which, to_qcolor((116, 122, 132) if dark else (150, 154, 160))
-        )
+        palette.setColor(group.Disabled, which, QColor("#747a84" if dark else "#969aa0"))
     # sliders
-    palette.setColor(
-        group.Disabled, role.Highlight, to_qcolor((84, 90, 100) if dark else (200, 204, 210))
-    )
+    palette.setColor(group.Disabled, role.Highlight, QColor("#545a64" if dark else "#c8ccd2"))
     return palette
 
 

@@ -14,7 +14,15 @@ from widgets.frames.error_attribution_panel import DecisionPanel
 from widgets.stages.steps_panel import make_curve_strips
 from widgets.style.base import ChoiceBox
 from widgets.style.plots import StripPlot
-from widgets.style.styling import fill, make_bold, make_command_button, make_splitter, set_spacing
+from widgets.style.styling import (
+    fill,
+    make_bold,
+    make_command_button,
+    make_splitter,
+    make_text,
+    name_widget,
+    set_spacing,
+)
 from widgets.style.theme import to_hex
 from widgets.task.trials_panel import TrialsPanel
 from widgets.timeline.timeline import Timeline
@@ -39,12 +47,11 @@ class TaskPage(QWidget):
         self.plot = StripPlot("rollout_plot", "force and motion against time")
         self.decision = DecisionPanel()
         self.ticks = Timeline(unit="tick")
-        self.message = QLabel()
+        self.message = make_text()
         self.plot.setMinimumHeight(90)
         self.plot.setToolTip("Triangles mark decisions")
         self.scene.view.setAccessibleName("scene of the rollout")
         self.scene.view.setMinimumSize(220, 160)
-        self.message.setWordWrap(True)
         self.place_box = ChoiceBox("task_place", "finger of the touches")  # by stream
         self.views = {name: PreviewView() for name in TOUCHES}
         across = Qt.Orientation.Horizontal
@@ -66,11 +73,8 @@ class TaskPage(QWidget):
         panel = QWidget()
         row = set_spacing(QHBoxLayout(), 4)
         for name, title in TOUCHES.items():
-            label = QLabel(title)
-            make_bold(label)
-            view = self.views[name]
-            view.setObjectName(f"task_{name}")
-            view.setAccessibleName(title)
+            view = name_widget(self.views[name], f"task_{name}", title)
+            label = make_bold(QLabel(title))
             fill(row, (fill(set_spacing(QVBoxLayout(), 1), label, (view, 1)), 1))
         fill(set_spacing(QVBoxLayout(panel), 2), fill(QHBoxLayout(), self.place_box, 1), (row, 1))
         return panel

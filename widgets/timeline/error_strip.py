@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QHelpEvent, QPainter, QPalette, QPen, QPixmap, QPolygonF
+from PyQt6.QtGui import QHelpEvent, QPainter, QPen, QPixmap, QPolygonF
 from PyQt6.QtWidgets import QSizePolicy, QToolTip
 
 from widgets.style.base import YIELDS, PaintedWidget
-from widgets.style.theme import ThemeColours, get_theme_colours, to_qcolor
+from widgets.style.theme import ThemeColours, to_qcolor
 
 _MARK_PX = 7.0
 _WIDEST_PX = 48.0
@@ -31,6 +31,7 @@ class ErrorStrip(PaintedWidget):
     """
 
     frame_chosen = pyqtSignal(int)
+    preferred_px = 200, _HEIGHT_PX  # bars over thumbnails
 
     def __init__(self) -> None:
         super().__init__("error_strip", "error of every frame", down=QSizePolicy.Policy.Maximum)
@@ -87,10 +88,6 @@ class ErrorStrip(PaintedWidget):
         self.thumbnails = thumbnails
         self.update()
 
-    def sizeHint(self) -> QSize:  # noqa: N802
-        """Return room for bars over thumbnails."""
-        return QSize(200, _HEIGHT_PX)
-
     def minimumSizeHint(self) -> QSize:  # noqa: N802
         """Return a height that fits small screens."""
         return QSize(60, _LEAST_PX)
@@ -100,17 +97,13 @@ class ErrorStrip(PaintedWidget):
         if not 0 <= frame < len(self.values):
             return ""
         value = self.values[frame]
-        text = f"frame {frame}: " + (
-            f"{value:.3g} {self._unit}" if math.isfinite(value) else "value unknown"
-        )
-        return "\n".join((text, *self.warnings.get(frame, ())))
+        text = f"{value:.3g} {self._unit}" if math.isfinite(value) else "value unknown"
+        return "\n".join((f"frame {frame}: {text}", *self.warnings.get(frame, ())))
 
     def frame_at(self, x: float) -> int:
         """Return the frame at a horizontal position."""
         n = len(self.values)
-        if n < 2:
-            return 0
-        return min(max(int(x / self.width() * n), 0), n - 1)
+        return max(0, min(int(x / self.width() * n), n - 1))
 
     def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint bars on one line and marks above them."""
@@ -118,41 +111,43 @@ class ErrorStrip(PaintedWidget):
         if not n:
             return
         painter.setRenderHint(QPainter.RenderHint.Antialiasing, n < 200)
+        palette = self.palette()
         has_images = bool(self.thumbnails) and self.height() >= _IMAGE_PX + _LEAST_PX
         base = self.height() - _BASE_PX - (_IMAGE_PX if has_images else 0)
-        top = _TOP_PX
         step = self.width() / n
         wide = max(1.5, min(0.7 * step, _WIDEST_PX))
-        here = QRectF(self.frame * step, 0, step, self.height())
-        painter.fillRect(here, self.palette().color(QPalette.ColorRole.Midlight))
+        painter.fillRect(QRectF(self.frame * step, 0, step, self.height()), palette.midlight())
         if has_images:
             self._draw_images(painter, step, base)
-        painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Mid), 1))
+        painter.setPen(QPen(palette.mid(), 1))
         painter.drawLine(QPointF(0, base), QPointF(self.width(), base))
         if self.loop_range is not None:
-            first, last = ((frame + 0.5) * step for frame in self.loop_range)
-            painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Highlight), 2.5))
-            painter.drawLine(QPointF(first, base), QPointF(last, base))
-            for x in (first, last):
-                painter.drawLine(QPointF(x, base - 6.0), QPointF(x, base))
-        most = self.max_value
+            ends = [QPointF((frame + 0.5) * step, base) for frame in self.loop_range]
+            painter.setPen(QPen(palette.highlight(), 2.5))
+            painter.drawLine(*ends)
+            for end in ends:
+                painter.drawLine(end, end - QPointF(0.0, 6.0))
         worst = self.worst_frame
-        for frame, value in enumerate(self.values):
-            x = (frame + 0.5) * step
-            if math.isfinite(value) and most > 0 and not self.is_curve:
-                tall = max(1.5, value / most * (base - top))
-                bar = QRectF(x - 0.5 * wide, base - tall, wide, tall)
+        per_unit = (base - _TOP_PX) / max(self.max_value, 1e-12)
+        tops = [
+            QPointF((frame + 0.5) * step, base - max(1.5, value * per_unit))
+            for frame, value in enumerate(self.values)
+        ]
+        known = {frame for frame, value in enumerate(self.values) if math.isfinite(value)}
+        painter.setPen(QPen(to_qcolor(ink.accent), _CURVE_PX))
+        for frame in known if self.max_value > 0 else ():
+            if self.is_curve:
+                painter.drawLine(tops[frame - 1 if frame - 1 in known else frame], tops[frame])
+            else:
+                bar = QRectF(tops[frame].x() - 0.5 * wide, tops[frame].y(), wide, 0.0)
+                bar.setBottom(base)
                 painter.fillRect(bar, to_qcolor(ink.worse if frame == worst else ink.accent))
-            if frame in self.warnings:
-                self._draw_mark(painter, x)
-        if self.is_curve and most > 0:
-            painter.setPen(QPen(to_qcolor(ink.accent), _CURVE_PX))
-            for run in self._find_known_runs():
-                points = [
-                    QPointF((i + 0.5) * step, base - self.values[i] / most * (base - top))
-                    for i in run
-                ]
-                painter.drawPolyline(QPolygonF(points if len(points) > 1 else 2 * points))
+        painter.setPen(Qt.PenStyle.NoPen)
+        painter.setBrush(to_qcolor(ink.warning_mark))
+        for frame in self.warnings.keys() & range(n):
+            mark = QRectF(tops[frame].x() - 0.5 * _MARK_PX, 0, _MARK_PX, _MARK_PX)
+            below = QPointF(tops[frame].x(), mark.bottom())
+            painter.drawPolygon(QPolygonF([mark.topLeft(), mark.topRight(), below]))
 
     def _draw_images(self, painter: QPainter, step: float, base: float) -> None:
         """Paint the thumbnails that fit beside each other, those of other frames not."""
@@ -166,28 +161,6 @@ class ErrorStrip(PaintedWidget):
                 painter.drawPixmap(room, image, QRectF(image.rect()))
                 end = left + wide + 1
 
-    def _find_known_runs(self) -> list[list[int]]:
-        """Return the frames with a value, neighbours together."""
-        runs: list[list[int]] = []
-        for frame, value in enumerate(self.values):
-            if not math.isfinite(value):
-                continue
-            if runs and runs[-1][-1] == frame - 1:
-                runs[-1].append(frame)
-            else:
-                runs.append([frame])
-        return runs
-
-    def _draw_mark(self, painter: QPainter, x: float) -> None:
-        half = 0.5 * _MARK_PX
-        painter.save()
-        painter.setPen(Qt.PenStyle.NoPen)
-        painter.setBrush(to_qcolor(get_theme_colours(self.palette()).warning_mark))
-        painter.drawPolygon(
-            QPolygonF([QPointF(x - half, 0), QPointF(x + half, 0), QPointF(x, _MARK_PX)])
-        )
-        painter.restore()
-
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
         """Choose the frame under the mouse."""
         self._choose(a0)
@@ -199,9 +172,8 @@ class ErrorStrip(PaintedWidget):
     def event(self, a0: Any) -> bool:
         """Show a tooltip for the frame under the mouse."""
         if isinstance(a0, QHelpEvent):
-            QToolTip.showText(
-                a0.globalPos(), self.describe_frame(self.frame_at(a0.pos().x())), self
-            )
+            text = self.describe_frame(self.frame_at(a0.pos().x()))
+            QToolTip.showText(a0.globalPos(), text, self)
             return True
         return super().event(a0)
 
@@ -231,15 +203,13 @@ class ErrorScale(PaintedWidget):
         if not self.max_text:
             return
         right = self.width() - 1.0
-        high = float(self.height())
-        top = _TOP_PX
-        base = high - _BASE_PX
-        letters = painter.fontMetrics().ascent()
-        painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Mid), 1))
-        painter.drawLine(QPointF(right, top), QPointF(right, base))
-        painter.setPen(self.palette().color(QPalette.ColorRole.WindowText))
-        for text, y in ((self.max_text, top), ("0", base)):
-            painter.drawLine(QPointF(right - _TICK_PX, y), QPointF(right, y))
-            under = min(y + 0.4 * letters, high - 1.0)
-            wide = painter.fontMetrics().horizontalAdvance(text)
-            painter.drawText(QPointF(right - _TICK_PX - 2.0 - wide, under), text)
+        base = self.height() - _BASE_PX
+        metrics = painter.fontMetrics()
+        painter.setPen(QPen(self.palette().mid(), 1))
+        painter.drawLine(QPointF(right, _TOP_PX), QPointF(right, base))
+        painter.setPen(self.palette().windowText().color())
+        for text, y in ((self.max_text, _TOP_PX), ("0", base)):
+            end = QPointF(right - _TICK_PX, y)
+            painter.drawLine(end, QPointF(right, y))
+            end.setY(min(y + 0.4 * metrics.ascent(), self.height() - 1.0))
+            painter.drawText(end - QPointF(metrics.horizontalAdvance(text) + 2.0, 0.0), text)

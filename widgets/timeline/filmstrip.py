@@ -21,7 +21,7 @@ from PyQt6.QtWidgets import (
 from pipeline.views.preview import Preview
 from widgets.style.base import EventListener
 from widgets.style.icons import PENDING, is_trouble, paint_state
-from widgets.style.styling import fill, make_command_button, set_spacing
+from widgets.style.styling import fill, make_command_button, name_widget, set_spacing
 from widgets.style.theme import ThemeColours, get_theme_colours, to_qcolor
 from widgets.views.preview_renderer import MAX_ZOOM, PreviewRenderer
 
@@ -220,7 +220,7 @@ class Filmstrip(QWidget):
 
     def __init__(self, titles: Mapping[str, str]) -> None:
         super().__init__()
-        self.setObjectName("filmstrip")
+        name_widget(self, "filmstrip")
         self.thumbnails = {name: Thumbnail(title) for name, title in titles.items()}
         row = set_spacing(QHBoxLayout(self), 4)
         for name, thumbnail in self.thumbnails.items():

@@ -9,9 +9,10 @@ from PyQt6.QtCore import QSignalBlocker, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QComboBox, QGridLayout, QHBoxLayout, QLabel, QSlider, QSpinBox, QWidget
 
-from widgets.style.styling import fill, make_command_button, set_spacing
+from widgets.style.styling import fill, make_command_button, make_text, name_widget, set_spacing
 from widgets.timeline.error_strip import ErrorScale, ErrorStrip
 
+_TIMES = "\N{MULTIPLICATION SIGN}"
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)
 FRAMES_PER_SECOND = 10.0  # at speed 1, when the recording has no timestamps
 _LATE_MS = 10  # interval to check for an overdue frame again
@@ -40,36 +41,31 @@ class Timeline(QWidget):
         self._clock = QTimer(self)
         self._clock.setTimerType(Qt.TimerType.PreciseTimer)
         self._clock.timeout.connect(self._tick)
-        self.slider = QSlider(Qt.Orientation.Horizontal)
-        self.slider.setObjectName(f"{unit}_slider")
-        self.slider.setAccessibleName(unit)
-        self.number = QSpinBox()
-        self.number.setObjectName(f"{unit}_number")
-        self.number.setAccessibleName(f"{unit} number")
+        self.slider = name_widget(QSlider(Qt.Orientation.Horizontal), f"{unit}_slider", unit)
+        self.number = name_widget(QSpinBox(), f"{unit}_number", f"{unit} number")
         self.number.setKeyboardTracking(False)
         self.errors = ErrorStrip()
         self.scale = ErrorScale()
-        self._figure = QLabel()
-        self._worst = QLabel()
-        self._of = QLabel()
-        self._time = QLabel()
-        self._left_out = QLabel()
-        self._left_out.setObjectName("left_out")
-        self._left_out.setToolTip(
-            "computing a frame takes longer than its display time: frames in between are skipped"
+        self._figure, self._worst = make_text(), make_text()
+        self._of, self._time = QLabel(), QLabel()
+        self._left_out = name_widget(
+            QLabel(),
+            "left_out",
+            tip="computing a frame takes longer than its display time: frames in between are "
+            "skipped",
         )
         # frames advanced in recent playback steps
         self._steps: deque[int] = deque(maxlen=_STEPS_SHOWN)
         self._time.setMinimumWidth(self.fontMetrics().horizontalAdvance("t = 0000.00 s"))
-        self.speed = QComboBox()
-        self.speed.setAccessibleName("playback speed")
-        for value in SPEEDS:
-            self.speed.addItem(f"{value:g}\N{MULTIPLICATION SIGN}", value)
-        self.speed.setCurrentIndex(SPEEDS.index(1.0))
-        self.speed.setToolTip(
-            f"playback speed; 1\N{MULTIPLICATION SIGN} shows {FRAMES_PER_SECOND:g} frames per "
-            "second at most"
+        self.speed = name_widget(
+            QComboBox(),
+            "",
+            "playback speed",
+            f"playback speed; 1{_TIMES} shows {FRAMES_PER_SECOND:g} frames per second at most",
         )
+        for value in SPEEDS:
+            self.speed.addItem(f"{value:g}{_TIMES}", value)
+        self.speed.setCurrentIndex(SPEEDS.index(1.0))
         # first and last frame of the loop
         self._looping = False
         self.loop_range = (0, 0)
@@ -98,7 +94,6 @@ class Timeline(QWidget):
         layout.addWidget(self.errors, 0, 1, 2, 1)  # its frames are chosen by a click or drag
         layout.addWidget(self._worst, 1, 2)
         for label in (self._figure, self._worst):
-            label.setWordWrap(True)
             label.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
 
     def add_command(self, action: QAction) -> None:

@@ -12,7 +12,15 @@ from pipeline.lab.tracking.track_record import MOTION, TrackRecord, TrackRow
 from widgets.style.base import ChoiceBox
 from widgets.style.plots import Strip, StripPlot
 from widgets.style.run_bar import StartBar
-from widgets.style.styling import fill, make_bold, make_command_button, make_splitter, set_spacing
+from widgets.style.styling import (
+    fill,
+    make_bold,
+    make_command_button,
+    make_splitter,
+    make_text,
+    name_widget,
+    set_spacing,
+)
 from widgets.views.view_3d_panel import View3DPanel
 
 _PLOT_SIZE = 620  # of 1000
@@ -71,13 +79,11 @@ class TrackPage(QWidget):
         self.run_bar = StartBar("track", "Track")
         self.plot = TrackPlot()
         self.scene = View3DPanel()
-        self.sentence = QLabel()
+        self.sentence = make_bold(make_text())
         self.stage_box.setToolTip(
             "Membrane to follow: the source's, or that of the generated touch"
         )
-        make_bold(self.sentence)
         self.sentence.setTextFormat(Qt.TextFormat.PlainText)
-        self.sentence.setWordWrap(True)
         self.scene.view.setAccessibleName("touched surface")
         self.scene.view.setMinimumSize(220, 160)
         self.scene.caption.set_texts("sensor frame of the first frame, mm")
@@ -85,7 +91,7 @@ class TrackPage(QWidget):
             set_spacing(QHBoxLayout(), 6), QLabel("follow"), self.stage_box, self.run_bar, 1
         )
         split = make_splitter(Qt.Orientation.Horizontal, (self.plot, 1), (self.scene, 1))
-        split.setObjectName("track_split")
+        name_widget(split, "track_split")
         split.setSizes([_PLOT_SIZE, 1000 - _PLOT_SIZE])
         fill(set_spacing(QVBoxLayout(self), 4, (6, 4, 6, 2)), self._head, self.sentence, (split, 1))
         self.clear("")

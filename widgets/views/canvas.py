@@ -11,6 +11,7 @@ from PyQt6.QtGui import QColor, QPainter, QPalette, QPen, QPixmap
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from pipeline.core.arrays import Image
+from pipeline.views.colours import Rgb
 from pipeline.views.drawing import CASING_COLOUR
 from pipeline.views.preview import Preview
 from widgets.style.theme import (
@@ -40,6 +41,7 @@ class Canvas(QWidget):
     mouse_left = pyqtSignal()
     clicked = pyqtSignal(QPointF)
     view_changed = pyqtSignal()  # by the user
+    handle_dragged = pyqtSignal(float)  # to this share of the width
 
     def __init__(self) -> None:
         super().__init__()
@@ -60,6 +62,7 @@ class Canvas(QWidget):
         self.handle_words: tuple[str, str] = ("", "")  # what is at its left and right
         self._pressed: QPointF | None = None
         self._dragged: QPointF | None = None
+        self._drags_handle = False
         self.n_renders = 0  # number of times the image was rendered
 
     def sizeHint(self) -> QSize:  # noqa: N802
@@ -170,7 +173,7 @@ class Canvas(QWidget):
             self.invalidate()
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
-        """Paint the cached rendering and the crosshair, line and handle over it."""
+        """Paint the cached rendering and the handle, crosshair, line and marks over it."""
         del a0
         kept = self._put_together()
         painter = QPainter(self)
@@ -181,39 +184,38 @@ class Canvas(QWidget):
             x = self._handle_x()
             painter.setPen(QPen(to_qcolor(CROSSHAIR_COLOUR), 2))
             painter.drawLine(QPointF(x, 0), QPointF(x, self.height()))
-            for word, side in zip(self.handle_words, (-1, 1), strict=True):
-                box = QRectF(painter.fontMetrics().boundingRect(word)).adjusted(-4, -1, 4, 2)
-                box.moveTo(x + 2 if side > 0 else x - 2 - box.width(), 2)
-                self._draw_tag(painter, box, word)
-        if self.line is not None:
-            self._draw_line(painter, *self.line)
+            left, right = self.handle_words
+            box = _measure_tag(painter, left)
+            _draw_tag(painter, box, QPointF(x - 2 - box.width(), 2), left)
+            _draw_tag(painter, _measure_tag(painter, right), QPointF(x + 2, 2), right)
         if self.crosshair is not None:
             self._draw_cross(painter, *self.crosshair)
-        for number, (row, col) in self.marks:
-            self._draw_mark(painter, number, self.to_screen(QPointF(col + 0.5, row + 0.5)))
         if self.hasFocus():
             painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Highlight), 2))
             painter.setBrush(Qt.BrushStyle.NoBrush)
             painter.drawRect(QRectF(self.rect()).adjusted(1, 1, -1, -1))
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        if self.line is not None:
+            self._draw_line(painter, *map(self.to_screen, self.line))
+        font = self.font()
+        font.setBold(True)
+        painter.setFont(font)
+        radius = min(max(_MARK_SHARE * self.height(), _MARK_PX[0]), _MARK_PX[1])
+        for number, (row, col) in self.marks:
+            at = self.to_screen(QPointF(col + 0.5, row + 0.5))
+            _draw_badge(painter, at, radius, get_probe_colour(number), str(number))
 
     def _draw_line(self, painter: QPainter, begin: QPointF, end: QPointF) -> None:
-        one = self.to_screen(begin)
-        other = self.to_screen(end)
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         for colour, wide in ((CASING_COLOUR, 4.0), (SECTION_COLOUR, 1.8)):
             painter.setPen(QPen(to_qcolor(colour), wide))
-            painter.drawLine(one, other)
-        long_px = math.hypot(other.x() - one.x(), other.y() - one.y())
-        named = long_px > 6 * _END_PX  # in a small image letters would hide the section
-        for at, name in ((one, "A"), (other, "B")):
-            painter.setPen(QPen(to_qcolor(CASING_COLOUR), 1.2))
-            painter.setBrush(to_qcolor(SECTION_COLOUR if named or name == "A" else CASING_COLOUR))
-            painter.drawEllipse(at, *(2 * [_END_PX if named else 0.4 * _END_PX]))
-            if named:
-                painter.drawText(
-                    QRectF(at.x() - 8, at.y() - 8, 16, 16), Qt.AlignmentFlag.AlignCenter, name
-                )
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing, False)
+            painter.drawLine(begin, end)
+        way = end - begin
+        if math.hypot(way.x(), way.y()) > 6 * _END_PX:
+            _draw_badge(painter, begin, _END_PX, SECTION_COLOUR, "A")
+            _draw_badge(painter, end, _END_PX, SECTION_COLOUR, "B")
+        else:  # in a small image letters would hide the section
+            _draw_badge(painter, begin, 0.4 * _END_PX, SECTION_COLOUR)
+            _draw_badge(painter, end, 0.4 * _END_PX, CASING_COLOUR)
 
     def _draw_cross(self, painter: QPainter, row: int, col: int) -> None:
         at = self.to_screen(QPointF(col + 0.5, row + 0.5))
@@ -223,49 +225,31 @@ class Canvas(QWidget):
         if not self.crosshair_text:
             return
         painter.setFont(self.font())
-        box = QRectF(painter.fontMetrics().boundingRect(self.crosshair_text)).adjusted(-4, -1, 4, 2)
+        box = _measure_tag(painter, self.crosshair_text)
         left = at.x() + 6 if at.x() + 8 + box.width() < self.width() else at.x() - 6 - box.width()
         top = at.y() + 5 if at.y() + 8 + box.height() < self.height() else at.y() - 5 - box.height()
-        box.moveTo(max(1.0, min(left, self.width() - box.width() - 1)), max(1.0, top))
-        self._draw_tag(painter, box, self.crosshair_text)
-
-    def _draw_tag(self, painter: QPainter, box: QRectF, text: str) -> None:
-        painter.setPen(Qt.PenStyle.NoPen)
-        painter.setBrush(QColor(20, 24, 30, 205))
-        painter.drawRoundedRect(box, 3, 3)
-        painter.setPen(QColor(255, 255, 255))
-        painter.drawText(box, Qt.AlignmentFlag.AlignCenter, text)
-
-    def _draw_mark(self, painter: QPainter, number: int, at: QPointF) -> None:
-        font = self.font()
-        radius = min(max(_MARK_SHARE * self.height(), _MARK_PX[0]), _MARK_PX[1])
-        font.setBold(True)
-        painter.setFont(font)
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        painter.setPen(QPen(to_qcolor(CASING_COLOUR), 1.4))
-        painter.setBrush(to_qcolor(get_probe_colour(number)))
-        painter.drawEllipse(at, radius, radius)
-        box = QRectF(at.x() - radius, at.y() - radius, 2 * radius, 2 * radius)
-        painter.drawText(box, Qt.AlignmentFlag.AlignCenter, str(number))
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing, False)
+        place = QPointF(max(1.0, min(left, self.width() - box.width() - 1)), max(1.0, top))
+        _draw_tag(painter, box, place, self.crosshair_text)
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
         """Record where a click or drag begins."""
-        left = a0.button() == Qt.MouseButton.LeftButton
-        self._pressed = a0.position() if left else None
-        self._dragged = (
-            a0.position() if left or a0.button() == Qt.MouseButton.MiddleButton else None
-        )
+        at: QPointF = a0.position()
+        self._drags_handle = self.is_near_handle(at)
+        if not self._drags_handle:
+            left = a0.button() == Qt.MouseButton.LeftButton
+            self._pressed = at if left else None
+            self._dragged = at if left or a0.button() == Qt.MouseButton.MiddleButton else None
 
     def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
         """Drag the overlay's handle, else pan; without a button, emit the position."""
         at: QPointF = a0.position()
-        if self._dragged is None:
-            self.setCursor(
-                Qt.CursorShape.SplitHCursor
-                if self.is_near_handle(at)
-                else Qt.CursorShape.ArrowCursor
-            )
+        image = self._plate.image
+        if self._drags_handle and image is not None:
+            self.handle_dragged.emit(self.to_image(at).x() / image.width())
+        elif self._dragged is None:
+            shapes = Qt.CursorShape
+            is_near = self.is_near_handle(at)
+            self.setCursor(shapes.SplitHCursor if is_near else shapes.ArrowCursor)
             self.mouse_moved.emit(at)
         elif self._pressed is None or (at - self._pressed).manhattanLength() >= _A_CLICK_PX:
             self.set_view(
@@ -283,6 +267,7 @@ class Canvas(QWidget):
         ):
             self.clicked.emit(a0.position())
         self._pressed = self._dragged = None
+        self._drags_handle = False
 
     def mouseDoubleClickEvent(self, a0: Any) -> None:  # noqa: N802
         """Fit the whole image."""
@@ -297,15 +282,11 @@ class Canvas(QWidget):
         at = a0.position()
         fixed = self.to_image(at)
         wanted = self._plate.scale * _ZOOM_STEP ** (a0.angleDelta().y() / _PER_NOTCH)
-        # the sensor fills the view: there is nothing around it to see
-        if wanted <= self._plate.fitted_scale:
+        if wanted <= self._plate.fitted_scale:  # there is nothing around the sensor to see
             self.fit_view()
-            self.view_changed.emit()
-            return
-        scale = min(wanted, MAX_ZOOM)
-        self.set_view(
-            fixed - (at - QPointF(0.5 * self.width(), 0.5 * self.height())) / scale, scale
-        )
+        else:
+            scale = min(wanted, MAX_ZOOM)
+            self.set_view(fixed - (at - QRectF(self.rect()).center()) / scale, scale)
         self.view_changed.emit()
 
     def leaveEvent(self, a0: Any) -> None:  # noqa: N802
@@ -319,7 +300,28 @@ class Canvas(QWidget):
 
     def _handle_x(self) -> float:
         image = self._plate.image
-        wide = (
-            0 if image is None or self.handle_share is None else self.handle_share * image.width()
-        )
+        wide = 0 if image is None else (self.handle_share or 0.0) * image.width()
         return self.to_screen(QPointF(wide, 0.0)).x()
+
+
+def _measure_tag(painter: QPainter, text: str) -> QRectF:
+    return QRectF(painter.fontMetrics().boundingRect(text)).adjusted(-4, -1, 4, 2)
+
+
+def _draw_tag(painter: QPainter, box: QRectF, at: QPointF, text: str) -> None:
+    """Draw a text on a dark ground."""
+    box.moveTopLeft(at)
+    painter.setPen(Qt.PenStyle.NoPen)
+    painter.setBrush(QColor(20, 24, 30, 205))
+    painter.drawRoundedRect(box, 3, 3)
+    painter.setPen(QColor(255, 255, 255))
+    painter.drawText(box, Qt.AlignmentFlag.AlignCenter, text)
+
+
+def _draw_badge(painter: QPainter, at: QPointF, radius: float, colour: Rgb, text: str = "") -> None:
+    """Draw a disc with a letter."""
+    side = QPointF(radius, radius)
+    painter.setPen(QPen(to_qcolor(CASING_COLOUR), 1.3))
+    painter.setBrush(to_qcolor(colour))
+    painter.drawEllipse(at, radius, radius)
+    painter.drawText(QRectF(at - side, at + side), Qt.AlignmentFlag.AlignCenter, text)

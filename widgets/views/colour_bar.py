@@ -1,9 +1,8 @@
 """Colour bar with limits and unit, a histogram of the values, and the share beyond the limits."""
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
@@ -29,8 +28,7 @@ _MIN_SHARE = 0.001  # a smaller share beyond a limit gets no mark
 _NOISE = 0.01  # share of the range: values this little below the lowest colour are noise
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ValueHistogram:
+class ValueHistogram(NamedTuple):
     """Distribution of values on a colour scale."""
 
     counts: Doubles  # (n,) values in equal bins from the lowest to the highest colour
@@ -43,13 +41,9 @@ def compute_histogram(values: Floats, scale: ColourScale) -> ValueHistogram:
     seen = values[::_EVERY, ::_EVERY] if values.ndim == 2 else values
     known = seen[np.isfinite(seen)]
     counts, _ = np.histogram(known, bins=_N_BARS, range=(scale.low, scale.high))
-    n = max(1, known.size)
     noise = _NOISE * (scale.high - scale.low)
-    below = np.count_nonzero(known < scale.low - noise)
-    above = np.count_nonzero(known > scale.high)
-    return ValueHistogram(
-        counts=counts.astype(np.float64), share_below=below / n, share_above=above / n
-    )
+    beyond = np.stack([known < scale.low - noise, known > scale.high])
+    return ValueHistogram(counts.astype(np.float64), *(beyond.sum(axis=1) / max(1, known.size)))
 
 
 def fit_limits(values: Floats, scale: ColourScale) -> dict[str, float]:
@@ -58,11 +52,9 @@ def fit_limits(values: Floats, scale: ColourScale) -> dict[str, float]:
     Empty where no setting controls a limit, or where all values are equal.
     """
     known = values[np.isfinite(values)]
-    low, high = (
-        (float(v) for v in np.percentile(known, (_OUTSIDE, 100 - _OUTSIDE)))
-        if known.size
-        else (0.0, 0.0)
-    )
+    if not known.size:
+        return {}
+    low, high = (float(v) for v in np.percentile(known, (_OUTSIDE, 100 - _OUTSIDE)))
     if scale.low_setting == scale.high_setting:
         low, high = 0.0, max(abs(low), abs(high))
     limits = {scale.low_setting: low, scale.high_setting: high}
@@ -111,23 +103,8 @@ class ColourBar(PaintedWidget):
         """The histogram of the values; computed when it is painted."""
         if self._spread is None and self._scale is not None and self._values is not None:
             self._spread = compute_histogram(self._values, self._scale)
-            self.setToolTip(self._words(self._scale, self._spread))
+            self.setToolTip(_describe(self._scale, self._spread))
         return self._spread
-
-    def _words(self, scale: ColourScale, spread: ValueHistogram) -> str:
-        lines = [f"{scale.quantity}, {scale.low:g} to {scale.high:g} {scale.unit}"]
-        for share, where in (
-            (spread.share_below, f"below {scale.low:g}"),
-            (spread.share_above, f"above {scale.high:g}"),
-        ):
-            if share >= _MIN_SHARE:
-                lines.append(
-                    f"{100 * share:.1f} % of the values lie {where} {scale.unit}, in the colour "
-                    "of that end"
-                )
-        can = "drag an end to set the limit; double-click to fit both to 98 % of the values"
-        lines.append(can if scale.high_setting else "these limits follow another scale")
-        return "\n".join(lines)
 
     def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint bars, strip and numbers."""
@@ -143,15 +120,14 @@ class ColourBar(PaintedWidget):
         painter.drawRect(strip)
         painter.setPen(palette.text().color())
         row = QRectF(2, strip.bottom() + 1, self.width() - 4, self.fontMetrics().height() + 2)
-        low = f"{scale.low:g}"
+        low, high = f"{scale.low:g}", f"{scale.high:g} {scale.unit}"
         middle = f"{0.5 * (scale.low + scale.high):g}"
-        high = f"{scale.high:g} {scale.unit}"
-        painter.drawText(row, int(Qt.AlignmentFlag.AlignLeft), low)
-        painter.drawText(row, int(Qt.AlignmentFlag.AlignRight), high)
+        painter.drawText(row, Qt.AlignmentFlag.AlignLeft, low)
+        painter.drawText(row, Qt.AlignmentFlag.AlignRight, high)
         wide = self.fontMetrics().horizontalAdvance
         # only where there is room
         if 0.5 * wide(middle) + max(wide(low), wide(high)) + _EDGE_PX < 0.5 * row.width():
-            painter.drawText(row, int(Qt.AlignmentFlag.AlignHCenter), middle)
+            painter.drawText(row, Qt.AlignmentFlag.AlignHCenter, middle)
 
     @property
     def _room(self) -> QRectF:
@@ -161,16 +137,13 @@ class ColourBar(PaintedWidget):
         self, painter: QPainter, ink: ThemeColours, strip: QRectF, spread: ValueHistogram
     ) -> None:
         """Paint bars with logarithmic heights: the contact is a small part of an image."""
-        tall = np.log1p(spread.counts) * (
-            (_BARS_PX - 2) / max(1e-9, float(np.log1p(spread.counts).max(initial=0.0)))
-        )
+        tall = np.log1p(spread.counts)
+        tall *= (_BARS_PX - 2) / max(1e-9, float(tall.max(initial=0.0)))
         wide = strip.width() / _N_BARS
         for i, high in enumerate(tall):
-            if high > 0:
-                bar = QRectF(
-                    strip.left() + i * wide, strip.top() - high, max(1.0, wide - 0.5), high
-                )
-                painter.fillRect(bar, to_qcolor(ink.secondary_text, 150))
+            left = strip.left() + i * wide
+            bar = QRectF(left, strip.top() - high, max(1.0, wide - 0.5), high)
+            painter.fillRect(bar, to_qcolor(ink.secondary_text, 150))
         painter.setPen(to_qcolor(ink.warning_mark))
         line = QRectF(strip.left() + 4, 0, strip.width() - 8, self.fontMetrics().height())
         for share, x, text, place in (
@@ -179,12 +152,10 @@ class ColourBar(PaintedWidget):
         ):
             if share >= _MIN_SHARE:
                 painter.fillRect(QRectF(x, 0, 3, strip.top()), to_qcolor(ink.warning_mark))
-                label = text.format(
-                    f"{100 * share:.0f} %" if share >= 0.01 else f"{100 * share:.1f} %"
-                )
-                words = painter.boundingRect(line, int(place), label)
+                label = text.format(f"{100 * share:.{0 if share >= 0.01 else 1}f} %")
+                words = painter.boundingRect(line, place, label)
                 painter.fillRect(words.adjusted(-1, 0, 1, 0), self.palette().window())
-                painter.drawText(line, int(place), label)
+                painter.drawText(line, place, label)
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
         """Begin to drag an end."""
@@ -198,9 +169,8 @@ class ColourBar(PaintedWidget):
             return
         _, scale, side = self._held
         room = self._room
-        value = scale.low + (a0.position().x() - room.left()) / room.width() * (
-            scale.high - scale.low
-        )
+        share = (a0.position().x() - room.left()) / room.width()
+        value = scale.low + share * (scale.high - scale.low)
         mirrored = scale.low_setting == scale.high_setting
         self._wanted = max(side * value, 0.0) if mirrored else value
         if not self._soon.isActive():
@@ -218,11 +188,10 @@ class ColourBar(PaintedWidget):
         """Fit the limits to nearly all values."""
         del a0
         self._held = None
-        if (
-            self._scale is not None
-            and self._values is not None
-            and (fitted := fit_limits(self._values, self._scale))
-        ):
+        if self._scale is None or self._values is None:
+            return
+        fitted = fit_limits(self._values, self._scale)
+        if fitted:
             self.limits_fitted.emit(fitted)
 
     def _tell(self) -> None:
@@ -241,6 +210,22 @@ class ColourBar(PaintedWidget):
             if setting and abs(at.x() - x) <= _NEAR_PX:
                 return setting, scale, side
         return None
+
+
+def _describe(scale: ColourScale, spread: ValueHistogram) -> str:
+    lines = [f"{scale.quantity}, {scale.low:g} to {scale.high:g} {scale.unit}"]
+    for share, where in (
+        (spread.share_below, f"below {scale.low:g}"),
+        (spread.share_above, f"above {scale.high:g}"),
+    ):
+        if share >= _MIN_SHARE:
+            lines.append(
+                f"{100 * share:.1f} % of the values lie {where} {scale.unit}, in the colour of "
+                "that end"
+            )
+    can = "drag an end to set the limit; double-click to fit both to 98 % of the values"
+    lines.append(can if scale.high_setting else "these limits follow another scale")
+    return "\n".join(lines)
 
 
 @lru_cache(maxsize=3)

@@ -1,7 +1,6 @@
 """Overlay of a second image on a column's own: wipe with a handle, or blink."""
 
-from PyQt6.QtCore import QEvent, QObject, QTimer
-from PyQt6.QtGui import QMouseEvent
+from PyQt6.QtCore import QObject, QTimer
 
 from pipeline.views.preview import Preview
 from widgets.views.canvas import Canvas
@@ -18,11 +17,10 @@ class ComparisonOverlay(QObject):
         self._picture: Preview | None = None
         self.share = 0.5  # share of the width that shows the lower image
         self.is_visible = False  # whether any part of the overlay is visible
-        self._held = False  # the handle is being dragged
         self.blink_timer = QTimer(self)
         self.blink_timer.setInterval(_BLINK_MS)
         self.blink_timer.timeout.connect(self._turn)
-        canvas.installEventFilter(self)
+        canvas.handle_dragged.connect(self.move_handle)
 
     def clear(self) -> None:
         """Remove the overlay."""
@@ -57,27 +55,6 @@ class ComparisonOverlay(QObject):
         self._canvas.handle_share = self.share
         self._canvas.move_overlay(self.share)
         self.is_visible = self._picture is not None and self.share < 1.0
-
-    def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
-        """Let the handle take the drag before the canvas pans."""
-        if (
-            self._canvas.handle_share is None
-            or self._picture is None
-            or not isinstance(a1, QMouseEvent)
-        ):
-            return super().eventFilter(a0, a1)
-        if a1.type() == QEvent.Type.MouseButtonPress and self._canvas.is_near_handle(a1.position()):
-            self._held = True
-            return True
-        if a1.type() == QEvent.Type.MouseButtonRelease and self._held:
-            self._held = False
-            return True
-        if a1.type() == QEvent.Type.MouseMove and self._held:
-            self.move_handle(
-                self._canvas.to_image(a1.position()).x() / self._picture.pixels.shape[1]
-            )
-            return True
-        return super().eventFilter(a0, a1)
 
     def _turn(self) -> None:
         if self._canvas.isVisible():

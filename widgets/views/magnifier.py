@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from PyQt6.QtCore import QRectF, Qt
-from PyQt6.QtGui import QColor, QPainter, QPen
+from PyQt6.QtGui import QColor, QPainter, QPen, qGray
 from PyQt6.QtWidgets import QWidget
 
 from pipeline.views.preview import Preview
@@ -45,12 +45,15 @@ class Magnifier(QWidget):
         room = min(_SHARE * canvas.width() / wide, _SHARE * canvas.height() / high)
         self.radius_px = min(MAX_RADIUS_PX, max(1, int(0.5 * (room - 1.0))))
         self.resize((2 * self.radius_px + 1) * wide + 2, (2 * self.radius_px + 1) * high + 2)
-        low = row < 0.5 * picture.pixels.shape[0]
-        right = col < 0.5 * picture.pixels.shape[1]
-        self.move(
-            canvas.width() - self.width() - _LINE_PX if right else _LINE_PX,
-            canvas.height() - self.height() - _LINE_PX if low else _LINE_PX,
-        )
+        rows, cols = picture.pixels.shape[:2]
+        place = canvas.rect().adjusted(_LINE_PX, _LINE_PX, -_LINE_PX, -_LINE_PX)
+        around = self.rect()
+        around.moveTopLeft(place.topLeft())
+        if row < 0.5 * rows:
+            around.moveBottom(place.bottom())
+        if col < 0.5 * cols:
+            around.moveRight(place.right())
+        self.setGeometry(around)
         self.show()
         self.raise_()
         self.update()
@@ -76,21 +79,18 @@ class Magnifier(QWidget):
         if self.preview is None:
             return
         painter, (wide, high) = QPainter(self), self._cell_px
+        pixels, reach = self.preview.pixels, self.radius_px
         painter.fillRect(self.rect(), QColor(20, 24, 30))
-        rows, cols = self.preview.pixels.shape[:2]
-        reach = self.radius_px
-        for i in range(2 * reach + 1):
-            for j in range(2 * reach + 1):
-                row = self.centre_pixel[0] + i - reach
-                col = self.centre_pixel[1] + j - reach
-                if 0 <= row < rows and 0 <= col < cols:
-                    red, green, blue = (int(level) for level in self.preview.pixels[row, col])
-                    cell = QRectF(1 + j * wide, 1 + i * high, wide, high)
-                    painter.fillRect(cell, QColor(red, green, blue))
-                    dark = 0.3 * red + 0.59 * green + 0.11 * blue < _DARK
-                    painter.setPen(QColor(255, 255, 255) if dark else QColor(20, 24, 30))
-                    painter.drawText(
-                        cell, Qt.AlignmentFlag.AlignCenter, self.format_value(row, col)
-                    )
+        for i in range(-reach, reach + 1):
+            for j in range(-reach, reach + 1):
+                row, col = self.centre_pixel[0] + i, self.centre_pixel[1] + j
+                text = self.format_value(row, col)
+                if text:
+                    cell = QRectF(1 + (reach + j) * wide, 1 + (reach + i) * high, wide, high)
+                    ground = QColor(*pixels[row, col].tolist())
+                    painter.fillRect(cell, ground)
+                    is_dark = qGray(ground.rgb()) < _DARK
+                    painter.setPen(QColor(255, 255, 255) if is_dark else QColor(20, 24, 30))
+                    painter.drawText(cell, Qt.AlignmentFlag.AlignCenter, text)
         painter.setPen(QPen(to_qcolor(CROSSHAIR_COLOUR), 2))
         painter.drawRect(QRectF(1 + reach * wide, 1 + reach * high, wide, high))

@@ -20,7 +20,7 @@ from vtkmodules.vtkRenderingCore import (
 )
 
 from pipeline.core.arrays import Doubles, Image
-from pipeline.views.colours import Rgb, darken_diverging
+from pipeline.views.colours import darken_diverging
 from pipeline.views.layers import FIELD_OF_VIEW_DEG, VIEW_DISTANCE, Layer, ViewBounds
 from widgets.style.theme import ThemeColours, get_colour_map
 
@@ -55,9 +55,9 @@ class OffscreenRenderer:
     def render_pixels(self, column: int, width_px: int, height_px: int, ink: ThemeColours) -> Image:
         """Return one view rendered at this size in the theme's colours, (rows, cols, 3)."""
         self.activate_view(column, width_px, height_px)
-        self.renderers[column].SetBackground(*_shares(ink.backdrop))
+        self.renderers[column].SetBackground(*np.divide(ink.backdrop, 255))
         for arrow, colour in zip(self._axes[column], ink.axes, strict=True):
-            arrow.GetProperty().SetColor(*_shares(colour))
+            arrow.GetProperty().SetColor(*np.divide(colour, 255))
         self.window.Render()
         drawn = vtkUnsignedCharArray()
         self.window.GetPixelData(0, 0, width_px - 1, height_px - 1, 0, drawn, 0)
@@ -132,12 +132,9 @@ class OffscreenRenderer:
     def set_orthographic(self, column: int, *, on: bool) -> None:
         """Draw without perspective, which is from far away, or with it; the size stays."""
         camera = self.renderers[column].GetActiveCamera()
-        before = math.tan(0.5 * math.radians(camera.GetViewAngle()))
-        angle_deg = _ORTHOGRAPHIC_DEG if on else FIELD_OF_VIEW_DEG
-        self._set_distance(
-            camera, camera.GetDistance() * before / math.tan(0.5 * math.radians(angle_deg))
-        )
-        camera.SetViewAngle(angle_deg)
+        before = _half_view(camera)
+        camera.SetViewAngle(_ORTHOGRAPHIC_DEG if on else FIELD_OF_VIEW_DEG)
+        camera.Dolly(_half_view(camera) / before)
 
     def is_orthographic(self, column: int) -> bool:
         """Whether a view is drawn without perspective."""
@@ -149,67 +146,49 @@ class OffscreenRenderer:
         if sight is None:
             return
         camera = self.renderers[column].GetActiveCamera()
-        fitted = VIEW_DISTANCE * sight.radius_mm * _HALF_VIEW
-        fitted /= math.tan(0.5 * math.radians(camera.GetViewAngle()))
-        low, high = (share * fitted for share in _ZOOM_LIMITS)
-        if not low <= camera.GetDistance() <= high:
-            self._set_distance(camera, min(max(camera.GetDistance(), low), high))
+        fitted = VIEW_DISTANCE * sight.radius_mm * _HALF_VIEW / _half_view(camera)
+        distance = camera.GetDistance() / fitted
+        limited = float(np.clip(distance, *_ZOOM_LIMITS))
+        if limited != distance:
+            camera.Dolly(distance / limited)
         off = np.array(camera.GetFocalPoint()) - sight.centre_mm
         too_far = float(np.linalg.norm(off)) / sight.radius_mm
         if too_far > 1.0:
             back = off / too_far - off
-            camera.SetPosition(*(np.array(camera.GetPosition()) + back))
-            camera.SetFocalPoint(*(np.array(camera.GetFocalPoint()) + back))
-
-    @staticmethod
-    def _set_distance(camera: Any, distance_mm: float) -> None:
-        focus = np.array(camera.GetFocalPoint())
-        away = np.array(camera.GetPosition()) - focus
-        camera.SetPosition(*(focus + distance_mm / camera.GetDistance() * away))
+            camera.SetPosition(*np.add(camera.GetPosition(), back))
+            camera.SetFocalPoint(*np.add(camera.GetFocalPoint(), back))
 
     def measure_view_mm(self, column: int) -> float:
         """Return the length of the shorter side of a view where its camera looks at."""
         camera = self.renderers[column].GetActiveCamera()
-        return 2.0 * camera.GetDistance() * math.tan(0.5 * math.radians(camera.GetViewAngle()))
+        return 2.0 * camera.GetDistance() * _half_view(camera)
 
     def find_linked_views(self, column: int) -> list[int]:
         """Return the views that share this view's camera, itself first."""
         own = self.renderers[column].GetActiveCamera()
-        others = [
-            i for i, r in enumerate(self.renderers) if i != column and r.GetActiveCamera() is own
-        ]
-        return [column, *others]
-
-    def project_point(
-        self, column: int, place_mm: tuple[float, float, float], aspect: float
-    ) -> tuple[float, float] | None:
-        """Return a point's position as shares of width and height from the upper left.
-
-        None if it is not visible.
-        """
-        x, y, _, w = self._get_projection(column, aspect) @ (*place_mm, 1.0)
-        if w <= 0 or max(abs(x), abs(y)) > w:
-            return None
-        return 0.5 + 0.5 * float(x / w), 0.5 - 0.5 * float(y / w)
+        views = range(len(self.renderers))
+        return sorted(
+            (i for i in views if self.renderers[i].GetActiveCamera() is own),
+            key=lambda i: i != column,
+        )
 
     def project_points(
         self, column: int, points_mm: Doubles, aspect: float
     ) -> tuple[Doubles, Doubles]:
-        """Return the positions (n, 2) of points (n, 3) as shares, and their distances (n,)
-        relative to the nearest.
+        """Return the positions (n, 2) of points (n, 3) as shares of width and height from the
+        upper left, and their distances (n,) relative to the nearest.
+
+        What is behind the camera is far outside.
         """
-        matrix = self._get_projection(column, aspect)
+        camera = self.renderers[column].GetActiveCamera()
+        camera.SetUseHorizontalViewAngle(aspect < 1.0)
+        matrix = pv.array_from_vtkmatrix(
+            camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0)
+        )
         seen = points_mm @ matrix[:, :3].T + matrix[:, 3]
         w = np.where(seen[:, 3] > 0, seen[:, 3], np.nan)
         shares = np.stack([0.5 + 0.5 * seen[:, 0] / w, 0.5 - 0.5 * seen[:, 1] / w], axis=-1)
         return np.nan_to_num(shares, nan=-9.0), np.nan_to_num(w / np.nanmin(w), nan=np.inf)
-
-    def _get_projection(self, column: int, aspect: float) -> Doubles:
-        camera = self.renderers[column].GetActiveCamera()
-        camera.SetUseHorizontalViewAngle(aspect < 1.0)
-        return pv.array_from_vtkmatrix(
-            camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0)
-        )
 
     def fit_cameras(self, bounds: Mapping[int, ViewBounds], linked: bool) -> None:
         """Set cameras on the sensor's side, so that indentation bulges toward the viewer."""
@@ -253,6 +232,11 @@ def _view() -> Any:
 
 def _cut_to_its_own(renderer: Any, _: str) -> None:
     renderer.ResetCameraClippingRange()
+
+
+def _half_view(camera: Any) -> float:
+    """Return half of what a camera sees at a distance of 1."""
+    return math.tan(0.5 * math.radians(camera.GetViewAngle()))
 
 
 def _camera(sight: ViewBounds) -> Any:
@@ -300,23 +284,13 @@ def _add_layer(renderer: Any, mesh: Any, layer: Layer) -> Any:
         actor.GetMapper().SetResolveCoincidentTopologyToPolygonOffset()
         actor.GetMapper().SetRelativeCoincidentTopologyPolygonOffsetParameters(*_BEHIND)
     look.SetPointSize(layer.point_px)
-    if layer.segments is not None:
-        look.SetLineWidth(_LINE_PX)
+    look.SetLineWidth(_LINE_PX)
+    look.SetAmbient(0.3)
+    if layer.normals is None:  # has its own colour from all sides
         look.LightingOff()
-    elif layer.triangles is None:
+    if layer.segments is None and layer.triangles is None:
         look.SetRepresentationToPoints()
-        look.LightingOff()
-    elif layer.normals is None:  # has its own colour from all sides
-        look.LightingOff()
-    else:
-        look.SetInterpolationToGouraud()
-        look.SetAmbient(0.3)
     return actor
-
-
-def _shares(colour: Rgb) -> tuple[float, float, float]:
-    red, green, blue = (c / 255 for c in colour)
-    return red, green, blue
 
 
 def _write(mesh: Any, layer: Layer, old: Layer | None, ink: ThemeColours) -> None:
@@ -329,20 +303,16 @@ def _write(mesh: Any, layer: Layer, old: Layer | None, ink: ThemeColours) -> Non
     if same:
         mesh.points[:] = layer.points_mm
         mesh.GetPoints().Modified()
-    else:
-        mesh.points = np.array(layer.points_mm, dtype=np.float32)
-    if (
-        not same
-        or old is None
-        or old.triangles is not layer.triangles
-        or old.segments is not layer.segments
-    ):
-        _write_cells(mesh, layer)
-    if same:
         mesh.point_data["rgb"][:] = rgb
         mesh.GetPointData().GetArray("rgb").Modified()
     else:
+        mesh.points = np.array(layer.points_mm, dtype=np.float32)
         mesh.point_data["rgb"] = np.array(rgb)
+    cells = layer.triangles, layer.segments
+    if not same or any(
+        a is not b for a, b in zip(cells, (old.triangles, old.segments), strict=True)
+    ):
+        _write_cells(mesh, layer)
     if layer.normals is not None:
         mesh.point_data.active_normals = np.array(layer.normals, dtype=np.float32)
     mesh.Modified()

@@ -29,22 +29,21 @@ ARROW_STEPS = {
     Key.Key_Down: (0, 1),
 }
 SHIFT_STEP_PX = 10  # step with Shift
-_ENTER = (Key.Key_Return, Key.Key_Enter)
+_END_KEYS = (Key.Key_Return, Key.Key_Enter)
 _TABS = {Key.Key_Tab: 1, Key.Key_Backtab: -1}
 _ZOOMS = {Key.Key_Plus: 1.25, Key.Key_Equal: 1.25, Key.Key_Minus: 0.8}
 _HANDLE = {Key.Key_Comma: -0.05, Key.Key_Period: 0.05}  # steps as shares of the image width
-_KNOWN = frozenset((*ARROW_STEPS, *_ENTER, *_TABS, *_ZOOMS, *_HANDLE))
-_END_KEYS = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
+_KNOWN = frozenset((*ARROW_STEPS, *_END_KEYS, *_TABS, *_ZOOMS, *_HANDLE))
 _TYPED = (QAbstractSpinBox, QLineEdit)
-_Key = Qt.Key
 _Why = Qt.FocusReason
-_ALONG = frozenset((_Key.Key_Left, _Key.Key_Right, _Key.Key_Home, _Key.Key_End))
+_ENDS = (Key.Key_Home, Key.Key_End)
+_ALONG = (Key.Key_Left, Key.Key_Right, *_ENDS)
 _OWN = {  # keys that are commands of the window as well
-    QAbstractButton: frozenset((_Key.Key_Space, *_END_KEYS)),
-    QComboBox: frozenset((_Key.Key_Space, _Key.Key_Home, _Key.Key_End)),
+    QAbstractButton: (Key.Key_Space, *_END_KEYS),
+    QComboBox: (Key.Key_Space, *_ENDS),
     QAbstractSlider: _ALONG,
     QTabBar: _ALONG,
-    QAbstractItemView: frozenset((_Key.Key_Home, _Key.Key_End, _Key.Key_Space, *_END_KEYS)),
+    QAbstractItemView: (*_ENDS, Key.Key_Space, *_END_KEYS),
 }
 _BY_KEYS = frozenset((_Why.TabFocusReason, _Why.BacktabFocusReason, _Why.ShortcutFocusReason))
 
@@ -98,12 +97,12 @@ class PreviewKeyFilter(QObject):
         else:
             rows, cols = picture.pixels.shape[:2]
             at = self._middle()
-            right, down = (
-                get_arrow_step_px(event) if self._canvas.crosshair is not None else (0, 0)
-            )  # the first key shows the cursor only
+            right, down = get_arrow_step_px(event)
+            if self._canvas.crosshair is None:  # the first key shows the cursor only
+                right = down = 0
             row = int(at.y()) + down
             col = int(at.x()) + right
-            text = self.pixel_pinned if key in _ENTER else self.pixel_pointed
+            text = self.pixel_pinned if key in _END_KEYS else self.pixel_pointed
             text.emit(min(max(row, 0), rows - 1), min(max(col, 0), cols - 1))
         return True
 
@@ -153,11 +152,8 @@ class KeyboardFocusFilter(QObject):
             if a1.type() == QEvent.Type.ShortcutOverride:
                 a1.accept()
                 return True
-            if (
-                a1.type() == QEvent.Type.KeyPress
-                and isinstance(a0, QAbstractButton)
-                and a1.key() in _END_KEYS
-            ):
+            is_end = a1.type() == QEvent.Type.KeyPress and a1.key() in _END_KEYS
+            if is_end and isinstance(a0, QAbstractButton):
                 a0.click()
                 return True
         if a1.type() == QEvent.Type.Wheel and not a0.hasFocus() and not isinstance(a0, QLineEdit):

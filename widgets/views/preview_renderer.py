@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PyQt6.QtCore import QPointF, QRect, QRectF, QSize, QSizeF, Qt
+from PyQt6.QtCore import QPointF, QRectF, QSize, QSizeF, Qt
 from PyQt6.QtGui import QColor, QFont, QImage, QPainter, QPalette, QPen, QPixmap, QPolygonF
 
 from pipeline.core.arrays import Image
@@ -88,10 +88,8 @@ class PreviewRenderer:
         """
         if self.image is None:
             return 0.0
-        return max(
-            1e-3,
-            min(self.size.width() / self.image.width(), self.size.height() / self.image.height()),
-        )
+        wide = self.size.width() / self.image.width()
+        return max(1e-3, min(wide, self.size.height() / self.image.height()))
 
     def to_screen(self, at: QPointF) -> QPointF:
         """Return the screen position of a point in image pixels."""
@@ -106,27 +104,22 @@ class PreviewRenderer:
         )
 
     @property
+    def _visible_ends(self) -> tuple[QPointF, QPointF]:
+        """Upper left and lower right of what is visible, in image pixels."""
+        return self.to_image(QPointF()), self.to_image(2 * self._middle)
+
+    @property
     def _middle(self) -> QPointF:
         return QPointF(0.5 * self.size.width(), 0.5 * self.size.height())
 
     def render(self, dense: float, behind: QColor, font: QFont) -> QPixmap:
-        """Return the rendering at `dense` physical pixels per logical pixel."""
-        pixmap = QPixmap(
-            max(1, round(dense * self.size.width())), max(1, round(dense * self.size.height()))
-        )
+        """Return image, outlines and scale bar at `dense` physical pixels per logical pixel."""
+        pixmap = QPixmap((dense * QSizeF(self.size)).toSize().expandedTo(QSize(1, 1)))
         pixmap.setDevicePixelRatio(dense)
         pixmap.fill(behind)
-        painter = QPainter(pixmap)
-        self.paint(painter, dense, font)
-        painter.end()
-        return pixmap
-
-    def paint(self, painter: QPainter, dense: float, font: QFont) -> None:
-        """Paint image, outlines and scale bar into the area of `size`, at `dense` physical
-        pixels per logical pixel.
-        """
         if self.image is None or self.preview is None:
-            return
+            return pixmap
+        painter = QPainter(pixmap)
         self._draw_image(painter, self.image, 0.0, dense)
         if self.overlay is not None:
             self._draw_image(painter, *self.overlay, dense)
@@ -134,30 +127,21 @@ class PreviewRenderer:
         for line in list_outlines(self.preview):
             self._draw_line(painter, line)
         self._draw_scale_bar(painter, self.preview, font)
+        painter.end()
+        return pixmap
 
     def _draw_image(
         self, painter: QPainter, image: QImage, from_share: float, dense: float
     ) -> None:
         first = round(from_share * image.width())
-        ends = (
-            self.to_image(QPointF(0, 0)),
-            self.to_image(QPointF(self.size.width(), self.size.height())),
-        )
-        left = max(first, math.floor(ends[0].x()))
-        top = max(0, math.floor(ends[0].y()))
-        right = min(image.width(), math.ceil(ends[1].x()))
-        below = min(image.height(), math.ceil(ends[1].y()))
-        if left >= right or top >= below:
+        ends = self._visible_ends
+        part = QRectF(*ends).toAlignedRect() & image.rect().adjusted(first, 0, 0, 0)
+        if part.isEmpty():
             return
-        part = QRect(left, top, right - left, below - top)
-        place = QRectF(
-            self.to_screen(QPointF(left, top)), QSizeF(part.width(), part.height()) * self.scale
-        )
+        place = QRectF(self.to_screen(QPointF(part.topLeft())), QSizeF(part.size()) * self.scale)
         drawn = image.copy(part)
         if self.scale * dense < 1.0:  # average the image pixels that fall on a screen pixel
-            size = QSize(
-                max(1, round(dense * place.width())), max(1, round(dense * place.height()))
-            )
+            size = (dense * place.size()).toSize().expandedTo(QSize(1, 1))
             ratio = Qt.AspectRatioMode.IgnoreAspectRatio
             how = Qt.TransformationMode.SmoothTransformation
             drawn = drawn.scaled(size, ratio, how)
@@ -168,9 +152,8 @@ class PreviewRenderer:
         flat = Qt.PenCapStyle.FlatCap
         # a square cap lengthens a scale bar
         painter.setPen(QPen(colour, line.width, Qt.PenStyle.SolidLine, flat))
-        middle = self._middle
-        centre = self.centre
-        at = (line.points_px - (centre.x(), centre.y())) * self.scale + (middle.x(), middle.y())
+        first = self.to_screen(QPointF())
+        at = line.points_px * self.scale + (first.x(), first.y())
         step = max(1, math.floor(0.7 / self.scale))
         gaps = np.flatnonzero(np.isnan(at[:, 0]))
         for piece in np.split(at, gaps):
@@ -180,8 +163,7 @@ class PreviewRenderer:
 
     def _draw_scale_bar(self, painter: QPainter, picture: Preview, font: QFont) -> None:
         rows, cols = picture.pixels.shape[:2]
-        low = self.to_image(QPointF(0, 0))
-        high = self.to_image(QPointF(self.size.width(), self.size.height()))
+        low, high = self._visible_ends
         visible = max(0.0, low.x()), max(0.0, low.y()), min(cols, high.x()), min(rows, high.y())
         bar = make_scale_bar(picture, visible, self._recolour)
         if bar is None or (visible[2] - visible[0]) * self.scale < _NARROWEST_PX:
@@ -190,12 +172,9 @@ class PreviewRenderer:
         # A font of a size in pixels belongs to the size of the whole image.
         painter.setFont(font)
         x, y = bar.line.points_px.mean(axis=0)
-        tall = painter.fontMetrics().height()
-        room = QRectF(
-            self.to_screen(QPointF(x, y)) - QPointF(_LABEL_PX, 3 + tall),
-            QSizeF(2 * _LABEL_PX, tall),
-        )
-        painter.drawText(room, Qt.AlignmentFlag.AlignCenter, bar.text)
+        below = self.to_screen(QPointF(x, y)) + QPointF(_LABEL_PX, -3)
+        above = below - QPointF(2 * _LABEL_PX, painter.fontMetrics().height())
+        painter.drawText(QRectF(above, below), Qt.AlignmentFlag.AlignCenter, bar.text)
 
 
 def _polygon(points: NDArray[np.floating]) -> QPolygonF:
@@ -211,10 +190,8 @@ def _polygon(points: NDArray[np.floating]) -> QPolygonF:
 def make_qimage(pixels: Image) -> QImage:
     """Convert pixels (rows, cols, 3) uint8 to the image format that Qt paints fastest."""
     rows, cols = pixels.shape[:2]
-    held = pixels.tobytes()
-    return QImage(held, cols, rows, 3 * cols, QImage.Format.Format_RGB888).convertToFormat(
-        QImage.Format.Format_RGB32
-    )
+    image = QImage(pixels.tobytes(), cols, rows, 3 * cols, QImage.Format.Format_RGB888)
+    return image.convertToFormat(QImage.Format.Format_RGB32)
 
 
 def recolour_for_theme(pixels: Image, scale: ColourScale, ink: ThemeColours) -> Image:
@@ -223,11 +200,8 @@ def recolour_for_theme(pixels: Image, scale: ColourScale, ink: ThemeColours) -> 
     """
     if ink is LIGHT_COLOURS:
         return pixels
-    out = (
-        pixels.copy()
-        if get_colour_map(ink, scale) == scale.colour_map
-        else darken_diverging(pixels).copy()
-    )
+    is_same = get_colour_map(ink, scale) == scale.colour_map
+    out = (pixels if is_same else darken_diverging(pixels)).copy()
     out[(pixels == NO_VALUE_COLOUR).all(axis=-1)] = ink.no_value  # that grey is in no colour map
     return out
 

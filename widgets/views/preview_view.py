@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, pyqtSignal
-from PyQt6.QtWidgets import QBoxLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QBoxLayout, QVBoxLayout, QWidget
 
 from pipeline.views.preview import Preview
 from widgets.style.base import EventListener, FixedSizeLabel
-from widgets.style.styling import fill, set_spacing
+from widgets.style.styling import fill, make_text, set_spacing
 from widgets.views.canvas import Canvas
 from widgets.views.colour_bar import ColourBar
 from widgets.views.comparison_overlay import ComparisonOverlay
@@ -23,27 +23,28 @@ class PreviewView(QWidget):
 
     pixel_hovered = pyqtSignal(int, int)  # row, col; (-1, -1) after the mouse has left
     pixel_clicked = pyqtSignal(int, int)
-    shape_changed = pyqtSignal()  # an image of another size, or a colour scale comes or goes
+    shape_changed = pyqtSignal()  # an image of another shape, or a colour scale comes or goes
     view_changed = pyqtSignal()  # panned or zoomed by the user
 
     def __init__(self) -> None:
         super().__init__()
         self.preview: Preview | None = None  # what is shown
-        self._shape: tuple[int, int] | None = None
+        # rows over columns of the image, or of a typical camera while there is none
+        self.height_over_width = 0.75
         self.canvas = Canvas()
         self.overlay = ComparisonOverlay(self.canvas)
         self.colour_bar = ColourBar()
-        self.caption = FixedSizeLabel()
-        self.caption.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
-        self.message = QLabel(self.canvas)
-        self.message.setWordWrap(True)
+        # under the caption a remark, where there is something to say
+        self.caption, self.remark = FixedSizeLabel(), FixedSizeLabel()
+        for label in (self.caption, self.remark):
+            label.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
+        self.message = make_text()
+        self.message.setParent(self.canvas)
         self.message.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self.message.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.message.setAutoFillBackground(True)
         self.message.hide()
         self.text_area = QWidget()  # all text about the image
-        self.remark = FixedSizeLabel()  # under the caption, where there is something to say
-        self.remark.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self.remark.hide()
         self.text_layout = QBoxLayout(QBoxLayout.Direction.TopToBottom, self.text_area)
         words = fill(set_spacing(QVBoxLayout(), 0), self.caption, self.remark, 1)
@@ -62,16 +63,14 @@ class PreviewView(QWidget):
         way = QBoxLayout.Direction.LeftToRight if at_side else QBoxLayout.Direction.TopToBottom
         if way != self._both.direction():
             self._both.setDirection(way)
-            self.text_area.setFixedWidth(
-                SIDE_TEXT_PX
-            ) if at_side else self.text_area.setMaximumWidth(_NO_LIMIT)
             self.text_area.setMinimumWidth(SIDE_TEXT_PX if at_side else 0)
+            self.text_area.setMaximumWidth(SIDE_TEXT_PX if at_side else _NO_LIMIT)
 
     def show_preview(self, picture: Preview | None) -> None:
         """Show a preview, None for none; the view changes only with the number of pixels."""
         if picture is self.preview:
             return
-        other = self.has_colour_scale != (picture is not None and picture.scale is not None)
+        had_scale = None if self.preview is None else self.has_colour_scale
         self.preview = picture
         self.canvas.show_preview(picture)
         if picture is None:
@@ -82,9 +81,9 @@ class PreviewView(QWidget):
         self.colour_bar.show_scale(picture.scale, picture.values)
         self.caption.setText(picture.caption)
         self.caption.setToolTip(picture.caption)
-        shape = (picture.pixels.shape[0], picture.pixels.shape[1])
-        if shape != self._shape or other:
-            self._shape = shape
+        tall = picture.pixels.shape[0] / picture.pixels.shape[1]
+        if tall != self.height_over_width or had_scale != self.has_colour_scale:
+            self.height_over_width = tall
             self.shape_changed.emit()
 
     def show_compared(
@@ -118,11 +117,6 @@ class PreviewView(QWidget):
         self.message.setVisible(bool(text))
         self._place_message()
 
-    @property
-    def height_over_width(self) -> float:
-        """Rows over columns of the image, or of a typical camera while there is none."""
-        return self._shape[0] / self._shape[1] if self._shape is not None else 0.75
-
     def fit_to_box(self, box_px: tuple[float, float, float, float]) -> None:
         """Fit a part of the image, given by left, top, right and bottom in pixels, with a
         margin.
@@ -139,8 +133,9 @@ class PreviewView(QWidget):
         border = None if self.preview is None else self.preview.outline_px
         if border is None or not np.isfinite(border).any():
             return None
-        (left, top), (right, below) = np.nanmin(border, axis=0), np.nanmax(border, axis=0)
-        return float(left), float(top), float(right), float(below)
+        left, top = np.nanmin(border, axis=0).tolist()
+        right, below = np.nanmax(border, axis=0).tolist()
+        return left, top, right, below
 
     def sizeHint(self) -> QSize:  # noqa: N802
         """Return a column's share of a laptop screen."""
@@ -152,21 +147,15 @@ class PreviewView(QWidget):
         room = self.canvas.size()
         width = max(60, room.width() - 12)
         height = min(room.height() - 8, max(20, self.message.heightForWidth(width) + 4))
-        self.message.setGeometry(
-            (room.width() - width) // 2, (room.height() - height) // 2, width, height
-        )
+        self.message.resize(width, height)
+        self.message.move((room.width() - width) // 2, (room.height() - height) // 2)
 
     def _pixel_at(self, place: QPointF) -> tuple[int, int] | None:
         point = self.canvas.to_image(place)
         row = math.floor(point.y())
         col = math.floor(point.x())
-        if (
-            self.preview is None
-            or self._shape is None
-            or not (0 <= row < self._shape[0] and 0 <= col < self._shape[1])
-        ):
-            return None
-        return row, col
+        rows, cols = (0, 0) if self.preview is None else self.preview.pixels.shape[:2]
+        return (row, col) if 0 <= row < rows and 0 <= col < cols else None
 
     def _report_hover(self, place: QPointF) -> None:
         row, col = self._pixel_at(place) or (-1, -1)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from weakref import ref
 
 import numpy as np
-from PyQt6.QtCore import QObject, QPointF, QSize, Qt
+from PyQt6.QtCore import QObject, QPointF, QRectF, QSize, Qt
 from PyQt6.QtGui import QImage
 
 from pipeline.core.arrays import Doubles
@@ -25,6 +25,7 @@ from pipeline.views.layers import Layer, ViewBounds, thin_grid
 from pipeline.views.view import to_xyz
 from widgets.style.styling import make_single_shot_timer
 from widgets.style.theme import get_theme_colours, to_qcolor
+from widgets.views.preview_renderer import make_qimage
 from widgets.views.view_3d import View3D
 
 if TYPE_CHECKING:
@@ -153,11 +154,8 @@ class SceneRenderer(QObject):
 
     def get_cameras(self) -> dict[int, CameraState]:
         """Return the camera of each view; {} until it is open."""
-        return (
-            {}
-            if not self.is_open
-            else {column: self._stage.get_camera(column) for column in range(len(self.views))}
-        )
+        views = range(len(self.views)) if self.is_open else ()
+        return {column: self._stage.get_camera(column) for column in views}
 
     def set_cameras(self, cameras: Mapping[int, CameraState]) -> None:
         """Set these cameras; other views keep theirs."""
@@ -199,11 +197,13 @@ class SceneRenderer(QObject):
 
     def project_points(self, column: int, points_mm: Doubles) -> Doubles:
         """Return the positions (n, 2) of points (n, 3) in the view's widget."""
-        view = self.views[column]
-        shares, _ = self._stage.project_points(
-            column, points_mm, view.width() / max(1, view.height())
-        )
-        return shares * (view.width(), view.height())
+        return self._project(column, points_mm)[0]
+
+    def _project(self, column: int, points_mm: Doubles) -> tuple[Doubles, Doubles]:
+        """Return positions (n, 2) in the view's widget, and distances (n,)."""
+        wide, high = self.views[column].width(), self.views[column].height()
+        shares, depth = self._stage.project_points(column, points_mm, wide / max(1, high))
+        return shares * (wide, high), depth
 
     def find_surface_point(self, column: int, at: QPointF) -> tuple[str, Point3] | None:
         """Return the foremost point of the drawn surfaces near a position, after the name of its
@@ -230,15 +230,10 @@ class SceneRenderer(QObject):
 
         -1 for none.
         """
-        view = self.views[column]
         if not self.is_open:
             return -1
-        shares, depth = self._stage.project_points(
-            column, points_mm, view.width() / max(1, view.height())
-        )
-        off_px = np.hypot(
-            shares[:, 0] * view.width() - at.x(), shares[:, 1] * view.height() - at.y()
-        )
+        places, depth = self._project(column, points_mm)
+        off_px = np.hypot(*(places - (at.x(), at.y())).T)
         near = np.flatnonzero(off_px < _NEAR_PX)
         # Of points behind each other the foremost counts; of neighbours on one surface the nearest.
         front = near[depth[near] <= depth[near].min() + _ONE_SURFACE] if near.size else near
@@ -305,25 +300,20 @@ class SceneRenderer(QObject):
             tuple(id(layer) for layer in layers),
             self._stage.get_camera(column),
         )
-        kept = self._kept.get(key)
-        is_kept = kept is not None and all(
-            one() is layer for one, layer in zip(kept[1], layers, strict=True)
+        image, refs = self._kept.get(key) or (None, ())
+        is_kept = image is not None and all(
+            one() is layer for one, layer in zip(refs, layers, strict=True)
         )
-        if kept is None or not is_kept:
+        if image is None or not is_kept:
             begun_s = time.thread_time()
             drawn = tuple(map(thin_grid, layers)) if is_coarse else layers
             self._stage.show_layers(column, drawn, ink)
-            pixels = self._stage.render_pixels(column, *view.size_px, ink)
-            rows, cols = pixels.shape[:2]
-            image = QImage(pixels.tobytes(), cols, rows, 3 * cols, QImage.Format.Format_RGB888)
-            image = image.convertToFormat(QImage.Format.Format_RGB32)
+            image = make_qimage(self._stage.render_pixels(column, *view.size_px, ink))
             if not is_coarse:
                 self._kept.put(key, (image, tuple(ref(layer) for layer in layers)))
             self.n_renders += 1
             self.render_time_s += time.thread_time() - begun_s
-            view.show_image(image)
-        else:
-            view.show_image(kept[0])
+        view.show_image(image)
         self._show_dot(column)
         return not is_kept
 
@@ -331,21 +321,22 @@ class SceneRenderer(QObject):
         if not self.is_open:
             return
         view = self.views[column]
-        aspect = view.width() / max(1, view.height())
 
         def find(place: Point3 | None) -> QPointF | None:
-            at = None if place is None else self._stage.project_point(column, place, aspect)
-            return None if at is None else QPointF(*at)
+            if place is None:
+                return None
+            at = QPointF(*self.project_points(column, np.array([place]))[0])
+            return at if QRectF(view.rect()).contains(at) else None
 
-        view.show_dot(find(self._marks.get(column)))
         labels = {text: find(place) for text, place in self._labels.get(column, {}).items()}
-        view.show_labels({text: at for text, at in labels.items() if at is not None})
+        scale_bar = 0.0, ""
         if column in self._scaled:
-            mm_of_px = self._stage.measure_view_mm(column) / max(
-                1, min(view.width(), view.height())
-            )
+            shorter_px = max(1, min(view.width(), view.height()))
+            mm_of_px = self._stage.measure_view_mm(column) / shorter_px
             length_mm = choose_bar_length_mm(_LONGEST_BAR * view.width() * mm_of_px)
-            view.show_scale(length_mm / mm_of_px, f"{length_mm:g} mm" if length_mm else "")
+            scale_bar = length_mm / mm_of_px, f"{length_mm:g} mm" if length_mm else ""
+        known = {text: at for text, at in labels.items() if at is not None}
+        view.show_signs(find(self._marks.get(column)), known, scale_bar)
 
     def _tell(self, column: int, event: Any, what: str) -> None:
         """Pass a mouse event to VTK in pixels of its image.
@@ -354,13 +345,12 @@ class SceneRenderer(QObject):
         """
         if not self.is_open:
             return
-        name = {"move": "MouseMoveEvent"}.get(what, "")
+        name = "MouseMoveEvent" if what == "move" else ""
         if what in _ENDS:
             self._held = column if what == "press" else None
-            for other in self._stage.find_linked_views(column) if what == "release" else ():
-                self._draw_soon(other)  # whole again
-        if what in _ENDS and event.button() in _BUTTONS:
-            name = _BUTTONS[event.button()] + _ENDS[what]
+            name = _BUTTONS.get(event.button(), "") + _ENDS[what]
+            if what == "release":
+                self._draw_linked(column)  # whole again
         elif what == "wheel":
             self._turned += event.angleDelta().y()
             if abs(self._turned) >= _ONE_TURN:
@@ -369,23 +359,23 @@ class SceneRenderer(QObject):
         if not name:
             return
         view = self.views[column]
-        place = event.position()
-        dense = view.devicePixelRatioF()
+        place = (event.position() * view.devicePixelRatioF()).toPoint()
         keys = Qt.KeyboardModifier
         control, shift = (
             bool(event.modifiers() & key) for key in (keys.ControlModifier, keys.ShiftModifier)
         )
         self._stage.activate_view(column, *view.size_px)
         self._mouse.SetSize(*view.size_px)
-        x = round(place.x() * dense)
-        y = round(place.y() * dense)
-        self._mouse.SetEventInformationFlipY(x, y, control, shift, chr(0), 0, None)
+        self._mouse.SetEventInformationFlipY(place.x(), place.y(), control, shift, chr(0), 0, None)
         before = self._stage.get_camera(column)
         self._mouse.InvokeEvent(name)
         self._stage.limit_camera(column)
         if self._stage.get_camera(column) != before:
-            for other in self._stage.find_linked_views(column):
-                self._draw_soon(other)
+            self._draw_linked(column)
+
+    def _draw_linked(self, column: int) -> None:
+        for other in self._stage.find_linked_views(column):
+            self._draw_soon(other)
 
 
 def _size_bytes(cached: CachedImage) -> int:

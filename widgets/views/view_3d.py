@@ -36,8 +36,8 @@ class View3D(QWidget):
         )  # the image follows the widget's size
         self.image: QImage | None = None
         self.notice = ""  # shown in place of an image
-        self.marker: QPointF | None = None  # shares of width and height
-        self.labels: Mapping[str, QPointF] = {}  # text -> shares of width and height
+        self.marker: QPointF | None = None
+        self.labels: Mapping[str, QPointF] = {}  # text -> where it is
         self.scale_bar = (0.0, "")  # length in pixels, and in words; "" = none
         self.keys = frozenset[Qt.Key]()  # that it takes from the window while it has the focus
         self._pressed: QPointF | None = None
@@ -60,22 +60,12 @@ class View3D(QWidget):
             self.image = image
             self.update()
 
-    def show_dot(self, dot: QPointF | None) -> None:
-        """Show the probe's marker, in shares of width and height; None hides it."""
-        if dot != self.marker:
-            self.marker = dot
-            self.update()
-
-    def show_labels(self, labels: Mapping[str, QPointF]) -> None:
-        """Show short texts beside points, given in shares of width and height."""
-        if labels != self.labels:
-            self.labels = labels
-            self.update()
-
-    def show_scale(self, length_px: float, text: str) -> None:
-        """Show a scale bar."""
-        if (length_px, text) != self.scale_bar:
-            self.scale_bar = length_px, text
+    def show_signs(
+        self, marker: QPointF | None, labels: Mapping[str, QPointF], scale_bar: tuple[float, str]
+    ) -> None:
+        """Show the probe's marker, None for none, short texts beside points, and a scale bar."""
+        if (marker, labels, scale_bar) != (self.marker, self.labels, self.scale_bar):
+            self.marker, self.labels, self.scale_bar = marker, labels, scale_bar
             self.update()
 
     def show_notice(self, text: str) -> None:
@@ -100,7 +90,7 @@ class View3D(QWidget):
             return
         painter.drawImage(QRectF(self.rect()), self.image)
         for text, at in self.labels.items():
-            place = QPointF(at.x() * self.width() + _DOT_PX, at.y() * self.height() - _DOT_PX)
+            place = at + QPointF(_DOT_PX, -_DOT_PX)
             for ink, moved in (self.palette().window(), 1.0), (self.palette().windowText(), 0.0):
                 painter.setPen(ink.color())
                 painter.drawText(place + QPointF(moved, moved), text)
@@ -110,8 +100,7 @@ class View3D(QWidget):
             painter.setRenderHint(QPainter.RenderHint.Antialiasing)
             painter.setPen(QPen(Qt.GlobalColor.white, 1.5))
             painter.setBrush(to_qcolor(CROSSHAIR_COLOUR))
-            at = QPointF(self.marker.x() * self.width(), self.marker.y() * self.height())
-            painter.drawEllipse(at, _DOT_PX, _DOT_PX)
+            painter.drawEllipse(self.marker, _DOT_PX, _DOT_PX)
 
     def _paint_scale(self, painter: QPainter, length_px: float, text: str) -> None:
         end = QPointF(self.width() - _MARGIN_PX, _MARGIN_PX + painter.fontMetrics().height())

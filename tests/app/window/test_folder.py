@@ -32,7 +32,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def wait_for_rows(page, qtbot):
-    qtbot.waitUntil(lambda: len(page.model.rows) == len(page.model.paths) > 0, timeout=LIMIT_MS)
+    qtbot.waitUntil(lambda: len(page.rows) == len(page.paths) > 0, timeout=LIMIT_MS)
 
 
 def test_every_recording_is_a_row_and_enter_opens_it(open_window, folder, qtbot):
@@ -43,8 +43,8 @@ def test_every_recording_is_a_row_and_enter_opens_it(open_window, folder, qtbot)
     assert window.pages.currentWidget() is page
     model = page.model
     cells = {
-        path.stem: [model.format_cell(row, column) for column in range(model.columnCount())]
-        for row, path in enumerate(model.paths)
+        path.stem: [model.item(row, column).text() for column in range(model.columnCount())]
+        for row, path in enumerate(page.paths)
     }
     assert set(cells) == {*NAMES, "damaged"}
     for name in NAMES:
@@ -54,11 +54,11 @@ def test_every_recording_is_a_row_and_enter_opens_it(open_window, folder, qtbot)
     assert cells["damaged"][WARNINGS]
     assert cells["damaged"][FRAMES] == ""
 
-    page.filter_line.setText("touched cross")
+    page.table.filter_line.setText("touched cross")
     assert page.table.model().rowCount() == 1
-    page.filter_line.setText("unreadable")
+    page.table.filter_line.setText("unreadable")
     assert page.table.model().index(0, NAME).data() == "damaged.h5"
-    page.filter_line.clear()
+    page.table.filter_line.clear()
     page.table.sortByColumn(CONTACT, Qt.SortOrder.DescendingOrder)
     assert page.table.model().index(0, NAME).data() == "grasps_cross.h5"
 
@@ -74,11 +74,11 @@ def test_every_recording_is_a_row_and_enter_opens_it(open_window, folder, qtbot)
 def test_the_second_time_nothing_is_read(open_window, folder, qtbot, monkeypatch):
     page = open_window(folder).window.folder
     wait_for_rows(page, qtbot)
-    rows = dict(page.model.rows)
+    rows = dict(page.rows)
     monkeypatch.setattr(folder_overview, "inspect_recording", None)
     again = open_window(folder).window.folder
     wait_for_rows(again, qtbot)
-    for path, row in again.model.rows.items():
+    for path, row in again.rows.items():
         assert (row.sensors, row.n_frames, row.first_touch, row.warnings) == (
             rows[path].sensors,
             rows[path].n_frames,
@@ -97,8 +97,8 @@ def test_the_worst_frame_is_the_one_with_the_largest_error(open_window, folder, 
     page = controller.window.folder
     wait_for_rows(page, qtbot)
     page.run_bar.start_button.click()
-    qtbot.waitUntil(lambda: len(page.model.worst) == 2, timeout=LIMIT_MS)
-    worst = page.model.worst[folder / "same.h5"]
+    qtbot.waitUntil(lambda: len(page.worst) == 2, timeout=LIMIT_MS)
+    worst = page.worst[folder / "same.h5"]
     page.recording_chosen.emit(folder / "same.h5")
     assert wait_until_shown(controller, 240)
     strip = controller.window.timeline.errors

@@ -242,11 +242,9 @@ def test_notes_are_saved_and_frames_are_filtered(bubble_window, qtbot, tmp_path)
         ("contact >0.1 again", [1]),
         ("nothing-of-the-kind", []),
     ):
-        panel.filter_line.setText(words)
-        assert sorted(panel._frame_of(row) for row in range(panel._sorted.rowCount())) == listed, (
-            words
-        )
-    panel.filter_line.setText("noted")
+        panel.table.filter_line.setText(words)
+        assert sorted(panel.table.list_rows()) == listed, words
+    panel.table.filter_line.setText("noted")
     assert "1 listed" in panel._told.text()
     panel.step_by_metric(1, sort_order=_DOWN)
     assert bubble_window.session.frame == 1

@@ -249,10 +249,10 @@ def test_a_folder_of_meshes_opens_the_object_of_the_recording_before(
 
 @pytest.mark.real_data
 def test_a_folder_of_tables_says_what_it_is(bubble_window, real_data):
-    model = bubble_window.window.folder.model
+    page = bubble_window.window.folder
     bubble_window.open_path(real_data / "taxim_calibration")
-    assert len(model.paths) > 1
-    bubble_window.open_path(model.paths[0])
+    assert len(page.paths) > 1
+    bubble_window.open_path(page.paths[0])
     assert not wait_until_shown(bubble_window, LIMIT_S)
     assert find(bubble_window.window.banner.buttons, "Return to")
 

@@ -36,8 +36,7 @@ def test_a_click_in_3d_pins_the_pixel_drawn_there(window, qtbot, name):
     dot = view.marker
     assert dot is not None
     window.probe.clear_trace()
-    at = QPoint(round(dot.x() * view.width()), round(dot.y() * view.height()))
-    qtbot.mouseClick(view, Qt.MouseButton.LeftButton, pos=at)
+    qtbot.mouseClick(view, Qt.MouseButton.LeftButton, pos=dot.toPoint())
     found = columns[name].view.canvas.crosshair
     assert found is not None
     rows = columns[name].view.preview.pixels.shape[0]

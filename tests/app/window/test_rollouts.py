@@ -51,15 +51,13 @@ def test_a_folder_opens_as_rows_at_its_first_failure(open_window, rollout_folder
     assert controller.session.layout.name == "task"
     assert controller.window.task.isVisible()
     trials = controller.window.task.trials
-    assert [trial.path.name for trial in trials.model.trials] == sorted(
+    assert [trial.path.name for trial in trials.trials] == sorted(
         path.name for path in rollout_folder.iterdir()
     )
-    assert (
-        rollouts.shown.rollout.path == trials.model.trials[0].path == controller.session.recording
-    )
+    assert rollouts.shown.rollout.path == trials.trials[0].path == controller.session.recording
     trials.table.sortByColumn(ERROR_MM, Qt.SortOrder.DescendingOrder)
     assert [trial.touch for trial in trials.listed_trials] == ["none", "none", "t2t", "t2t"]
-    trials.filter_line.setText("t2t fails >0.2")
+    trials.table.filter_line.setText("t2t fails >0.2")
     assert [trial.path.name for trial in trials.listed_trials] == [FAILS]
     trials.copy_rows()
     titles, row = QGuiApplication.clipboard().text().splitlines()

@@ -16,8 +16,8 @@ from pipeline.views.preview import make_indentation_preview
 def make_preview(sensor, height_mm):
     heights = np.full(sensor.camera.shape, height_mm, np.float32)
     contact = np.ones(sensor.camera.shape, np.bool_)
-    depth = (sensor.rest_depth_mm - heights).astype(np.float32)
-    return make_indentation_preview(heights, depth, contact, sensor.camera, sensor, DisplayParams())
+    depth = make_depth_map(sensor.rest_depth_mm, heights, contact, sensor.camera)
+    return make_indentation_preview(heights, depth, sensor, DisplayParams())
 
 
 @pytest.mark.parametrize("name", ["gelslim", "soft_bubble"])
