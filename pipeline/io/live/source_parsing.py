@@ -4,6 +4,7 @@ import contextlib
 import os
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,17 +29,24 @@ from pipeline.sensors.spec import load_sensor
 FRAMES_PER_CYCLE = 64
 RATE_RANGE_HZ = (0.5, 120.0)
 _MAX_WAIT_S = 0.2  # of one `read`
+_LOOK_S = 0.002  # between looks at the sensor beside a simulated one
 
 
 class SimulatedSource:
     """A simulated sensor with a fixed frame rate.
 
     The first cycle may be slower, since each frame is computed when due. Later a slow reader loses
-    frames.
+    frames. A sensor `beside` another one is touched by the same object at the same moments.
     """
 
     def __init__(
-        self, *, sensor: str = "gelslim", tool: str = "sphere", rate_hz: float = 15.0, seed: int = 0
+        self,
+        *,
+        sensor: str = "gelslim",
+        tool: str = "sphere",
+        rate_hz: float = 15.0,
+        seed: int = 0,
+        beside: "SimulatedSource | None" = None,
     ) -> None:
         """Raises SettingProblem for an unknown sensor or object, or a rate out of range."""
         check_range("the rate", rate_hz, *RATE_RANGE_HZ, "Hz")
@@ -50,6 +58,11 @@ class SimulatedSource:
             sequence="all",
         )
         self._plan = datasets.make_plans((tool,), like)[0]
+        self._beside = beside
+        if beside is not None:  # two sensors as far from the object as they are described
+            self._plan = replace(beside._plan, sensors=(sensor,), bubble_deeper_mm=0.0)
+            beside._plan = replace(beside._plan, bubble_deeper_mm=0.0)
+        self.latest: LiveFrame | None = None
         self._spec = load_sensor(sensor)
         self.rate_hz = rate_hz
         self._frames: dict[int, tuple[TactileFrame, Truth | None]] = {}
@@ -76,10 +89,12 @@ class SimulatedSource:
         """Begin a cycle with the object clear of the sensor."""
         self._get_frame(0)  # compile and load before time counts
         self._due_s = time.monotonic()
-        self._number = 0
+        self._number = 0 if self._beside is None else -1
 
     def read(self) -> LiveFrame | None:
         """The next frame of the cycle when due, else None."""
+        if self._beside is not None:
+            return self._read_same(self._beside)
         wait_s = self._due_s - time.monotonic()
         if wait_s > 0:
             time.sleep(min(wait_s, _MAX_WAIT_S))
@@ -93,7 +108,27 @@ class SimulatedSource:
         frame, truth = self._get_frame(number % FRAMES_PER_CYCLE)
         self._number, self._due_s = number + 1, self._due_s + (missed + 1) / self.rate_hz
         image = frame.image if truth is None else self._render_image(truth)
-        return LiveFrame(image=image, time_s=time.monotonic(), sequence_number=number, truth=truth)
+        self.latest = LiveFrame(
+            image=image, time_s=time.monotonic(), sequence_number=number, truth=truth
+        )
+        return self.latest
+
+    def _read_same(self, beside: "SimulatedSource") -> LiveFrame | None:
+        """The last moment of the sensor beside this one; None until there is a new one."""
+        latest = beside.latest
+        if latest is None or latest.sequence_number == self._number:
+            time.sleep(_LOOK_S)
+            return None
+        self._number = latest.sequence_number
+        frame, truth = self._get_frame(self._number % FRAMES_PER_CYCLE)
+        image = frame.image if truth is None else self._render_image(truth)
+        return LiveFrame(
+            image=image,
+            time_s=time.monotonic(),
+            stamp_s=latest.time_s,
+            sequence_number=self._number,
+            truth=truth,
+        )
 
     def close(self) -> None:
         """Nothing to release."""
@@ -232,7 +267,7 @@ def parse_source(
     check_range("the rate", rate_hz, *RATE_RANGE_HZ, "Hz")
     if sensor:
         sensor = sensor if sensor.endswith(".toml") else load_sensor(sensor).name
-    match words[0].split(maxsplit=1) if len(words) == 1 else list(words):
+    match _split(words):
         case ["simulated"]:
             return SimulatedSource(sensor=sensor or DEFAULT_SENSOR, tool=tool, rate_hz=rate_hz)
         case ["folder", name]:
@@ -251,3 +286,45 @@ def parse_source(
                 "realsense [SERIAL] or ws://HOST:PORT TOPIC"
             )
             raise SettingProblem(f"a source is {kinds}, got {' '.join(words)!r}")
+
+
+def parse_sources(
+    words: Sequence[str],
+    partner: Sequence[str],
+    *,
+    sensor: str = "",
+    partner_sensor: str = "",
+    target: str = "",
+    tool: str = "sphere",
+    rate_hz: float = 15.0,
+) -> tuple[LiveSource, LiveSource | None]:
+    """The source, and the sensor beside it, whose words are none or such as those of a source.
+
+    A partner whose sensor is not given is the target's: its images are the truth. Raises
+    SettingProblem.
+    """
+    source = parse_source(words, sensor=sensor, tool=tool, rate_hz=rate_hz)
+    if not any(partner):
+        return source, None
+    beside = load_sensor(partner_sensor or target).name if partner_sensor or target else ""
+    if target and beside not in ("", load_sensor(target).name, source.sensor):
+        raise SettingProblem(
+            f"a partner of {beside} is no truth of {target}; give --target {beside}, or the "
+            f"target's own sensor as partner"
+        )
+    if _split(partner) == ["simulated"]:
+        if not isinstance(source, SimulatedSource):
+            raise SettingProblem(
+                "a simulated partner does not touch what a real source touches; give both real or "
+                "both simulated"
+            )
+        return source, SimulatedSource(sensor=beside or source.sensor, beside=source)
+    if _split(partner) == _split(words):
+        raise SettingProblem(
+            f"source and partner are both {' '.join(words)!r}; name the other sensor as partner"
+        )
+    return source, parse_source(partner, sensor=partner_sensor or target, rate_hz=rate_hz)
+
+
+def _split(words: Sequence[str]) -> list[str]:
+    return words[0].split(maxsplit=1) if len(words) == 1 else list(words)
