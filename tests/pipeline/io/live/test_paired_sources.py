@@ -55,8 +55,8 @@ def test_two_bridges_are_paired_by_moment_whatever_their_clocks_say(every):
     with ExitStack() as stack:
         channels = []
         addresses = []
-        for name in ("/left", "/right"):
-            context = foxglove.Context()
+        contexts = foxglove.Context(), foxglove.Context()
+        for name, context in zip(("/left", "/right"), contexts, strict=True):
             server = foxglove.start_server(host="127.0.0.1", port=0, context=context)
             stack.callback(server.stop)
             channels.append(RawImageChannel(name, context=context))
@@ -68,7 +68,7 @@ def test_two_bridges_are_paired_by_moment_whatever_their_clocks_say(every):
         reader.start()
         stack.callback(reader.stop, 10.0)
         stack.enter_context(publishing(publish, 1 / RATE_HZ))
-        wait_until(lambda: reader.has_reference and reader.n_frames > N_SETTLING + 105)
+        wait_until(lambda: reader.status().partner and reader.n_frames > N_SETTLING + 105)
         reader.stop(10.0)
         status = reader.status()
         one, other = reader.make_streams()
@@ -85,7 +85,7 @@ def test_two_bridges_are_paired_by_moment_whatever_their_clocks_say(every):
     gaps = moments[-1] - moments[0] + 1 - len(moments)
     assert 0 < status.n_lost <= gaps
     assert status.partner.n_lost > 0
-    assert status.n_unpaired >= (1 if every == 1 else one.n_frames // 3)
+    assert status.n_unpaired >= (1 if every == 1 else 30)
 
 
 def test_a_partner_that_dies_and_returns_is_said_and_both_are_recorded(tmp_path, monkeypatch):
