@@ -24,7 +24,7 @@ from widgets.style.styling import fill, make_bold, make_button, set_spacing
 _SIMULATED = "simulated"
 _FOLDER = "folder"
 _ADDRESS = "address"
-_PARTNER_PX = 96  # height of the partner's image
+_PARTNER_PX = 64  # height of the partner's image
 
 
 class LiveDialog(QDialog):

@@ -1,6 +1,5 @@
 """Live sources by name."""
 
-import contextlib
 import os
 import time
 from collections.abc import Sequence
@@ -15,8 +14,8 @@ from pipeline.core.geometry.symmetry import Symmetry
 from pipeline.core.params import check_range
 from pipeline.core.values.frames import TactileFrame, Truth
 from pipeline.io import image_files
-from pipeline.io.gel_images import GelImageConverter, make_gel_converter
 from pipeline.io.live.foxglove_stream import FoxgloveSource
+from pipeline.io.live.live_images import LiveImages, scale_depth
 from pipeline.io.live.realsense import RealSenseSource
 from pipeline.io.live.source import LiveFrame, LiveSource, LiveSourceLost
 from pipeline.io.live.usb_camera import UsbCameraSource, is_address
@@ -124,8 +123,7 @@ class SimulatedSource:
         image = frame.image if truth is None else self._render_image(truth)
         return LiveFrame(
             image=image,
-            time_s=time.monotonic(),
-            stamp_s=latest.time_s,
+            time_s=latest.time_s,
             sequence_number=self._number,
             truth=truth,
         )
@@ -160,9 +158,7 @@ class FolderSource:
 
     def __init__(self, folder: Path, *, sensor: str = "") -> None:
         self._folder = folder
-        self._sensor = sensor
-        self._converter: GelImageConverter | None = None
-        self._shape: tuple[int, ...] = ()
+        self._images = LiveImages(sensor, may_differ=True)
         self._passed: set[str] = set()
         self._quiet_since_ns = -1  # the folder's time of change when a look found nothing new
         self._number = 0
@@ -175,7 +171,7 @@ class FolderSource:
     @property
     def sensor(self) -> str:
         """The stated sensor, or the one guessed from the first image's size; "" before."""
-        return self._sensor or (self._converter.sensor if self._converter is not None else "")
+        return self._images.sensor
 
     def open(self) -> None:
         """List the images that are there; raises LiveSourceLost without the folder."""
@@ -189,12 +185,16 @@ class FolderSource:
         for _ in range(_N_POLLS):
             new = self._list_new_images()
             for n_newer, (name, taken_s) in enumerate(reversed(new)):
-                image = self._read_image(self._folder / name, taken_s)
-                if image is not None:
+                raw = self._read_image(self._folder / name, taken_s)
+                if raw is not None:
                     self._passed |= {old for old, _ in new[: len(new) - n_newer]}
                     self._number += len(new) - n_newer
+                    is_depth = raw.ndim == 2
                     return LiveFrame(
-                        image=image, time_s=time.monotonic(), sequence_number=self._number
+                        image=raw if is_depth else self._images.convert_image(raw),
+                        camera=self._images.find_camera(raw) if is_depth else None,
+                        time_s=time.monotonic(),
+                        sequence_number=self._number,
                     )
             time.sleep(_POLL_S)
         return None
@@ -228,30 +228,21 @@ class FolderSource:
         return [(name, written_ns * 1e-9) for written_ns, name in sorted(found)]
 
     def _read_image(self, path: Path, written_s: float) -> np.ndarray | None:
-        """The image; None while it is written, and for one that is damaged or of another size,
-        which is skipped.
+        """The image, or depth in mm of one of 16 bits; None while it is written, and for one that
+        is damaged or of another size, which is skipped.
         """
         try:
-            raw = image_files.read_rgb(path)
+            raw = image_files.read_raw_pixels(path)
         except FileProblem:
             if time.time() - written_s > _DAMAGED_AFTER_S:
                 self._passed.add(path.name)
             return None
-        if self._converter is None:
-            converter = make_gel_converter(
-                self._sensor, (raw.shape[0], raw.shape[1]), None, lambda: raw
-            )
-            if not converter.sensor:
-                size = f"{raw.shape[1]} x {raw.shape[0]} px"
-                raise SettingProblem(f"no known sensor has images of {size}; give --sensor")
-            self._converter = converter
-            self._shape = raw.shape
-        if raw.shape != self._shape:
+        is_depth = raw.dtype == np.uint16 and raw.ndim == 2
+        read = scale_depth(raw) if is_depth else image_files.to_rgb(raw, path)
+        if self._images.shape not in ((), read.shape):
             self._passed.add(path.name)
             return None
-        with contextlib.suppress(OSError):
-            return self._converter.convert_image(raw)
-        return None
+        return read
 
 
 DEFAULT_SENSOR = "gelslim"  # of the simulated source
