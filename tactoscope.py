@@ -268,6 +268,8 @@ def live(
     target: str,
     *,
     sensor: str = "",
+    partner: str = "",
+    partner_sensor: str = "",
     shape: str = "sphere",
     rate_hz: float = 0.0,
     route: str = "t2d2",
@@ -283,6 +285,9 @@ def live(
             `ws://HOST:PORT TOPIC`, ...: what `tactoscope live --source` takes.
         target: Sensor to translate to, by name or TOML file.
         sensor: Sensor of the source, where it does not tell, or which one is simulated.
+        partner: Second sensor that touches the same object, named as the source is, paired by time:
+            what the target's own sensor takes is the truth of the frame's `metrics`.
+        partner_sensor: Sensor of the partner; "" = the target's.
         shape: Name of a shape, or mesh file, that touches a simulated sensor.
         rate_hz: Frames a second to keep up with, by leaving out what the frame's `plan` says; 0 =
             all of every frame, as many as come out.
@@ -290,21 +295,29 @@ def live(
         device: Where networks run, as for `open`.
 
     Returns:
-        For each frame `frame`, `results` (stage -> its result, with `output` and `notes`), `age_s`
-        and `plan`.
+        For each frame `frame`, `results` (stage -> its result, with `output` and `notes`), `age_s`,
+        `plan`, and where something is known of it `truth` and `metrics`, as of a recorded frame.
 
     Raises:
         TouchError: The source, a sensor or the route is not known, or the loop has waited for ten
             seconds for a sensor that is not there.
     """
-    from pipeline.io.live.source_parsing import parse_source
+    from pipeline.io.live.source_parsing import parse_sources
     from pipeline.translation.live_translation import translate_live
     from pipeline.translation.translate import Request
 
-    opened = parse_source([source], sensor=sensor, tool=shape, rate_hz=rate_hz or 15.0)
+    opened, beside = parse_sources(
+        [source],
+        [partner],
+        sensor=sensor,
+        partner_sensor=partner_sensor,
+        target=target,
+        tool=shape,
+        rate_hz=rate_hz or 15.0,
+    )
     name = Path(f"live:/{id(opened)}")  # two loops at once are of two sensors
     return translate_live(
-        opened, Request(recording=name, target=target, route=route, device=device), rate_hz
+        opened, Request(recording=name, target=target, route=route, device=device), rate_hz, beside
     )
 
 

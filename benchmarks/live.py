@@ -309,12 +309,11 @@ def _record(translation: Translation, reader: LiveReader) -> Measurement:
     """Frames lost by a recording beside a live chain that takes all it can."""
     source = _NumberedSource()
     with tempfile.TemporaryDirectory() as folder:
-        recorder = LiveRecorder(Path(folder, "numbered.h5"), source.title)
         fast = LiveReader(source)
+        recorder = LiveRecorder(Path(folder, "numbered.h5"), fast)
         live = LiveTranslation(translation, reader)
         try:
             _poll(live, _WARM_UP[1], 10)
-            fast.set_listener(recorder.offer)
             fast.start()
             _poll(live, _RECORDED_S)
         finally:

@@ -13,14 +13,16 @@ from app.document.feature import Feature
 from app.document.session_controller import SessionController
 from app.window import dialogs
 from pipeline.core.errors import TouchError
+from pipeline.io.live.paired_reader import PairedReader, make_reader
 from pipeline.io.live.reader import LiveReader, ReaderStatus
 from pipeline.io.live.recorder import LiveRecorder
 from pipeline.io.live.source import LiveSource
-from pipeline.io.live.source_parsing import parse_source
+from pipeline.io.live.source_parsing import parse_sources
 from pipeline.io.live.usb_camera import list_usb_cameras
 from pipeline.io.mounts import mount, unmount
 from pipeline.physics.simulation import shapes
-from pipeline.sensors.spec import list_sensor_titles
+from pipeline.sensors.spec import list_sensor_titles, load_sensor
+from pipeline.views.preview import make_recorded_preview
 from widgets.live.live_dialog import LiveBar, LiveDialog
 
 _UPDATE_MS = 33
@@ -42,6 +44,7 @@ class LiveController(Feature):
         self.is_following = False
         self._n_watched = 0
         self._shown_text = ""
+        self._shown_partner = -1  # frame whose partner is on the bar
         self._path = self._opened = Path()  # of the live source, and of the one opened last
         self._timer = QTimer(self)
         self._timer.setInterval(_UPDATE_MS)
@@ -68,15 +71,15 @@ class LiveController(Feature):
         self.dialog.show()
         self.dialog.raise_()
 
-    def watch_source(self, source: LiveSource) -> None:
-        """Start reading a source; it opens once its reference is captured."""
+    def watch_source(self, source: LiveSource, partner: LiveSource | None = None) -> None:
+        """Start reading a source and the partner beside it; they open once they have references."""
         self.stop_watching()
         self._n_watched += 1
         self._path = Path(f"live:/{self._n_watched}")
-        self.reader = LiveReader(source)
+        self.reader = make_reader(source, partner)
         self.reader.start()
         self.is_following = True
-        self.live_bar.show_source(source.title)
+        self.live_bar.show_source(self.reader.title)
         self.live_bar.show_state(following=True, recording=False)
         self._timer.start()
 
@@ -106,11 +109,9 @@ class LiveController(Feature):
         if self.reader is None:
             return
         try:
-            self.recorder = LiveRecorder(path, self.reader.source.title)
+            self.recorder = LiveRecorder(path, self.reader)
         except TouchError as error:
             self._controller.show_problem(error)
-        else:
-            self.reader.set_listener(self.recorder.offer)
         self.live_bar.show_state(following=self.is_following, recording=self.recorder is not None)
 
     def stop_recording(self) -> None:
@@ -119,15 +120,23 @@ class LiveController(Feature):
         self.recorder = None
         if recorder is None:
             return
-        if self.reader is not None:
-            self.reader.set_listener(None)
         recorder.close(0.0)
         self._autosave.preferences.add_recent(recorder.path)
         self.live_bar.show_state(following=self.is_following, recording=False)
 
-    def _watch_described(self, words: list[str], sensor: str, tool: str, rate_hz: float) -> None:
+    def _watch_described(
+        self, words: list[str], sensor: str, partner: str, beside: str, tool: str, rate_hz: float
+    ) -> None:
         try:
-            self.watch_source(parse_source(words, sensor=sensor, tool=tool, rate_hz=rate_hz))
+            sources = parse_sources(
+                words,
+                [partner],
+                sensor=sensor,
+                partner_sensor=beside or self._controller.session.target,
+                tool=tool,
+                rate_hz=rate_hz,
+            )
+            self.watch_source(*sources)
         except TouchError as error:
             self._controller.show_problem(error)
 
@@ -166,6 +175,8 @@ class LiveController(Feature):
         self._show_status(reader.status())
         if self.is_on_screen:
             self._show_new_frames(reader.n_frames)
+            if isinstance(reader, PairedReader):
+                self._show_partner(reader)
         elif self.is_following and reader.has_reference and self._opened != self._path:
             self._open(reader)
         elif self.is_following and self._opened == self._path:  # another recording was opened
@@ -199,14 +210,25 @@ class LiveController(Feature):
         if self.is_following and controller.session.frame != n_frames - 1:
             controller.choose_frame(n_frames - 1)
 
-    def _show_status(self, status: ReaderStatus) -> None:
-        rates = (
-            f"{status.state} · {status.rate_hz:.1f} Hz · {status.n_frames} frames · "
-            f"{status.n_lost} lost"
+    def _show_partner(self, reader: PairedReader) -> None:
+        """Show what the partner took of the frame on screen."""
+        shown = self._controller.latest_frame
+        if shown is None or shown.index == self._shown_partner:
+            return
+        self._shown_partner = shown.index
+        frame = reader.find_partner(shown.index)
+        display = self._controller.session.display
+        self.live_bar.show_partner(
+            None
+            if frame is None
+            else make_recorded_preview(frame, load_sensor(frame.sensor), display)[0].pixels
         )
+
+    def _show_status(self, status: ReaderStatus) -> None:
+        rates = status.describe()
         recorder = self.recorder
         if recorder is not None:
-            rates += f" · {recorder.n_written} recorded"
+            rates += f"; {recorder.n_written} recorded"
             rates += f", {recorder.n_dropped} dropped" if recorder.n_dropped else ""
         problem = status.message or (recorder.problem if recorder is not None else "")
         if (rates + problem) != self._shown_text:
@@ -220,7 +242,6 @@ class LiveController(Feature):
 
     def _close(self) -> None:
         if self.reader is not None:
-            self.reader.set_listener(None)
             self.reader.stop(_STOP_TIMEOUT_S)
         if self.recorder is not None:
             self.recorder.close(_RECORDER_TIMEOUT_S)

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from statistics import median
 from typing import Annotated
 
 from cyclopts import Parameter
@@ -14,13 +15,14 @@ from pipeline.cli.terminal import handle_interrupts, print_line
 from pipeline.core.errors import SettingProblem
 from pipeline.core.params import check_range
 from pipeline.io.live import reference_capture
+from pipeline.io.live.paired_reader import make_reader
 from pipeline.io.live.reader import LiveReader
 from pipeline.io.live.recorder import LiveRecorder
-from pipeline.io.live.source import LiveSource
-from pipeline.io.live.source_parsing import RATE_RANGE_HZ, parse_source
+from pipeline.io.live.source_parsing import RATE_RANGE_HZ, parse_sources
 from pipeline.io.live.usb_camera import list_usb_cameras
 from pipeline.io.mounts import mount, unmount
 from pipeline.sensors.spec import load_sensor
+from pipeline.stages.metrics.stage_metrics import describe_metric
 from pipeline.translation.live_translation import LIVE, LiveResult, LiveTranslation
 from pipeline.translation.translate import Request, open_translation
 
@@ -28,6 +30,8 @@ _STATUS_PERIOD_S = 1.0
 _POLL_S = 0.05  # between looks at the clock and at Ctrl-C
 _SIMULATED_RATE_HZ = 15.0  # of a simulated sensor where best quality is wanted
 _STOP_TIMEOUT_S = 5.0  # for the reader's thread to end
+# of the generated touch, against what the partner took
+_SHOWN_METRICS = ("touch.psnr_db", "touch.depth_mae_mm")
 
 
 def live(
@@ -36,6 +40,8 @@ def live(
         "simulated",
     ),
     sensor: str = "",
+    partner: Annotated[tuple[str, ...], Parameter(consume_multiple=True, negative="")] = (),
+    partner_sensor: str = "",
     object_source: Annotated[str, Parameter(name="--object")] = "sphere",
     target: str = "",
     route: str = "t2d2",
@@ -55,6 +61,10 @@ def live(
             publishes.
         sensor: Sensor type, if neither device name nor image size identifies it; for `simulated`
             the sensor to simulate.
+        partner: Second sensor that touches the same object, named as the source is: the other
+            finger, or the target's own sensor, whose images are then compared with the generated
+            ones. Its frames are paired by time, and recorded too.
+        partner_sensor: Sensor type of the partner. Default: that of `--target`.
         object_source: Object pressed into a simulated sensor: an object of `tactoscope simulate`,
             or a mesh file.
         target: Sensor to translate to; the status then says how many frames a second are
@@ -70,13 +80,19 @@ def live(
         return _list_cameras()
     if rate:
         check_range("--rate", rate, *RATE_RANGE_HZ, "Hz")
-    opened = parse_source(
-        source, sensor=sensor, tool=object_source, rate_hz=rate or _SIMULATED_RATE_HZ
-    )
     if target:
         load_sensor(target)  # a wrong name is said before anything starts
+    sources = parse_sources(
+        source,
+        partner,
+        sensor=sensor,
+        partner_sensor=partner_sensor,
+        target=target,
+        tool=object_source,
+        rate_hz=rate or _SIMULATED_RATE_HZ,
+    )
     request = Request(recording=LIVE, target=target, route=route) if target else None
-    return _watch_sensor(opened, record, seconds, request, rate)
+    return _watch_sensor(make_reader(*sources), record, seconds, request, rate)
 
 
 def _list_cameras() -> int:
@@ -91,7 +107,7 @@ def _list_cameras() -> int:
 
 
 def _watch_sensor(
-    source: LiveSource,
+    reader: LiveReader,
     record: Path | None,
     seconds: float,
     request: Request | None,
@@ -100,11 +116,8 @@ def _watch_sensor(
     """Print the status until the time is over or Ctrl-C; returns 1 if no frame came."""
     if not 0.0 <= seconds < math.inf:
         raise SettingProblem(f"--seconds must be 0 or more, got {seconds:g}")
-    recorder = None if record is None else LiveRecorder(record, source.title)
-    reader = LiveReader(source)
+    recorder = None if record is None else LiveRecorder(record, reader)
     ended = threading.Event()
-    if recorder is not None:
-        reader.set_listener(recorder.offer)
     live: LiveTranslation | None = None
     shown: list[LiveResult] = []
     has_shown = False
@@ -136,7 +149,6 @@ def _watch_sensor(
         unmount(LIVE)
         if live is not None:
             live.close()
-        reader.set_listener(None)
         reader.stop(_STOP_TIMEOUT_S)
         if recorder is not None:
             recorder.close()
@@ -150,10 +162,20 @@ def _describe(live: LiveTranslation, shown: Sequence[LiveResult], period_s: floa
     parts = (
         f"{len(shown) / period_s:.1f}{aim} Hz translated",
         f"{ages_ms[len(ages_ms) // 2]:.0f} ms old, at most {ages_ms[-1]:.0f}" if shown else "",
+        _describe_metrics(shown),
         live.plan.describe(),
         live.problem,
     )
     return ", ".join(part for part in parts if part)
+
+
+def _describe_metrics(shown: Sequence[LiveResult]) -> str:
+    """Medians of the errors of the generated touch against the partner's image."""
+    compared = [one.metrics for one in shown if one.truth.target_observation is not None]
+    values = {name: [m[name] for m in compared if name in m] for name in _SHOWN_METRICS}
+    return ", ".join(
+        f"{describe_metric(name)} {median(found):.3g}" for name, found in values.items() if found
+    )
 
 
 def _print_status(reader: LiveReader, recorder: LiveRecorder | None, translated: str) -> None:
@@ -161,14 +183,11 @@ def _print_status(reader: LiveReader, recorder: LiveRecorder | None, translated:
     written = (
         ""
         if recorder is None
-        else f", {recorder.n_written} recorded, {recorder.n_dropped} left out"
+        else f"; {recorder.n_written} recorded, {recorder.n_dropped} left out"
     )
-    clock = f", {status.n_doubled} doubled" if status.n_doubled else ""
-    clock += f", {status.n_clock_jumps} jumps of its clock" if status.n_clock_jumps else ""
     problem = status.message or ("" if recorder is None else recorder.problem)
     print_line(
-        f"{status.state}: {status.rate_hz:.1f} Hz, {status.n_frames} frames, {status.n_lost} "
-        f"lost{clock}{written}{f'; {translated}' if translated else ''}"
+        f"{status.describe()}{written}{f'; {translated}' if translated else ''}"
         f"{'' if reader.has_reference else ', no reference yet'}{f'; {problem}' if problem else ''}"
     )
 
@@ -177,17 +196,17 @@ def _print_result(reader: LiveReader, recorder: LiveRecorder | None) -> int:
     status = reader.status()
     if not status.n_frames:
         print_line(
-            "no frame came from "
-            f"{reader.source.title}{f': {status.message}' if status.message else ''}"
+            f"no frame came from {reader.title}{f': {status.message}' if status.message else ''}"
         )
         return 1
     if recorder is None:
         return 0
     if recorder.n_written:
         # also those that came before the reference or after a problem
-        left_out = status.n_frames - recorder.n_written
+        n_frames = status.n_frames + (status.partner.n_frames if status.partner else 0)
+        left_out = n_frames - recorder.n_written
         print_line(
-            f"{recorder.n_written} of {status.n_frames} frames in {os.fspath(recorder.path)}, "
+            f"{recorder.n_written} of {n_frames} frames in {os.fspath(recorder.path)}, "
             f"{left_out} left out"
         )
     elif not recorder.problem:

@@ -72,7 +72,11 @@ def read_rgb(path: Path) -> Image:
 
     Raises FileProblem for a damaged file or other than 8 bits.
     """
-    pixels = read_raw_pixels(path)
+    return to_rgb(read_raw_pixels(path), path)
+
+
+def to_rgb(pixels: NDArray[np.generic], path: Path) -> Image:
+    """(rows, cols, 3) uint8 RGB of stored pixels; raises FileProblem for other than 8 bits."""
     if pixels.dtype != np.uint8:
         how = "divide by 257" if pixels.dtype == np.uint16 else "multiply by 255 where 1 is white"
         what = f"a colour image must have 8 bits per channel, this one has {pixels.dtype}"

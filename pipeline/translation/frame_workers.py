@@ -10,18 +10,20 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Future
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
-from pipeline.core.errors import FileProblem, NotConverged
+from pipeline.core.errors import FileProblem, NotConverged, TouchError
 from pipeline.core.graph import StageResult
 from pipeline.core.processes import WorkerPool
 from pipeline.core.shared_memory import Parcel, SharedBlock
 from pipeline.core.values.frames import Recording, Stream, TactileFrame
 from pipeline.io.mounts import mount
+from pipeline.physics.simulation.datasets import SimulationPlan, simulate_moment
 from pipeline.translation.catalogue import default_params
 from pipeline.translation.translate import Request, Translation, open_translation
 
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
 Results = Mapping[str, StageResult]
 _BLOCK_BYTES = 32 << 20  # of a frame's results; those of a gel to a bubble take 4 MB
 _NICE = 5
+_TOUCHED = 8  # the middle of a simulated press, slide, twist and release
 CACHE_BYTES = 32 << 20  # of a graph whose frames do not return: what follows from the last ones
 
 
@@ -105,6 +108,19 @@ class FrameWorkers:
         block = SharedBlock(_BLOCK_BYTES)
         self._blocks.append(block)
         return block.name, block.put(value)
+
+    def warm_up(self) -> None:
+        """Have every worker start, and load and compile what a touched frame needs, before it has
+        room: a frame that waits for that would be seconds old.
+        """
+        blocks = list(self._free)
+        self._free.clear()
+        for block in blocks:
+            task = self._pool.submit(_compute_simulated_touch, self._opened)
+            task.add_done_callback(partial(self._release, block))
+
+    def _release(self, block: SharedBlock, _task: Future[None]) -> None:
+        self._free.append(block)
 
     @property
     def has_room(self) -> bool:
@@ -184,6 +200,27 @@ def _evaluate(
         frame, stages, previous=previous, given={"previous_membrane": membrane}
     )
     return block.put([replace(one, method=None, nodes=()) for one in results.values()])
+
+
+def _compute_simulated_touch(opened: Shared) -> None:
+    """Compute two frames of a press in a row; a sensor that cannot be simulated is opened only."""
+    translation = open_once(_take_once(*opened))
+    with suppress(TouchError):
+        plan = SimulationPlan(
+            sensors=(translation.stream.sensor,),
+            object_source="sphere",
+            n_poses=2 * _TOUCHED,
+            seed=0,
+            sequence="all",
+        )
+        pose = membrane = None
+        for index in (_TOUCHED, _TOUCHED + 1):
+            frame, _ = simulate_moment(plan, index).frames[0]
+            given = {"previous_membrane": membrane}
+            results = translation.evaluate(frame, previous=pose, given=given)
+            outputs = {name: result.output for name, result in results.items()}
+            pose = outputs.get("pose")
+            membrane = getattr(outputs.get("touch"), "pressed", None)
 
 
 @lru_cache

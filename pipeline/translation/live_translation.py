@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from concurrent.futures import BrokenExecutor, Future, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,10 +20,12 @@ from pipeline.core.arrays import Floats, Image
 from pipeline.core.errors import TouchError
 from pipeline.core.values.frames import Stream, TactileFrame
 from pipeline.core.values.results import GeneratedTouch, ObjectPose, SealedMembrane
+from pipeline.io.live.paired_reader import make_reader
 from pipeline.io.live.reader import LiveReader
 from pipeline.io.live.source import LiveSource, LiveSourceLost
 from pipeline.io.mounts import mount, unmount
 from pipeline.sensors.spec import load_sensor
+from pipeline.stages.stage import GroundTruth
 from pipeline.translation.frame_selection import select_context_frames
 from pipeline.translation.frame_workers import FrameWorkers, Results, Shared
 from pipeline.translation.live_rate import RatePlan, RateRule, pop_in_order
@@ -35,6 +37,8 @@ _POLL_S = 0.005  # between looks for a newer frame while a worker is idle
 _WAIT_S = 1.0  # for results, and for the reader's thread to end
 _PATIENCE_S = 10.0  # with a problem and no result
 _MAX_GAP_S = 0.5  # after which a pose is searched anew
+# that a frame has waited for a worker to start, or its results for whoever takes them
+_STALE_S = 0.5
 _KEPT_TOUCHES = 24  # from which those are chosen that determine the light
 
 
@@ -46,6 +50,16 @@ class LiveResult:
     results: Results
     age_s: float  # of the frame when its results came
     plan: RatePlan  # by which they were computed
+    truth: GroundTruth  # what the target's own sensor took of it, and a simulated one's truth
+    translation: Translation
+
+    @property
+    def metrics(self) -> Mapping[str, float]:
+        """`stage.metric` -> error against the truth, in the unit that the name ends in.
+
+        {} without any truth.
+        """
+        return self.translation.compute_metrics_against(self.results, self.truth)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -63,6 +77,8 @@ class _Offered:
     answer: Future[Results]
     plan: RatePlan
     context: _Context | None
+    truth: GroundTruth
+    offered_s: float  # by the monotonic clock
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,13 +102,15 @@ class LiveTranslation:
         rate_hz: float = 0.0,
         n_workers: int = 0,
     ) -> None:
-        """Start nothing yet: `translation` is of the reader's recording, a rate of 0 is best
+        """Start the workers: `translation` is of the reader's recording, a rate of 0 is best
         quality, and 0 workers are one a core.
         """
         self.problem = ""  # of the last frame that could not be translated
+        self._translation = translation
         self._stages = translation.stages
         self._reader = reader
         self._workers = FrameWorkers(translation, n_workers)
+        self._workers.warm_up()
         self._rule = RateRule(
             rate_hz=rate_hz,
             n_workers=self._workers.n_workers,
@@ -101,6 +119,7 @@ class LiveTranslation:
         self._offered: deque[_Offered] = deque()
         self._newest_seen = -1
         self._n_offered = 0
+        self._n_stale = 0  # results in a row that were left out for their age
         self._last = _Last()
         # a calibration table contains the light, and a depth camera needs none
         self._fits_light = translation.source.optics is not None and translation.calibration is None
@@ -160,7 +179,17 @@ class LiveTranslation:
             context=None if context is None else context.shared,
             draft=plan.draft,
         )
-        self._offered.append(_Offered(frame=frame, answer=answer, plan=plan, context=context))
+        truth = self._translation.reload_frames().read_ground_truth(newest)
+        self._offered.append(
+            _Offered(
+                frame=frame,
+                answer=answer,
+                plan=plan,
+                context=context,
+                truth=truth,
+                offered_s=time.monotonic(),
+            )
+        )
         self._n_offered += 1
 
     def _select_context(self, frame: TactileFrame) -> _Context | None:
@@ -191,9 +220,33 @@ class LiveTranslation:
             stages_ms = sum(result.ms for result in stages)
             self._rule.add_cost(one.plan, one.frame.time_s, stages_ms, pose_ms)
             self._keep_touch(one.frame)
+        if self._is_stale(one, results):
+            return None
         frame = one.frame if context is None else replace(one.frame, context_frames=context.images)
-        age_s = self._reader.measure_age_s(frame)
-        return LiveResult(frame=frame, results=results, age_s=age_s, plan=one.plan)
+        return LiveResult(
+            frame=frame,
+            results=results,
+            age_s=self._reader.measure_age_s(frame),
+            plan=one.plan,
+            truth=one.truth,
+            translation=self._translation,
+        )
+
+    def _is_stale(self, one: _Offered, results: Results) -> bool:
+        """Whether a newer frame should be shown: one that came while nothing took this one.
+
+        What takes long to compute is shown at any age; as many in a row may be stale as were under
+        way.
+        """
+        computed_s = 1e-3 * sum(result.ms for result in results.values())
+        waited_s = time.monotonic() - one.offered_s - computed_s
+        is_stale = (
+            waited_s > _STALE_S
+            and self._reader.n_frames - 1 > one.frame.index
+            and self._n_stale < self._workers.n_workers
+        )
+        self._n_stale = self._n_stale + 1 if is_stale else 0
+        return is_stale
 
     def _follow(self, frame: TactileFrame, results: Results) -> None:
         """Start the next frame at these results."""
@@ -246,7 +299,10 @@ class LiveTranslation:
 
 
 def translate_live(
-    source: LiveSource, request: Request, rate_hz: float = 0.0
+    source: LiveSource,
+    request: Request,
+    rate_hz: float = 0.0,
+    partner: LiveSource | None = None,
 ) -> Generator[LiveResult]:
     """Yield what a sensor shows, translated, until the generator is closed.
 
@@ -254,7 +310,7 @@ def translate_live(
     LiveSourceLost where a sensor is not there, or no frame can be translated, for a while.
     """
     load_sensor(request.target)  # a wrong name is said before anything starts
-    reader = LiveReader(source)
+    reader = make_reader(source, partner)
     live: LiveTranslation | None = None
     mount(request.recording, lambda: reader.make_recording(request.recording))
     try:
@@ -276,7 +332,7 @@ def translate_live(
                 came_s = time.monotonic()
             elif time.monotonic() - came_s > _PATIENCE_S:
                 why = problem.removesuffix("; trying again")
-                raise LiveSourceLost(f"{source.title}: nothing for {_PATIENCE_S:g} s: {why}")
+                raise LiveSourceLost(f"{reader.title}: nothing for {_PATIENCE_S:g} s: {why}")
     finally:
         unmount(request.recording)
         if live is not None:

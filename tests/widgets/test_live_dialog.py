@@ -21,9 +21,11 @@ def test_what_is_chosen_is_named_as_on_the_command_line(qtbot, choice, written, 
     dialog.show_cameras([("D20123", "DIGIT D20123")])
     dialog.source.setCurrentIndex(dialog.source.findData(choice))
     dialog.folder.setText(written)
+    dialog.partner.setText(" camera:1 ")
     with qtbot.waitSignal(dialog.watch_requested) as emitted:
         dialog.watch.click()
     assert emitted.args[0] == words
+    assert emitted.args[2] == "camera:1"
 
 
 def test_a_folder_or_address_must_be_written(qtbot):

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from PyQt6.QtCore import pyqtSignal
+from PyQt6.QtGui import QImage, QPixmap
 from PyQt6.QtWidgets import (
     QDialog,
     QFormLayout,
@@ -15,6 +16,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from pipeline.core.arrays import Image
 from widgets.style.base import ChoiceBox, NumberBox
 from widgets.style.styling import fill, make_bold, make_button, set_spacing
 
@@ -22,22 +24,25 @@ from widgets.style.styling import fill, make_bold, make_button, set_spacing
 _SIMULATED = "simulated"
 _FOLDER = "folder"
 _ADDRESS = "address"
+_PARTNER_PX = 64  # height of the partner's image
 
 
 class LiveDialog(QDialog):
-    """Emits `watch_requested` with source, sensor, object and rate in Hz."""
+    """Emits `watch_requested` with source, sensor, partner, its sensor, object, and rate in Hz."""
 
-    watch_requested = pyqtSignal(list, str, str, float)
+    watch_requested = pyqtSignal(list, str, str, str, str, float)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setWindowTitle("Live")
         self.setObjectName("live_dialog")
-        self.source, self.sensor, self.object_box = (
-            ChoiceBox(f"live_{name}", f"live {name}") for name in ("source", "sensor", "object")
+        self.source, self.sensor, self.partner_sensor, self.object_box = (
+            ChoiceBox(f"live_{name}", f"live {name}")
+            for name in ("source", "sensor", "partner_sensor", "object")
         )
         self.rate = NumberBox()
         self.folder = QLineEdit()
+        self.partner = QLineEdit()
         self.browse_button = QPushButton("Choose…")
         self.search_button = QPushButton("Search again")
         self.rate.setRange(0.5, 120.0)
@@ -49,16 +54,27 @@ class LiveDialog(QDialog):
             "rtsp://... of a video "
             "stream, ws://HOST:PORT TOPIC of a Foxglove bridge (ROS)"
         )
+        self.partner.setPlaceholderText("none")
+        self.partner.setToolTip(
+            "a second sensor that touches the same object, as on the command line: simulated, "
+            "device NAME, camera:1, an address; images of the target's own sensor are the truth"
+        )
         form = QFormLayout(self)
         form.addRow("source", fill(QHBoxLayout(), (self.source, 1), self.search_button))
         form.addRow("folder or address", fill(QHBoxLayout(), (self.folder, 1), self.browse_button))
         for label, widget in (
             ("sensor", self.sensor),
+            ("partner", self.partner),
+            ("partner's sensor", self.partner_sensor),
             ("object", self.object_box),
             ("rate", self.rate),
         ):
             form.addRow(label, widget)
-        for label, widget in (("rate", self.rate), ("folder", self.folder)):
+        for label, widget in (
+            ("rate", self.rate),
+            ("folder", self.folder),
+            ("partner", self.partner),
+        ):
             widget.setObjectName(f"live_{label}")
             widget.setAccessibleName(f"live {label}")
         self._told = QLabel()
@@ -74,6 +90,7 @@ class LiveDialog(QDialog):
     def show_choices(self, sensors: Mapping[str, str], tools: Sequence[str]) -> None:
         """Offer these sensors (name -> title) and objects."""
         self.sensor.offer({"": "detect from name or images", **sensors})
+        self.partner_sensor.offer({"": "the target", **sensors})
         self.object_box.offer({name: name.replace("_", " ") for name in tools}, "sphere")
 
     def show_cameras(self, cameras: Sequence[tuple[str, str]]) -> None:
@@ -112,7 +129,12 @@ class LiveDialog(QDialog):
             _ADDRESS: written.split(maxsplit=1),
         }.get(source, ["device", source])
         self.watch_requested.emit(
-            words, self.sensor.choice, self.object_box.choice, self.rate.value()
+            words,
+            self.sensor.choice,
+            self.partner.text().strip(),
+            self.partner_sensor.choice,
+            self.object_box.choice,
+            self.rate.value(),
         )
         self.accept()
 
@@ -127,6 +149,9 @@ class LiveBar(QFrame):
         self._title = QLabel()
         self._rates = QLabel()
         self._wrong = QLabel()
+        self._partner = QLabel()
+        self._partner.setObjectName("live_partner")
+        self._partner.setToolTip("what the partner took at the time of the frame on screen")
         make_bold(self._title)
         make_bold(self._wrong)
         self._rates.setToolTip(
@@ -148,6 +173,7 @@ class LiveBar(QFrame):
         fill(
             row,
             self._title,
+            self._partner,
             self._rates,
             (self._wrong, 1),
             self.follow,
@@ -165,8 +191,18 @@ class LiveBar(QFrame):
     def show_source(self, title: str) -> None:
         """Show the name of the live sensor."""
         self._title.setText(title)
+        self._partner.clear()
         self.show_rates("connecting")
         self.show()
+
+    def show_partner(self, image: Image | None) -> None:
+        """Show what the partner took (rows, cols, 3), a few lines high; None = nothing."""
+        if image is None:
+            self._partner.setText("no partner")
+            return
+        rows, cols, _ = image.shape
+        shown = QImage(image.tobytes(), cols, rows, 3 * cols, QImage.Format.Format_RGB888)
+        self._partner.setPixmap(QPixmap.fromImage(shown.scaledToHeight(_PARTNER_PX)))
 
     def show_rates(self, rates: str, wrong: str = "") -> None:
         """Show the frame rate and what is wrong with it."""

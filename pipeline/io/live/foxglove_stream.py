@@ -17,10 +17,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from pipeline.core.arrays import Floats, Image, freeze
+from pipeline.core.arrays import Floats, Image
 from pipeline.core.errors import FileProblem, SettingProblem, TouchError, escape_text
 from pipeline.core.geometry.camera import Camera
-from pipeline.io.gel_images import GelImageConverter, make_gel_converter
+from pipeline.io.live.live_images import LiveImages, scale_depth
 from pipeline.io.live.source import LiveFrame, LiveSourceLost
 from pipeline.io.mcap_images import (
     IMAGE_SCHEMAS,
@@ -30,9 +30,6 @@ from pipeline.io.mcap_images import (
     read_stamp_ns,
 )
 from pipeline.io.mcap_records import McapChannel
-from pipeline.io.resampling import infer_depth_camera
-from pipeline.io.sensor_guess import resolve_sensor_name
-from pipeline.sensors.spec import load_sensor
 
 _PROTOCOLS: Any = ("foxglove.websocket.v1", "foxglove.sdk.v1")
 _CAMERA_SCHEMAS = frozenset({"foxglove.CameraCalibration", "sensor_msgs/msg/CameraInfo"})
@@ -44,6 +41,7 @@ _IMAGE_ID = 1
 _CAMERA_ID = 2
 _LIST_S = 3.0  # for the channels of a server to be listed
 _WAIT_S = 0.2  # of one `read`
+_PING_S = 3.0  # between signs of life, and without one: a cable pulled out says nothing
 _MAX_BYTES = 1 << 27  # of one message
 # type and mm (REP 118)
 _DEPTH = {"16UC1": (np.uint16, 1.0), "mono16": (np.uint16, 1.0), "32FC1": (np.float32, 1e3)}
@@ -72,15 +70,12 @@ class FoxgloveSource:
     def __init__(self, address: str, topic: str = "", *, sensor: str = "") -> None:
         self._address = address
         self._topic = topic
-        self._stated = sensor
-        self._sensor = sensor
+        self._images = LiveImages(sensor, file_names=(topic,))
         self._link: Any = None
         self._open = ExitStack()
         self._decoders: Decoders | None = None
         self._channels: dict[int, _Channel] = {}
         self._image: _Channel | None = None
-        self._converter: GelImageConverter | None = None
-        self._shape: tuple[int, ...] = ()
         self._camera: Camera | None = None
         self._camera_channel: _Channel | None = None
 
@@ -92,7 +87,7 @@ class FoxgloveSource:
     @property
     def sensor(self) -> str:
         """The stated sensor, or the one guessed from topic and size; "" before the first image."""
-        return self._sensor
+        return self._images.sensor
 
     def open(self) -> None:
         """Connect and subscribe; raises LiveSourceLost, and SettingProblem where a package is
@@ -119,6 +114,8 @@ class FoxgloveSource:
                 max_size=_MAX_BYTES,
                 compression=None,
                 close_timeout=1.0,
+                ping_interval=_PING_S,
+                ping_timeout=_PING_S,
             )
             self._link = self._open.enter_context(link)
         except (OSError, WebSocketException, ValueError) as error:
@@ -154,13 +151,12 @@ class FoxgloveSource:
         except Exception as error:  # noqa: BLE001 - a border: what decoders raise at foreign bytes
             raise LiveSourceLost(f"{where} cannot be decoded ({type(error).__name__})") from None
         stamp_s = stamp_ns / 1e9 if stamp_ns else math.nan
+        camera = None
         if image.ndim == 2:
-            return LiveFrame(
-                image=image, time_s=now_s, stamp_s=stamp_s, camera=self._find_camera(image.shape)
-            )
-        return LiveFrame(
-            image=self._convert_image(cast("Image", image)), time_s=now_s, stamp_s=stamp_s
-        )
+            camera = self._images.find_camera(cast("Floats", image), self._camera)
+        else:
+            image = self._images.convert_image(cast("Image", image))
+        return LiveFrame(image=image, time_s=now_s, stamp_s=stamp_s, camera=camera)
 
     def close(self) -> None:
         """Disconnect."""
@@ -215,6 +211,7 @@ class FoxgloveSource:
         if self._image is None and len(wanted) == 1:
             self._image = wanted[0]
             self._topic = self._image.mcap.topic
+            self._images.file_names = (self._topic,)
             self._send_subscription(_IMAGE_ID, self._image)
         if self._image is not None and self._camera_channel is None:
             folder = self._image.mcap.topic.rpartition("/")[0]
@@ -265,39 +262,6 @@ class FoxgloveSource:
                 rows=rows, cols=cols, fx_px=k[0], fy_px=k[4], cx_px=k[2], cy_px=k[5]
             )
 
-    def _find_camera(self, shape: tuple[int, ...]) -> Camera | None:
-        """Intrinsics of a depth image: as published, else as its size tells.
-
-        The sensor becomes known here.
-        """
-        rows = int(shape[0])
-        cols = int(shape[1])
-        if not self._sensor:
-            self._sensor = resolve_sensor_name(
-                "", (rows, cols), is_depth=True, file_names=(self._topic,)
-            )[0]
-            if not self._sensor:
-                raise SettingProblem(
-                    f"no known sensor has depth of {cols} x {rows} px; give --sensor"
-                )
-        if self._camera is not None and self._camera.shape == (rows, cols):
-            return self._camera
-        return infer_depth_camera(load_sensor(self._sensor), (rows, cols))[0]
-
-    def _convert_image(self, rgb: Image) -> Image:
-        if self._converter is None or rgb.shape != self._shape:
-            shape = (rgb.shape[0], rgb.shape[1])
-            self._converter = make_gel_converter(
-                self._stated, shape, rgb, lambda: rgb, file_names=(self._topic,)
-            )
-            self._shape = rgb.shape
-            self._sensor = self._converter.sensor
-            if not self._sensor:
-                raise SettingProblem(
-                    f"no known sensor has images of {shape[1]} x {shape[0]} px; give --sensor"
-                )
-        return self._converter.convert_image(rgb)
-
 
 def _parse_channel(told: dict[str, Any]) -> _Channel:
     """A channel as the server describes it.
@@ -345,6 +309,4 @@ def _unpack_depth(message: Any) -> Floats:
         if raw is None or raw.ndim != 2 or raw.dtype != np.uint16:
             raise ValueError("no image of 16 bits")
         mm = 1.0
-    depth_mm = raw.astype(np.float32) * np.float32(mm)
-    depth_mm[~np.isfinite(depth_mm) | (depth_mm <= 0)] = np.nan
-    return freeze(depth_mm)
+    return scale_depth(raw, mm)

@@ -9,21 +9,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from pipeline.core.arrays import Floats, Image, freeze
 from pipeline.core.errors import FileProblem, TouchError
 from pipeline.core.values.frames import Recording, Stream, TactileFrame, Truth
 from pipeline.io.live import reference_capture
+from pipeline.io.live.sensor_clock import SensorClock
 from pipeline.io.live.source import LiveFrame, LiveSource
 from pipeline.sensors.spec import load_sensor
 
 MAX_BYTES = 192 << 20  # of the buffered images
 RETRY_S = 0.3  # before a lost sensor is opened again
 _RATE_WINDOW_S = 2.0  # over which the frame rate is measured
-_CLOCK_JUMP_S = 2.0  # by which stamps and arrivals may differ from one frame to the next
 _DRIFT_CHECK_S = 1.0  # between two checks of the reference
 
 ReaderState = Literal["looking", "running", "lost", "stopped"]
-Listener = Callable[[TactileFrame, Truth | None], object]
+Listener = Callable[[str, TactileFrame, Truth | None], object]  # the first is the stream's name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,41 +35,64 @@ class ReaderStatus:
     state: ReaderState
     n_frames: int
     rate_hz: float  # of arriving frames, over the last two seconds
-    n_lost: int  # frames that the sensor counted but that did not arrive
+    n_lost: int  # frames that did not arrive, as far as the sensor tells
     n_doubled: int = 0  # frames with the stamp of the one before
     n_clock_jumps: int = 0  # steps of the sensor's clock that its rate does not explain
     message: str = ""  # what is wrong: sensor lost, or reference does not fit
+    n_unpaired: int = 0  # frames at whose time a sensor beside it took none
+    partner: "ReaderStatus | None" = None  # of that sensor
+
+    def describe(self) -> str:
+        """State, rate and counts in one line."""
+        counts = (
+            (self.n_doubled, "doubled"),
+            (self.n_clock_jumps, "jumps of its clock"),
+            (self.n_unpaired, "without a partner"),
+        )
+        parts = (
+            f"{self.state}: {self.rate_hz:.1f} Hz, {self.n_frames} frames, {self.n_lost} lost",
+            *(f"{n} {what}" for n, what in counts if n),
+        )
+        beside = "" if self.partner is None else f"; partner {self.partner.describe()}"
+        return ", ".join(parts) + beside
 
 
 class LiveReader:
-    """Reads `source` until stopped, through any number of losses.
+    """Reads `source` until stopped, through any number of losses; times are those of the reader
+    `beside` it, if any.
 
     All methods may be called by any thread.
     """
 
-    def __init__(self, source: LiveSource, *, max_bytes: int = MAX_BYTES) -> None:
+    def __init__(
+        self,
+        source: LiveSource,
+        *,
+        max_bytes: int = MAX_BYTES,
+        beside: "LiveReader | None" = None,
+    ) -> None:
         self.source = source
+        self._beside = beside
         self._max_bytes = max_bytes
         self._lock = threading.Lock()
         self._buffer: deque[tuple[TactileFrame, Truth | None]] = deque()
-        self._first_index = self._n_bytes = self._n_lost = self._n_doubled = self._n_jumps = 0
+        self._first_index = self._n_bytes = 0
+        self._clock = SensorClock()
         self._arrivals_s: deque[float] = deque()
         self._reference: Image | Floats | None = None
         self._first_reference: Image | Floats | None = None
         self._checked_reference: Image | Floats | None = None  # the last one without a warning
-        self._start_s = time.monotonic()
+        self._start_s = time.monotonic() if beside is None else beside._start_s
         self._state: ReaderState = "looking"
         self._problem = self._drift = ""
-        self._number = -1
         self._began_s = 0.0
         self._checked_s = 0.0
-        self._last: LiveFrame | None = None
         self._listeners: tuple[Listener, ...] = ()
         self._stop_event = threading.Event()
         self._thread = threading.Thread(target=self._read_frames, name="live", daemon=True)
 
     def start(self) -> None:
-        """Start live_frame."""
+        """Begin to read."""
         self._thread.start()
 
     def stop(self, timeout_s: float = 0.0) -> bool:
@@ -82,10 +107,28 @@ class LiveReader:
         self._listeners = () if listener is None else (listener,)
 
     @property
+    def title(self) -> str:
+        """Name for people."""
+        return self.source.title
+
+    @property
+    def stream_name(self) -> str:
+        """Name of its stream: that of the sensor."""
+        name = self.source.sensor
+        is_taken = self._beside is not None and self._beside.source.sensor == name
+        return f"{name}_2" if is_taken else name
+
+    @property
     def n_frames(self) -> int:
         """Number of frames so far."""
         with self._lock:
             return self._first_index + len(self._buffer)
+
+    @property
+    def newest_s(self) -> float:
+        """Time of the newest frame; minus infinity without one."""
+        with self._lock:
+            return self._buffer[-1][0].time_s if self._buffer else -math.inf
 
     @property
     def has_reference(self) -> bool:
@@ -152,40 +195,49 @@ class LiveReader:
         with self._lock:
             arrived = [at_s for at_s in self._arrivals_s if now_s - at_s <= _RATE_WINDOW_S]
             n = self._first_index + len(self._buffer)
-            n_lost = self._n_lost
         window_s = min(_RATE_WINDOW_S, now_s - self._began_s)
         rate = len(arrived) / window_s if window_s > 0 and self._state == "running" else 0.0
         return ReaderStatus(
             state=self._state,
             n_frames=n,
             rate_hz=rate,
-            n_lost=n_lost,
-            n_doubled=self._n_doubled,
-            n_clock_jumps=self._n_jumps,
+            n_lost=self._clock.n_lost,
+            n_doubled=self._clock.n_doubled,
+            n_clock_jumps=self._clock.n_jumps,
             message=self._problem or self._drift,
         )
 
     def make_recording(self, path: Path) -> Recording:
         """The frames so far as a recording that grows, named `path`."""
-        sensor = self.source.sensor
-        stream = Stream(
-            name=sensor,
-            sensor=sensor,
-            n_frames=self.n_frames,
-            frame=self.frame,
-            truth=self.truth,
-            has_truth=True,
-        )
         mesh, symmetry = self.source.touching_object or (None, None)
         return Recording(
             path=path,
             format="live sensor",
-            streams=(stream,),
-            notes=(f"live: {self.source.title}",),
+            streams=self.make_streams(),
+            notes=(f"live: {self.title}",),
             object_mesh=mesh,
             symmetry=symmetry,
             refresh=lambda: self.make_recording(path),
         )
+
+    def make_streams(self) -> tuple[Stream, ...]:
+        """The frames so far with their times, which are NaN for those that are gone."""
+        n = self.n_frames
+        times_s = np.full(n, np.nan)
+        with self._lock:
+            for frame, _ in self._buffer:
+                if frame.index < n:
+                    times_s[frame.index] = frame.time_s
+        stream = Stream(
+            name=self.stream_name,
+            sensor=self.source.sensor,
+            n_frames=n,
+            frame=self.frame,
+            truth=self.truth,
+            has_truth=True,
+            times_s=freeze(times_s),
+        )
+        return (stream,)
 
     def _get_buffered(self, index: int) -> tuple[TactileFrame, Truth | None]:
         with self._lock:
@@ -206,9 +258,8 @@ class LiveReader:
                 if not opened:
                     self.source.open()
                     opened = True
-                    self._number = -1
+                    self._clock.restart()
                     self._began_s = time.monotonic()
-                    self._last = None
                 live_frame = self.source.read()
                 if live_frame is not None:
                     self._add_frame(live_frame)
@@ -225,7 +276,7 @@ class LiveReader:
 
     def _add_frame(self, live_frame: LiveFrame) -> None:
         image = freeze(live_frame.image)
-        self._check_clock(live_frame)
+        taken_s = self._clock.add(live_frame)
         if self._state != "running":
             self._state = "running"
             self._problem = ""
@@ -242,7 +293,7 @@ class LiveReader:
                 image=image,
                 reference=self._reference,
                 index=index,
-                time_s=live_frame.time_s - self._start_s,
+                time_s=taken_s - self._start_s,
                 origin=f"{self.source.title} [frame {index}]",
                 camera=live_frame.camera,
             )
@@ -256,23 +307,9 @@ class LiveReader:
             self._arrivals_s.append(live_frame.time_s)
             while live_frame.time_s - self._arrivals_s[0] > _RATE_WINDOW_S:
                 self._arrivals_s.popleft()
-            if 0 <= self._number < live_frame.sequence_number - 1:
-                self._n_lost += live_frame.sequence_number - 1 - self._number
-        self._number = live_frame.sequence_number
         self._check_reference(frame)
         for listener in self._listeners:
-            listener(frame, live_frame.truth)
-
-    def _check_clock(self, frame: LiveFrame) -> None:
-        """Count frames that came twice and jumps of the sensor's clock.
-
-        Frames are timed by their arrival.
-        """
-        if self._last is not None and math.isfinite(frame.stamp_s - self._last.stamp_s):
-            step_s = frame.stamp_s - self._last.stamp_s
-            self._n_doubled += step_s == 0
-            self._n_jumps += abs(step_s - (frame.time_s - self._last.time_s)) > _CLOCK_JUMP_S
-        self._last = frame
+            listener(self.stream_name, frame, live_frame.truth)
 
     def _check_reference(self, frame: TactileFrame) -> None:
         """Capture the first reference automatically; check it for drift every `_DRIFT_CHECK_S`."""

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.core.arrays import freeze
 from pipeline.core.errors import CalibrationError, SettingProblem
 from pipeline.core.geometry.camera import Camera
+from pipeline.io.live.live_images import scale_depth
 from pipeline.io.live.source import LiveFrame, LiveSourceLost
 from pipeline.sensors.spec import load_sensor
 
 _WAIT_MS = 200  # of one `read`
+_SILENCE_S = 3.0  # after which a camera is opened again: one that was unplugged says nothing
 _QUEUED = 2  # frames; older ones are dropped, which their numbers tell
 
 
@@ -43,6 +44,7 @@ class RealSenseSource:
         self._device = device
         self._depth_sensor: Any = None
         self._queue: Any = None
+        self._last_s = 0.0  # when a frame came
         self._mm = 0.0  # of one step of its numbers
         self._camera: Camera | None = None
 
@@ -67,6 +69,7 @@ class RealSenseSource:
             self._queue = library.frame_queue(_QUEUED)
             self._depth_sensor.open(profile)
             self._depth_sensor.start(self._queue)
+            self._last_s = time.monotonic()
         except RuntimeError as error:
             raise LiveSourceLost(f"the camera cannot be started ({error})") from error
 
@@ -99,13 +102,15 @@ class RealSenseSource:
         except RuntimeError as error:
             raise LiveSourceLost(f"the camera was lost ({error})") from error
         if not came:
+            if time.monotonic() - self._last_s > _SILENCE_S:
+                raise LiveSourceLost(
+                    f"no depth has come for {_SILENCE_S:g} s; check the camera's cable"
+                )
             return None
-        depth_mm = np.asarray(frame.as_depth_frame().get_data()).astype(np.float32)
-        depth_mm *= np.float32(self._mm)
-        depth_mm[depth_mm <= 0.0] = np.nan
+        self._last_s = time.monotonic()
         return LiveFrame(
-            image=freeze(depth_mm),
-            time_s=time.monotonic(),
+            image=scale_depth(np.asarray(frame.as_depth_frame().get_data()), self._mm),
+            time_s=self._last_s,
             sequence_number=frame.get_frame_number(),
             stamp_s=1e-3 * frame.get_timestamp(),
             camera=self._camera,

@@ -15,6 +15,7 @@ from pipeline.io import hdf5
 from pipeline.io import hdf5_layout as layout
 from pipeline.io.hdf5_layout import Coding
 from pipeline.io.hdf5_writer import RecordingWriter
+from pipeline.io.live.reader import LiveReader
 
 FLUSH_INTERVAL_S = 0.25  # largest loss by a kill
 
@@ -23,8 +24,10 @@ class LiveRecordingWriter(RecordingWriter):
     """A recording written directly to its path, which can be read at any moment, also after a kill.
 
     HDF5's single-writer-multiple-readers mode keeps the file consistent on disk. All datasets must
-    exist before it begins, so that the first frame decides what the others may hold.
+    exist before it begins, so that the first frame of each stream decides what the others may hold.
     """
+
+    n_streams = 1  # that will be written
 
     def _begin(self, path: Path, coding: Coding, depth_step_mm: float) -> None:
         check_folder_for(path)
@@ -44,12 +47,12 @@ class LiveRecordingWriter(RecordingWriter):
         *,
         compressed: bool = True,
     ) -> None:
-        """Add one frame to the only stream.
+        """Add one frame to a stream.
 
         Raises ShapeError where it differs in shape from the first.
         """
         super().append(stream, frame, truth, compressed=compressed)
-        if not self._file.swmr_mode:
+        if not self._file.swmr_mode and len(self._file["streams"]) == self.n_streams:
             self._file.swmr_mode = True
         now_s = time.monotonic()
         if now_s - self._flushed_s > FLUSH_INTERVAL_S:
@@ -85,35 +88,47 @@ def _read_last(path: Path) -> None:
 
 _QUEUE_FRAMES = 240  # some seconds of a fast sensor
 _BEHIND_FRAMES = 30  # in the queue, from which on frames are not compressed
-_Item = tuple[TactileFrame, Truth | None] | None  # None ends the thread
+# stream, frame and truth; None ends the thread
+_Item = tuple[str, TactileFrame, Truth | None] | None
 
 
 class LiveRecorder:
-    """Writes the frames that a reader offers; pass `offer` to `LiveReader.set_listener`."""
+    """Writes all frames that a reader reads from now on, until it is closed."""
 
-    def __init__(self, path: Path, about: str) -> None:
+    def __init__(self, path: Path, reader: LiveReader) -> None:
         """Begin a recording; raises FileProblem where nothing can be written."""
         self.path = path
         self._writer = LiveRecordingWriter(
-            path, notes=(f"recorded live: {about}",), coding="row differences"
+            path, notes=(f"recorded live: {reader.title}",), coding="row differences"
         )
+        self._writer.n_streams = len(reader.make_streams())
+        self._reader = reader
+        self._has_begun = False
         self._queue: queue.Queue[_Item] = queue.Queue(_QUEUE_FRAMES)
         self.n_written = self.n_dropped = 0
         self.problem = ""  # why writing has ended
         self._thread = threading.Thread(target=self._write_frames, name="recorder", daemon=True)
         self._thread.start()
+        reader.set_listener(self._offer)
 
-    def offer(self, frame: TactileFrame, truth: Truth | None) -> None:
-        """Write a frame that has a reference; it is dropped if the queue is full."""
+    def _offer(self, stream: str, frame: TactileFrame, truth: Truth | None) -> None:
+        """Queue a frame that has a reference, the source's first; it is dropped if the queue is
+        full.
+        """
         if frame.reference is None:
             return
+        if not self._has_begun:
+            self._has_begun = stream == self._reader.stream_name and self._reader.has_reference
+            if not self._has_begun:
+                return
         try:
-            self._queue.put_nowait((frame, truth))
+            self._queue.put_nowait((stream, frame, truth))
         except queue.Full:
             self.n_dropped += 1
 
     def close(self, timeout_s: float = 10.0) -> bool:
         """Write the queue and close the file; whether that was done in time."""
+        self._reader.set_listener(None)
         self._queue.put(None)
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
@@ -122,9 +137,8 @@ class LiveRecorder:
         try:
             with self._writer as writer:
                 while (item := self._queue.get()) is not None:
-                    frame, truth = item
                     is_behind = self._queue.qsize() >= _BEHIND_FRAMES
-                    writer.append(frame.sensor, frame, truth, compressed=not is_behind)
+                    writer.append(*item, compressed=not is_behind)
                     self.n_written += 1
         except (TouchError, OSError) as error:
             self.problem = str(error)

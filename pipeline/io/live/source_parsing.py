@@ -1,9 +1,9 @@
 """Live sources by name."""
 
-import contextlib
 import os
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +14,8 @@ from pipeline.core.geometry.symmetry import Symmetry
 from pipeline.core.params import check_range
 from pipeline.core.values.frames import TactileFrame, Truth
 from pipeline.io import image_files
-from pipeline.io.gel_images import GelImageConverter, make_gel_converter
 from pipeline.io.live.foxglove_stream import FoxgloveSource
+from pipeline.io.live.live_images import LiveImages, scale_depth
 from pipeline.io.live.realsense import RealSenseSource
 from pipeline.io.live.source import LiveFrame, LiveSource, LiveSourceLost
 from pipeline.io.live.usb_camera import UsbCameraSource, is_address
@@ -28,17 +28,24 @@ from pipeline.sensors.spec import load_sensor
 FRAMES_PER_CYCLE = 64
 RATE_RANGE_HZ = (0.5, 120.0)
 _MAX_WAIT_S = 0.2  # of one `read`
+_LOOK_S = 0.002  # between looks at the sensor beside a simulated one
 
 
 class SimulatedSource:
     """A simulated sensor with a fixed frame rate.
 
     The first cycle may be slower, since each frame is computed when due. Later a slow reader loses
-    frames.
+    frames. A sensor `beside` another one is touched by the same object at the same moments.
     """
 
     def __init__(
-        self, *, sensor: str = "gelslim", tool: str = "sphere", rate_hz: float = 15.0, seed: int = 0
+        self,
+        *,
+        sensor: str = "gelslim",
+        tool: str = "sphere",
+        rate_hz: float = 15.0,
+        seed: int = 0,
+        beside: "SimulatedSource | None" = None,
     ) -> None:
         """Raises SettingProblem for an unknown sensor or object, or a rate out of range."""
         check_range("the rate", rate_hz, *RATE_RANGE_HZ, "Hz")
@@ -50,6 +57,11 @@ class SimulatedSource:
             sequence="all",
         )
         self._plan = datasets.make_plans((tool,), like)[0]
+        self._beside = beside
+        if beside is not None:  # two sensors as far from the object as they are described
+            self._plan = replace(beside._plan, sensors=(sensor,), bubble_deeper_mm=0.0)
+            beside._plan = replace(beside._plan, bubble_deeper_mm=0.0)
+        self.latest: LiveFrame | None = None
         self._spec = load_sensor(sensor)
         self.rate_hz = rate_hz
         self._frames: dict[int, tuple[TactileFrame, Truth | None]] = {}
@@ -76,10 +88,12 @@ class SimulatedSource:
         """Begin a cycle with the object clear of the sensor."""
         self._get_frame(0)  # compile and load before time counts
         self._due_s = time.monotonic()
-        self._number = 0
+        self._number = 0 if self._beside is None else -1
 
     def read(self) -> LiveFrame | None:
         """The next frame of the cycle when due, else None."""
+        if self._beside is not None:
+            return self._read_same(self._beside)
         wait_s = self._due_s - time.monotonic()
         if wait_s > 0:
             time.sleep(min(wait_s, _MAX_WAIT_S))
@@ -93,7 +107,26 @@ class SimulatedSource:
         frame, truth = self._get_frame(number % FRAMES_PER_CYCLE)
         self._number, self._due_s = number + 1, self._due_s + (missed + 1) / self.rate_hz
         image = frame.image if truth is None else self._render_image(truth)
-        return LiveFrame(image=image, time_s=time.monotonic(), sequence_number=number, truth=truth)
+        self.latest = LiveFrame(
+            image=image, time_s=time.monotonic(), sequence_number=number, truth=truth
+        )
+        return self.latest
+
+    def _read_same(self, beside: "SimulatedSource") -> LiveFrame | None:
+        """The last moment of the sensor beside this one; None until there is a new one."""
+        latest = beside.latest
+        if latest is None or latest.sequence_number == self._number:
+            time.sleep(_LOOK_S)
+            return None
+        self._number = latest.sequence_number
+        frame, truth = self._get_frame(self._number % FRAMES_PER_CYCLE)
+        image = frame.image if truth is None else self._render_image(truth)
+        return LiveFrame(
+            image=image,
+            time_s=latest.time_s,
+            sequence_number=self._number,
+            truth=truth,
+        )
 
     def close(self) -> None:
         """Nothing to release."""
@@ -125,9 +158,7 @@ class FolderSource:
 
     def __init__(self, folder: Path, *, sensor: str = "") -> None:
         self._folder = folder
-        self._sensor = sensor
-        self._converter: GelImageConverter | None = None
-        self._shape: tuple[int, ...] = ()
+        self._images = LiveImages(sensor, may_differ=True)
         self._passed: set[str] = set()
         self._quiet_since_ns = -1  # the folder's time of change when a look found nothing new
         self._number = 0
@@ -140,7 +171,7 @@ class FolderSource:
     @property
     def sensor(self) -> str:
         """The stated sensor, or the one guessed from the first image's size; "" before."""
-        return self._sensor or (self._converter.sensor if self._converter is not None else "")
+        return self._images.sensor
 
     def open(self) -> None:
         """List the images that are there; raises LiveSourceLost without the folder."""
@@ -154,12 +185,16 @@ class FolderSource:
         for _ in range(_N_POLLS):
             new = self._list_new_images()
             for n_newer, (name, taken_s) in enumerate(reversed(new)):
-                image = self._read_image(self._folder / name, taken_s)
-                if image is not None:
+                raw = self._read_image(self._folder / name, taken_s)
+                if raw is not None:
                     self._passed |= {old for old, _ in new[: len(new) - n_newer]}
                     self._number += len(new) - n_newer
+                    is_depth = raw.ndim == 2
                     return LiveFrame(
-                        image=image, time_s=time.monotonic(), sequence_number=self._number
+                        image=raw if is_depth else self._images.convert_image(raw),
+                        camera=self._images.find_camera(raw) if is_depth else None,
+                        time_s=time.monotonic(),
+                        sequence_number=self._number,
                     )
             time.sleep(_POLL_S)
         return None
@@ -193,30 +228,21 @@ class FolderSource:
         return [(name, written_ns * 1e-9) for written_ns, name in sorted(found)]
 
     def _read_image(self, path: Path, written_s: float) -> np.ndarray | None:
-        """The image; None while it is written, and for one that is damaged or of another size,
-        which is skipped.
+        """The image, or depth in mm of one of 16 bits; None while it is written, and for one that
+        is damaged or of another size, which is skipped.
         """
         try:
-            raw = image_files.read_rgb(path)
+            raw = image_files.read_raw_pixels(path)
         except FileProblem:
             if time.time() - written_s > _DAMAGED_AFTER_S:
                 self._passed.add(path.name)
             return None
-        if self._converter is None:
-            converter = make_gel_converter(
-                self._sensor, (raw.shape[0], raw.shape[1]), None, lambda: raw
-            )
-            if not converter.sensor:
-                size = f"{raw.shape[1]} x {raw.shape[0]} px"
-                raise SettingProblem(f"no known sensor has images of {size}; give --sensor")
-            self._converter = converter
-            self._shape = raw.shape
-        if raw.shape != self._shape:
+        is_depth = raw.dtype == np.uint16 and raw.ndim == 2
+        read = scale_depth(raw) if is_depth else image_files.to_rgb(raw, path)
+        if self._images.shape not in ((), read.shape):
             self._passed.add(path.name)
             return None
-        with contextlib.suppress(OSError):
-            return self._converter.convert_image(raw)
-        return None
+        return read
 
 
 DEFAULT_SENSOR = "gelslim"  # of the simulated source
@@ -232,7 +258,7 @@ def parse_source(
     check_range("the rate", rate_hz, *RATE_RANGE_HZ, "Hz")
     if sensor:
         sensor = sensor if sensor.endswith(".toml") else load_sensor(sensor).name
-    match words[0].split(maxsplit=1) if len(words) == 1 else list(words):
+    match _split(words):
         case ["simulated"]:
             return SimulatedSource(sensor=sensor or DEFAULT_SENSOR, tool=tool, rate_hz=rate_hz)
         case ["folder", name]:
@@ -251,3 +277,45 @@ def parse_source(
                 "realsense [SERIAL] or ws://HOST:PORT TOPIC"
             )
             raise SettingProblem(f"a source is {kinds}, got {' '.join(words)!r}")
+
+
+def parse_sources(
+    words: Sequence[str],
+    partner: Sequence[str],
+    *,
+    sensor: str = "",
+    partner_sensor: str = "",
+    target: str = "",
+    tool: str = "sphere",
+    rate_hz: float = 15.0,
+) -> tuple[LiveSource, LiveSource | None]:
+    """The source, and the sensor beside it, whose words are none or such as those of a source.
+
+    A partner whose sensor is not given is the target's: its images are the truth. Raises
+    SettingProblem.
+    """
+    source = parse_source(words, sensor=sensor, tool=tool, rate_hz=rate_hz)
+    if not any(partner):
+        return source, None
+    beside = load_sensor(partner_sensor or target).name if partner_sensor or target else ""
+    if target and beside not in ("", load_sensor(target).name, source.sensor):
+        raise SettingProblem(
+            f"a partner of {beside} is no truth of {target}; give --target {beside}, or the "
+            f"target's own sensor as partner"
+        )
+    if _split(partner) == ["simulated"]:
+        if not isinstance(source, SimulatedSource):
+            raise SettingProblem(
+                "a simulated partner does not touch what a real source touches; give both real or "
+                "both simulated"
+            )
+        return source, SimulatedSource(sensor=beside or source.sensor, beside=source)
+    if _split(partner) == _split(words):
+        raise SettingProblem(
+            f"source and partner are both {' '.join(words)!r}; name the other sensor as partner"
+        )
+    return source, parse_source(partner, sensor=partner_sensor or target, rate_hz=rate_hz)
+
+
+def _split(words: Sequence[str]) -> list[str]:
+    return words[0].split(maxsplit=1) if len(words) == 1 else list(words)

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.core.arrays import Image
-from pipeline.core.errors import SettingProblem
 from pipeline.core.native_stderr import silence_native_libraries
-from pipeline.io.gel_images import GelImageConverter, make_gel_converter
+from pipeline.io.live.live_images import LiveImages
 from pipeline.io.live.source import LiveFrame, LiveSourceLost
 
 CAMERAS_BY_ID = Path("/dev/v4l/by-id")
@@ -130,8 +129,7 @@ class UsbCameraSource:
         of_sensor = next((p for p in USB_CAMERA_PROFILES if p.sensor == sensor), _UNKNOWN)
         self._profile = of_sensor if sensor else _find_profile(name_or_path)
         self._capture: Any = None
-        self._converter: GelImageConverter | None = None
-        self._shape: tuple[int, ...] = ()
+        self._images = LiveImages(sensor or self._profile.sensor)
 
     @property
     def title(self) -> str:
@@ -141,11 +139,7 @@ class UsbCameraSource:
     @property
     def sensor(self) -> str:
         """The sensor as stated, else by the camera's name, else by the image size."""
-        return (
-            self._sensor
-            or self._profile.sensor
-            or (self._converter.sensor if self._converter is not None else "")
-        )
+        return self._images.sensor
 
     def open(self) -> None:
         """Find the camera and open it; raises LiveSourceLost."""
@@ -185,7 +179,9 @@ class UsbCameraSource:
         cameras = list_usb_cameras(self._by_id)
         for camera in cameras:
             if self._name.lower() in camera.name.lower():
-                self._profile = self._profile if self._sensor else camera.profile
+                if not self._sensor:
+                    self._profile = camera.profile
+                    self._images = LiveImages(camera.profile.sensor)
                 return camera.node
         known = ", ".join(camera.name for camera in cameras) or "none"
         raise LiveSourceLost(f"no camera named {self._name!r} is connected; there are: {known}")
@@ -195,15 +191,7 @@ class UsbCameraSource:
         if self._profile.is_rotated:
             rgb = np.flipud(np.swapaxes(rgb, 0, 1))
         rgb = np.ascontiguousarray(rgb)
-        if self._converter is None or rgb.shape != self._shape:
-            self._converter = make_gel_converter(
-                self.sensor, (rgb.shape[0], rgb.shape[1]), rgb, lambda: rgb
-            )
-            self._shape = rgb.shape
-            if not self._converter.sensor:
-                size = f"{rgb.shape[1]} x {rgb.shape[0]} px"
-                raise SettingProblem(f"no known sensor has images of {size}; give --sensor")
-        return self._converter.convert_image(rgb)
+        return self._images.convert_image(rgb)
 
 
 def is_address(name: str) -> bool:

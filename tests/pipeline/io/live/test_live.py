@@ -25,7 +25,7 @@ from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.io import hdf5, hdf5_writer, mounts, open_recording
 from pipeline.io.live import reader, reference_capture, usb_camera
 from pipeline.io.live import recorder as live_recorder
-from pipeline.io.live.reader import LiveReader
+from pipeline.io.live.reader import LiveReader, ReaderStatus
 from pipeline.io.live.recorder import LiveRecorder
 from pipeline.io.live.source import LiveFrame, LiveSourceLost
 from pipeline.io.live.source_parsing import FolderSource, SimulatedSource
@@ -202,13 +202,11 @@ def test_a_reference_with_an_object_on_the_gel_is_noticed(running):
 def test_a_new_image_size_is_reported_and_gets_a_new_reference(running, tmp_path):
     source = FixedSource(np.full((*DIGIT.camera.shape, 3), 110, np.uint8))
     watched = running(source)
-    recorder = LiveRecorder(tmp_path / "a.h5", "test")
+    recorder = LiveRecorder(tmp_path / "a.h5", watched)
     wait_until(lambda: watched.has_reference)
-    watched.set_listener(recorder.offer)
     wait_until(lambda: recorder.n_written > 2)
     source.image = np.full((120, 160, 3), 90, np.uint8)
     wait_until(lambda: bool(recorder.problem))
-    watched.set_listener(None)
     assert recorder.close()
     wait_until(lambda: watched.frame(watched.n_frames - 1).reference is not None)
     newest = watched.frame(watched.n_frames - 1)
@@ -374,14 +372,12 @@ def test_a_live_sensor_opens_as_a_recording_that_grows(running):
 def test_a_recording_can_be_read_while_it_grows_and_equals_the_live_frames(tmp_path, running):
     watched = running(SimulatedSource(sensor="digit", rate_hz=120.0))
     wait_until(lambda: watched.n_frames > 10)
-    recorder = LiveRecorder(tmp_path / "a.h5", "test")
-    watched.set_listener(recorder.offer)
+    recorder = LiveRecorder(tmp_path / "a.h5", watched)
     wait_until(lambda: recorder.n_written > 5)
     meanwhile = hdf5.read(tmp_path / "a.h5")
     assert meanwhile.streams[0].n_frames > 0
     assert meanwhile.streams[0].frame(0).image.any()
     meanwhile.close()
-    watched.set_listener(None)
     assert recorder.close()
     whole = hdf5.read(tmp_path / "a.h5")
     stream = whole.streams[0]
@@ -420,9 +416,8 @@ class NumberedSource(CountingSource):
 def test_a_recording_at_60_hz_lacks_no_number(tmp_path, running, monkeypatch):
     """Not even where a slow disk leaves frames waiting, which are then written uncompressed."""
     monkeypatch.setattr(live_recorder, "_BEHIND_FRAMES", 1)
-    recorder = LiveRecorder(tmp_path / "a.h5", "test")
     watched = LiveReader(NumberedSource())
-    watched.set_listener(recorder.offer)
+    recorder = LiveRecorder(tmp_path / "a.h5", watched)
     watched.start()
     wait_until(lambda: watched.n_frames == 240)
     assert watched.stop(LIMIT_S)
@@ -491,10 +486,8 @@ def test_a_full_disk_is_reported_and_the_frames_so_far_stay(tmp_path, running, m
     wait_until(lambda: watched.n_frames > 10)
     limit_disk(monkeypatch, 4 << 20)
     path = tmp_path / "a.h5"
-    recorder = LiveRecorder(path, "test")
-    watched.set_listener(recorder.offer)
+    recorder = LiveRecorder(path, watched)
     wait_until(lambda: bool(recorder.problem))
-    watched.set_listener(None)
     assert recorder.close()
     assert "No space left on device" in recorder.problem
     reopened = open_recording(path)
@@ -509,7 +502,7 @@ def test_a_full_disk_is_reported_and_the_frames_so_far_stay(tmp_path, running, m
 
 
 def test_a_recording_without_frames_leaves_no_file(tmp_path):
-    recorder = LiveRecorder(tmp_path / "a.h5", "test")
+    recorder = LiveRecorder(tmp_path / "a.h5", LiveReader(CountingSource()))
     assert recorder.close()
     assert recorder.n_written == 0
     assert not any(tmp_path.iterdir())
@@ -582,7 +575,9 @@ def test_the_result_says_how_many_frames_were_left_out(capsys, tmp_path):
 
     from pipeline.cli import live
 
-    reader = SimpleNamespace(status=lambda: SimpleNamespace(n_frames=21_920, message=""))
+    reader = SimpleNamespace(
+        status=lambda: ReaderStatus(state="stopped", n_frames=21_920, rate_hz=0.0, n_lost=0)
+    )
     recorder = SimpleNamespace(n_written=6_293, n_dropped=0, problem="", path=tmp_path / "a.h5")
     assert live._print_result(reader, recorder) == 0
     assert "6293 of 21920 frames in" in (said := capsys.readouterr().out)

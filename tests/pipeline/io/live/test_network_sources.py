@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import threading
 import time
-from contextlib import closing, contextmanager
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from contextlib import closing
 
 import cv2
 import foxglove
 import numpy as np
 import pytest
 from foxglove.channels import CameraCalibrationChannel, CompressedImageChannel, RawImageChannel
-from foxglove.messages import CameraCalibration, CompressedImage, RawImage, Timestamp
+from foxglove.messages import CameraCalibration, CompressedImage, Timestamp
 from mcap_ros2._dynamic import serialize_dynamic
 
 from pipeline.core.errors import CalibrationError, SettingProblem
@@ -20,6 +18,7 @@ from pipeline.io.live.reader import LiveReader
 from pipeline.io.live.source import LiveFrame, LiveSourceLost
 from pipeline.io.live.source_parsing import parse_source
 from pipeline.sensors.spec import load_sensor
+from tests.pipeline.io.live.streams import make_coloured, make_raw, publishing, serve_mjpeg
 
 LIMIT_S = 30.0
 GELSLIM = load_sensor("gelslim")
@@ -51,58 +50,8 @@ def read_frame(source, wanted=lambda frame: True) -> LiveFrame:
     raise AssertionError("no frame came in time")
 
 
-def make_image(grey: int) -> np.ndarray:
-    """A picture of a GelSlim's size whose red, green and blue differ."""
-    image = np.zeros((*GELSLIM.camera.shape, 3), np.uint8)
-    image[:, :, 0] = grey
-    image[:, :, 1] = grey // 2
-    image[:, :, 2] = 200
-    image[::7, ::5] = 90
-    return image
-
-
-@contextmanager
-def serve_mjpeg(images):
-    """A server of one motion-JPEG stream, as a Raspberry Pi runs it; yields (address, its end)."""
-    ended = threading.Event()
-
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self):
-            self.send_response(200)
-            self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
-            self.end_headers()
-            n = 0
-            while not ended.is_set():
-                _, jpeg = cv2.imencode(
-                    ".jpg", images[n % len(images)][:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 98]
-                )
-                head = b"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n" % len(
-                    jpeg
-                )
-                try:
-                    self.wfile.write(head + jpeg.tobytes() + b"\r\n")
-                except OSError:
-                    return
-                n += 1
-                time.sleep(0.01)
-
-        def log_message(self, *_):
-            pass
-
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    server.daemon_threads = True
-    thread = threading.Thread(target=server.serve_forever, daemon=True)
-    thread.start()
-    try:
-        yield f"http://127.0.0.1:{server.server_port}/?action=stream", ended
-    finally:
-        ended.set()
-        server.shutdown()
-        server.server_close()
-
-
 def test_a_video_stream_over_http_gives_its_images():
-    image = make_image(120)
+    image = make_coloured(GELSLIM.camera.shape, 120)
     with serve_mjpeg([image]) as (address, ended):
         source = parse_source([address], sensor="gelslim")
         with closing(source):
@@ -117,7 +66,7 @@ def test_a_video_stream_over_http_gives_its_images():
 
 
 def test_a_stream_that_dies_is_tried_again_and_numbering_goes_on():
-    with serve_mjpeg([make_image(120)]) as (address, ended):
+    with serve_mjpeg([make_coloured(GELSLIM.camera.shape, 120)]) as (address, ended):
         reader = LiveReader(parse_source([address], sensor="gelslim"))
         reader.start()
         end_s = time.monotonic() + LIMIT_S
@@ -152,49 +101,15 @@ def bridge():
     server.stop()
 
 
-@contextmanager
-def publishing(publish):
-    """Calls `publish` every 10 ms until the end."""
-    ended = threading.Event()
-
-    def run():
-        n = 0
-        while not ended.is_set():
-            publish(n)
-            n += 1
-            time.sleep(0.01)
-
-    thread = threading.Thread(target=run, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()
-
-
-def make_raw(image, encoding, n=0):
-    rows, cols = image.shape[:2]
-    stamp = Timestamp(sec=100 + n)
-    return RawImage(
-        timestamp=stamp,
-        width=cols,
-        height=rows,
-        encoding=encoding,
-        step=image.nbytes // rows,
-        data=image.tobytes(),
-    )
-
-
 def test_raw_and_compressed_images_of_a_bridge_are_read(bridge):
     address, context = bridge
-    image = make_image(140)
+    image = make_coloured(GELSLIM.camera.shape, 140)
     raw = RawImageChannel("/gelslim/image", context=context)
     packed = CompressedImageChannel("/gelslim/compressed", context=context)
     png = cv2.imencode(".png", image[:, :, ::-1])[1].tobytes()
 
     def publish(n):
-        raw.log(make_raw(image, "rgb8", n))
+        raw.log(make_raw(image, "rgb8", 100.0 + n))
         packed.log(CompressedImage(timestamp=Timestamp(sec=100 + n), data=png, format="png"))
 
     with publishing(publish):
@@ -209,7 +124,7 @@ def test_raw_and_compressed_images_of_a_bridge_are_read(bridge):
 
 def test_images_of_ros_2_are_read_by_their_message_definition(bridge):
     address, context = bridge
-    image = make_image(99)
+    image = make_coloured(GELSLIM.camera.shape, 99)
     schema = foxglove.Schema(
         name="sensor_msgs/msg/Image", encoding="ros2msg", data=ROS_IMAGE.encode()
     )
@@ -253,7 +168,7 @@ def test_depth_topics_are_a_bubble_in_mm_with_the_published_camera(bridge, encod
 
     def publish(n):
         cameras.log(CameraCalibration(width=cols, height=rows, K=k))
-        images.log(make_raw(raw, encoding, n))
+        images.log(make_raw(raw, encoding, 100.0 + n))
 
     with publishing(publish), closing(parse_source([address], sensor="soft_bubble")) as source:
         source.open()
@@ -276,7 +191,7 @@ def test_a_camera_that_is_not_calibrated_is_not_used_and_an_impossible_one_is_sa
 
     def publish(n):
         cameras.log(CameraCalibration(width=cols, height=rows, K=k))
-        images.log(make_raw(raw, "16UC1", n))
+        images.log(make_raw(raw, "16UC1", 100.0 + n))
 
     source = parse_source([address], sensor="soft_bubble")
     with publishing(publish), closing(source):
