@@ -35,8 +35,7 @@ from pipeline.sensors.spec import SensorSpec
 STEP_MM = 0.5  # under two pixels of the depth cameras in use; a quarter of the work of 0.25 mm
 ATMOSPHERE_KPA = 101.325
 TOLERANCE_MM = 1e-4
-_PRESSURE_TOLERANCE = 1e-4  # of the gauge pressure: a few micrometres of the free membrane
-_MAX_PRESSURES = 25  # tried in the secant search
+_PRESSURE_TOLERANCE = 2e-5  # of the gauge pressure: under a micrometre of the free membrane
 # mean distance of the nearest clamped nodes beyond a curved rim, in lattice steps
 _RIM_STEPS = 0.36
 _KPA_TO_N_MM2 = 1e-3
@@ -160,16 +159,11 @@ def press_bubble(
             sealed = _solve_sealed(bubble, grid, tension, tolerance_mm, start)
             is_followed = sealed.converged
         if not is_followed:
-            half = grid.coarsen()  # finds the pressure at a quarter of the cost
+            half = grid.coarsen()  # a start at a quarter of the cost
             at_rest = SealedMembrane(deviation_mm=np.zeros(half.free.shape))
             rough = _solve_sealed(bubble, half, tension, tolerance_mm, at_rest)
-            sealed = _solve_sealed(
-                bubble,
-                grid,
-                tension,
-                tolerance_mm,
-                replace(rough, deviation_mm=refine(rough.deviation_mm)),
-            )
+            start = replace(rough, deviation_mm=refine(rough.deviation_mm))
+            sealed = _solve_sealed(bubble, grid, tension, tolerance_mm, start)
     force = compute_contact_load(grid, sealed.deviation_mm, sealed.over_kpa / tension) * tension
     return BubbleContact(
         sealed=sealed,
@@ -193,54 +187,55 @@ def _solve_sealed(
     tolerance_mm: float,
     start: SealedMembrane,
 ) -> SealedMembrane:
-    """Shape and pressure at which Boyle's law holds: secant search over the pressure, with warm
-    starts.
-    """
-    air = bubble.dead_volume_mm3 + compute_volume_mm3(bubble)
+    """Shape and pressure at which Boyle's law holds, from a start."""
+    volume = compute_volume_mm3(bubble)
+    air = bubble.dead_volume_mm3 + volume
     absolute = ATMOSPHERE_KPA + bubble.pressure_kpa
-    v = np.asarray(start.deviation_mm, np.float64)
-    settled = True
-
-    def compute_missing_pressure(over_kpa: float) -> float:
-        """Pressure in kPa that Boyle's law adds for the volume at this pressure."""
-        nonlocal v, settled
-        v, settled = solve_obstacle(grid, v, over_kpa / tension, tolerance_mm)
-        left = max(air + grid.step_mm**2 * float(v.sum()), 1e-3 * air)
-        return absolute * air / left - absolute - over_kpa
-
     # A pressure dp lifts the free membrane's volume by V dp / p; contact reduces this.
-    steepest = -1.0 - absolute / air * compute_volume_mm3(bubble) / bubble.pressure_kpa
-    slope = start.slope if math.isfinite(start.slope) else steepest
-    over = start.over_kpa
-    short = compute_missing_pressure(start.over_kpa)
-    for _ in range(_MAX_PRESSURES):
-        new = min(max(over - short / slope, 0.0), 8.0 * over + bubble.pressure_kpa)
-        if abs(new - over) <= _PRESSURE_TOLERANCE * (bubble.pressure_kpa + over):
-            return SealedMembrane(
-                deviation_mm=freeze(v), over_kpa=over, slope=slope, converged=settled
-            )
-        new_short = compute_missing_pressure(new)
-        secant = (new_short - short) / (new - over)
-        slope = secant if secant < -1.0 else -1.0  # a higher pressure always gives a larger volume
-        over = new
-        short = new_short
-    return SealedMembrane(deviation_mm=freeze(v), over_kpa=over, slope=slope, converged=False)
+    steepest = 1.0 + absolute / air * volume / bubble.pressure_kpa
+    sealed_air = (
+        absolute / tension,
+        air / grid.step_mm**2,
+        1.0 / steepest,
+        _PRESSURE_TOLERANCE * bubble.pressure_kpa / tension,
+    )
+    v, load, converged = solve_obstacle(
+        grid,
+        np.asarray(start.deviation_mm, np.float64),
+        start.over_kpa / tension,
+        tolerance_mm,
+        sealed_air,
+    )
+    return SealedMembrane(deviation_mm=freeze(v), over_kpa=load * tension, converged=converged)
 
 
 def solve_obstacle(
-    grid: ObstacleProblem, start_mm: Doubles, load_per_mm: float, tolerance_mm: float
-) -> tuple[Doubles, bool]:
-    """(v, converged) under a uniform load, from a starting shape."""
+    grid: ObstacleProblem,
+    start_mm: Doubles,
+    load_per_mm: float,
+    tolerance_mm: float,
+    air: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
+) -> tuple[Doubles, float, bool]:
+    """(v, load, converged) under a uniform load, from a starting shape.
+
+    With `air` (see the kernel) the load is that of sealed air, from a first guess.
+    """
     from pipeline.physics import multigrid_kernels as kernels
 
     room = np.array(grid.clearance_mm, order="C")
     free = np.array(grid.free, order="C")
     v = np.where(free, np.minimum(start_mm, room), 0.0)
-    load = np.full_like(v, load_per_mm)
-    converged = kernels.solve_obstacle(
-        v, load, room, free, grid.step_mm**2, grid.n_halvings, tolerance_mm
+    load, converged = kernels.solve_obstacle(
+        v,
+        np.full_like(v, load_per_mm),
+        room,
+        free,
+        grid.step_mm**2,
+        grid.n_halvings,
+        tolerance_mm,
+        air,
     )
-    return v, converged
+    return v, load, converged
 
 
 def refine(v: Doubles | Floats) -> Doubles:

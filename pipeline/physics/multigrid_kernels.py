@@ -7,6 +7,9 @@ the rest is a linear problem, which conjugate gradients with such a cycle as pre
 a few steps. If the contact keeps changing, monotone cycles (Kornhuber 1994) take over, which are
 slower but always converge.
 
+Sealed air makes the load depend on the sum of `v`: the linear problem then contains that dependence
+to first order, which is Newton's step, and the next one waits for the contact to settle.
+
 Fields are (rows, cols). `free`: nodes that may move, False at the rim and beyond; `loose`: those of
 them that coarse levels correct.
 """
@@ -22,61 +25,117 @@ _MAX_CYCLES = 160
 _TRUNCATED_CYCLES = 40  # of these; a dozen are usually enough
 # with coarse levels up to the contact: fast on smooth objects, overshooting on rough ones
 _BOLD_CYCLES = 6
-_FEW_NODES = 2  # that still enter or leave the contact when the linear problem is tried
+_FEW_NODES = 8  # that still enter or leave the contact when the linear problem is tried
 _MAX_STEPS = 30
-_STEP_SHARE = 0.3  # of the tolerance: the error is well below it after a step of this size
+# of a step of conjugate gradients, to end with it: of the tolerance, below which the error is then
+# well, and of the largest step, as the contact may change again
+_STEP_SHARE = 0.3
+_FIRST_SHARE = 0.1
+_LEAST_AIR = 1e-3  # of the air, that a membrane leaves
 
 
 @kernel(fastmath=FAST)
-def solve_obstacle(v, load, room, free, step_sq, n_halvings, tolerance):
-    """Solve in place from a shape `v`, until a whole cycle changes nothing; returns whether it
-    did.
+def solve_obstacle(v, load, room, free, step_sq, n_halvings, tolerance, air):
+    """Solve in place from a shape `v`, until a whole cycle changes nothing.
+
+    `air` is (load of its whole pressure, its volume in nodes times height, share of a missing load
+    that is safe to add, load that may be missing); all 0 = the load is constant. Returns (load,
+    whether it is solved).
     """
+    air_load, air_nodes, safe_share, load_tolerance = air
     before = v.copy()
-    loose = free.copy()
+    loose = free & (v < room)
     was_loose = free.copy()
+    is_sealed = air_load > 0.0
+    follows_air = is_sealed  # in the next linear problem
     for cycle in range(_MAX_CYCLES):
         was_loose[:] = loose
         truncated = cycle < _TRUNCATED_CYCLES
         careful = cycle >= _BOLD_CYCLES
         run_cycle(v, load, room, free, loose, step_sq, n_halvings, truncated, truncated and careful)
-        if np.abs(v - before).max() <= tolerance:
-            return True
-        if 0 < cycle < _TRUNCATED_CYCLES and (loose != was_loose).sum() <= _FEW_NODES:
-            _solve_linear(v, load, loose, step_sq, n_halvings, careful, tolerance)
+        left = max(air_nodes + v.sum(), _LEAST_AIR * air_nodes)
+        missing = air_load * (air_nodes / left - 1.0) - load[0, 0] if is_sealed else 0.0
+        settled = _find_largest_change(v, before) <= tolerance
+        if settled and safe_share * abs(missing) <= load_tolerance:
+            return load[0, 0], True
+        follows_air |= settled
+        few = (loose != was_loose).sum() <= _FEW_NODES
+        if truncated and (settled or few):
+            if not follows_air:
+                missing = 0.0
+            stiffness = air_load * air_nodes / left**2 if follows_air else 0.0
+            added = _solve_linear(
+                v, load, loose, step_sq, n_halvings, careful, tolerance, missing, stiffness
+            )
+            load += missing - stiffness * added
             v[:] = np.where(free, np.minimum(v, room), v)
+            follows_air = False
+        elif settled:
+            load += safe_share * missing
         before[:] = v
-    return False
+    return load[0, 0], False
 
 
 @inner_kernel(fastmath=FAST)
-def _solve_linear(v, load, loose, step_sq, n_halvings, careful, tolerance):
+def _find_largest_change(v, before):
+    most = 0.0
+    for r in range(v.shape[0]):
+        for c in range(v.shape[1]):
+            most = max(most, abs(v[r, c] - before[r, c]))
+    return most
+
+
+@inner_kernel(fastmath=FAST)
+def _solve_linear(v, load, loose, step_sq, n_halvings, careful, tolerance, missing, stiffness):
     """Solve the linear problem on the loose nodes by flexible conjugate gradients (Notay 2000):
     a cycle, the preconditioner, is not symmetric.
+
+    The load is `missing` more, less `stiffness` times what is added to `v`, whose sum is returned.
     """
+    rows, cols = v.shape
     left = np.empty_like(v)
+    guided = np.empty_like(v)
     direction = np.zeros_like(v)
     moved = np.zeros_like(v)
     unbound = np.full_like(v, np.inf)
     nothing = np.zeros_like(v)
     still_loose = loose.copy()
     reduced = 1.0
-    compute_residual(v, load, unbound, loose, step_sq, left)
+    added = 0.0
+    largest = 0.0
+    compute_residual(v, load + missing, unbound, loose, step_sq, left)
     for _ in range(_MAX_STEPS):
-        guided = np.zeros_like(v)
+        guided[:] = 0.0
         run_cycle(guided, left, unbound, loose, still_loose, step_sq, n_halvings, True, careful)
-        direction = guided - (guided * moved).sum() / reduced * direction
+        known = (guided * moved).sum() / reduced
+        swept = 0.0
+        for r in range(rows):
+            for c in range(cols):
+                direction[r, c] = guided[r, c] - known * direction[r, c]
+                swept += direction[r, c]
         compute_residual(direction, nothing, unbound, loose, step_sq, moved)
-        reduced = (direction * left).sum()
-        curvature = -(direction * moved).sum()
+        reduced = 0.0
+        curvature = stiffness * swept**2
+        for r in range(rows):
+            for c in range(cols):
+                reduced += direction[r, c] * left[r, c]
+                curvature -= direction[r, c] * moved[r, c]
         if not (reduced > 0.0 and curvature > 0.0):
-            return
-        moved *= -reduced / curvature
-        left -= moved
-        step = reduced / curvature * direction
-        v += step
-        if np.abs(step).max() <= _STEP_SHARE * tolerance:
-            return
+            break
+        length = reduced / curvature
+        step = 0.0
+        for r in range(rows):
+            for c in range(cols):
+                if loose[r, c]:
+                    moved[r, c] = length * (stiffness * swept - moved[r, c])
+                    left[r, c] -= moved[r, c]
+                    v[r, c] += length * direction[r, c]
+                    step = max(step, abs(length * direction[r, c]))
+        added += length * swept
+        largest = max(largest, step)
+        if step <= max(_STEP_SHARE * tolerance, _FIRST_SHARE * largest):
+            break
+    return added
 
 
 @inner_kernel(fastmath=FAST)

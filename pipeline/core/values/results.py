@@ -112,7 +112,6 @@ class SealedMembrane:
 
     deviation_mm: Doubles | Floats  # (ny, nx) of the lattice, from the rest dome
     over_kpa: float = 0.0  # rise of the pressure
-    slope: float = math.nan  # of the missing pressure over the pressure; NaN = unknown
     converged: bool = True
 
 

@@ -76,7 +76,7 @@ PHYSICS = Method(
     run=skip_if_exact(physical_render.skip_without_contact, _render),
     params=physical_render.PhysicalRenderParams,
     reads=(*_VIEW, "previous_membrane"),
-    version=5,
+    version=6,
 )
 T2D2 = Method(
     stage="touch",
@@ -91,7 +91,7 @@ T2D2 = Method(
     reads=(*PHYSICS.reads, "touch_weights"),
     weights=t2d2.select_weights,
     draft=make_draft_params,
-    version=8,
+    version=9,
 )
 
 
@@ -131,7 +131,7 @@ OBJECT = Method(
     run=skip_if_exact(physical_render.skip_without_contact, _press_object_or_fall_back),
     params=object_touch.ObjectParams,
     reads=(*_VIEW, "depth", "source", "alignment", "mesh", "previous"),
-    version=2,
+    version=3,
 )
 T2T = Method(
     stage="touch",
