@@ -203,10 +203,9 @@ def _print_scores(touches: Sequence[AlignmentTouch], scores: Sequence[AlignmentS
                 name,
                 f"{score.iou:.3f}",
                 _format_number(score.edge_px, 2),
-                *(
-                    _format_number(length, 3)
-                    for length in (score.depth_mm, score.depth_rms_mm, score.bias_mm)
-                ),
+                _format_number(score.depth_mm, 3),
+                _format_number(score.depth_rms_mm, 3),
+                _format_number(score.bias_mm, 3),
             )
             for name, score in rows
         ),

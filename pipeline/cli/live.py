@@ -158,19 +158,18 @@ def _describe(live: LiveTranslation, shown: Sequence[LiveResult], period_s: floa
 
 def _print_status(reader: LiveReader, recorder: LiveRecorder | None, translated: str) -> None:
     status = reader.status()
-    written = (
-        ""
-        if recorder is None
-        else f", {recorder.n_written} recorded, {recorder.n_dropped} left out"
-    )
-    clock = f", {status.n_doubled} doubled" if status.n_doubled else ""
-    clock += f", {status.n_clock_jumps} jumps of its clock" if status.n_clock_jumps else ""
-    problem = status.message or ("" if recorder is None else recorder.problem)
-    print_line(
-        f"{status.state}: {status.rate_hz:.1f} Hz, {status.n_frames} frames, {status.n_lost} "
-        f"lost{clock}{written}{f'; {translated}' if translated else ''}"
-        f"{'' if reader.has_reference else ', no reference yet'}{f'; {problem}' if problem else ''}"
-    )
+    parts = [f"{status.rate_hz:.1f} Hz, {status.n_frames} frames, {status.n_lost} lost"]
+    if status.n_doubled:
+        parts.append(f"{status.n_doubled} doubled")
+    if status.n_clock_jumps:
+        parts.append(f"{status.n_clock_jumps} jumps of its clock")
+    if recorder is not None:
+        parts.append(f"{recorder.n_written} recorded, {recorder.n_dropped} left out")
+    if not reader.has_reference:
+        parts.append("no reference yet")
+    problem = status.message or (recorder.problem if recorder else "")
+    told = filter(None, (", ".join(parts), translated, problem))
+    print_line(f"{status.state}: {'; '.join(told)}")
 
 
 def _print_result(reader: LiveReader, recorder: LiveRecorder | None) -> int:
