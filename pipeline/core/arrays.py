@@ -49,6 +49,11 @@ def freeze(array: A) -> A:
     return array
 
 
+def describe_size(shape: tuple[int, ...]) -> str:
+    """Return the size of an image of this shape (rows, cols, ...) as `cols x rows px`."""
+    return f"{shape[1]} x {shape[0]} px"
+
+
 def ensure_float(array: NDArray[Any]) -> NDArray[Any]:
     """Return float64 and float32 arrays unchanged, others as float32, which holds micrometres."""
     return array if array.dtype.char in "fd" else array.astype(np.float32)

@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.core.arrays import Image, freeze
+from pipeline.core.arrays import Image, describe_size, freeze
 from pipeline.core.errors import FileProblem
 from pipeline.core.files import read_bytes
 from pipeline.core.native_stderr import silence_native_libraries
@@ -142,9 +142,8 @@ def unpack_rgb(
     order, n_channels = _CHANNELS.get(encoding, ((), 2))
     rows, cols = shape
     if min(shape) < 1 or step < cols * n_channels or rows * step > len(content):
-        raise FileProblem(
-            f"{where} has fewer bytes than its size of {cols} x {rows} px needs", path
-        )
+        size = describe_size(shape)
+        raise FileProblem(f"{where} has fewer bytes than its size of {size} needs", path)
     lines = np.frombuffer(content, np.uint8, rows * step).reshape(rows, step)
     pixels = lines[:, : cols * n_channels].reshape(rows, cols, n_channels)
     if order:
