@@ -158,8 +158,14 @@ def infer_depth_camera(
     if any(_is_close(shape[1] / shape[0], ratio, 0.01) for ratio in _STEREO_RATIOS):
         f_px = _STEREO_FOCAL_PX * shape[0] / _STEREO_ROWS
         rows, cols = shape
-        cx_px, cy_px = (cols - 1) / 2, (rows - 1) / 2
-        camera = Camera(rows=rows, cols=cols, fx_px=f_px, fy_px=f_px, cx_px=cx_px, cy_px=cy_px)
+        camera = Camera(
+            rows=rows,
+            cols=cols,
+            fx_px=f_px,
+            fy_px=f_px,
+            cx_px=(cols - 1) / 2,
+            cy_px=(rows - 1) / 2,
+        )
         note = (
             f"depth of {size} is taken as that of a RealSense with a focal length of about "
             f"{f_px:.0f} px; {exact}"

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pipeline.core.arrays import Doubles, Mask, describe_size
+from pipeline.core.arrays import Doubles, Mask
 from pipeline.core.errors import CalibrationError
 from pipeline.core.frozen import frozen
 
@@ -159,7 +159,7 @@ def make_camera(k: ArrayLike, rows: int, cols: int, what: str = "the camera matr
     )
     if not is_lens or (np.abs(m[:2, 2] - sides_px / 2) > MOST_OFFSET * sides_px).any():
         raise CalibrationError(
-            f"{what} cannot be that of an image of {describe_size(camera.shape)}: focal lengths lie within "
+            f"{what} cannot be that of an image of {cols} x {rows} px: focal lengths lie within "
             f"{least_px:.3g} and "
             f"{MOST_FOCAL_PX:.0e} px and the axis near the image, got {m[:2].tolist()}; check its "
             "unit and order"
