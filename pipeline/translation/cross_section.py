@@ -6,6 +6,7 @@ touch is, and a camera sees a straight line as a straight line.
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -201,29 +202,25 @@ def build_height_map(
 ) -> HeightMap | None:
     """Return the heights of a stage's membrane, else of its preview; None without any."""
     membrane = getattr(value, "membrane", None)
+    scale = picture.scale
     if isinstance(membrane, DepthMap):
-        beneath = SectionPlane(
-            camera=membrane.camera,
-            plane_z_mm=sheet.plane_z_mm,
-            camera_from_source=sheet.camera_from_source,
-        )
-        return HeightMap(
-            name=name,
-            title=title,
-            place=place,
-            heights_mm=membrane.indentation_mm,
-            plane=beneath,
-            contact=membrane.contact,
-        )
-    if picture.values is None or picture.scale is None or picture.scale.unit != "mm":
+        heights = membrane.indentation_mm
+        contact: Mask | None = membrane.contact
+        sheet = replace(sheet, camera=membrane.camera)
+    elif (
+        picture.values is not None
+        and scale is not None
+        and scale.unit == "mm"
+        and scale.quantity.endswith(_HEIGHTS)
+    ):
+        heights = picture.values
+        contact = getattr(value, "contact", None)
+        if contact is not None and contact.shape != heights.shape:
+            contact = None
+    else:
         return None
-    if not picture.scale.quantity.endswith(_HEIGHTS):
-        return None
-    contact: Mask | None = getattr(value, "contact", None)
-    if contact is not None and contact.shape != picture.values.shape:
-        contact = None
     return HeightMap(
-        name=name, title=title, place=place, heights_mm=picture.values, plane=sheet, contact=contact
+        name=name, title=title, place=place, heights_mm=heights, plane=sheet, contact=contact
     )
 
 
