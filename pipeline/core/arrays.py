@@ -37,6 +37,8 @@ defer_import("numpy.f2py", "numpy.testing")
 Image = NDArray[np.uint8]  # (rows, cols, 3) RGB
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
+Reals = NDArray[np.floating]  # float32 or float64
+Stored = NDArray[np.generic]  # numbers of any type, as a file holds them
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.int32]  # -1 = none
 

@@ -17,7 +17,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.core.arrays import Doubles, Floats, freeze
+from pipeline.core.arrays import Doubles, Floats, Stored, freeze
 from pipeline.core.errors import FileProblem, escape_text, naming_file
 from pipeline.core.files import read_arrays
 from pipeline.core.frozen import frozen
@@ -57,7 +57,7 @@ def is_depth_image(file: Path) -> bool:
     return _holds_depth(image_files.read_raw_pixels(file))
 
 
-def _holds_depth(pixels: NDArray[np.generic]) -> bool:
+def _holds_depth(pixels: Stored) -> bool:
     return pixels.ndim == 2 and (pixels.dtype == np.uint16 or pixels.dtype.kind == "f")
 
 

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.core.arrays import Doubles, Image, describe_size, freeze
+from pipeline.core.arrays import Doubles, Image, Stored, describe_size, freeze
 from pipeline.core.errors import FileProblem, SettingProblem, escape_text
 from pipeline.core.frozen import frozen
 from pipeline.core.values.frames import Stream, TactileFrame
@@ -48,7 +47,7 @@ class ImageSource:
 
     n_frames: int
     # (rows, cols, 3): bytes, or a signed difference in grey levels; raises FileProblem
-    read: Callable[[int], NDArray[np.generic]]
+    read: Callable[[int], Stored]
     origin: Callable[[int], str] = str  # file and frame, where all are in one
     times_s: Doubles | None = None
     files: Sequence[Path] = ()  # one a frame; () = all are in one
@@ -84,7 +83,7 @@ def make_gel_stream(
     first = next((i for i in firsts if reference is None or i.shape == reference.shape), firsts[0])
     size = describe_size(first.shape)
 
-    def read(index: int) -> NDArray[np.generic]:
+    def read(index: int) -> Stored:
         image = source.read(index)
         if image.shape != first.shape:
             raise FileProblem(

@@ -9,15 +9,14 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.core.arrays import Floats, Image, freeze
+from pipeline.core.arrays import Floats, Image, Stored, freeze
 from pipeline.core.errors import FileProblem, StageWarning
 
 TAKEN = "is taken as the reference"  # in every note of `find_first_reference`
 
 T = TypeVar("T")
-A = TypeVar("A", bound=NDArray[np.generic])
+A = TypeVar("A", bound=Stored)
 
 _MAX_FRAMES = 15
 _MAX_PIXELS = 20_000_000  # of all frames together: reading more delays the opening of a recording
@@ -47,7 +46,7 @@ _WHITE_GREY = 250.0
 _WHITE_SHARE = 0.05
 
 
-def compute_block_means(image: NDArray[np.generic], n_along: int) -> Floats:
+def compute_block_means(image: Stored, n_along: int) -> Floats:
     """Means (block rows, block cols, channels) with `n_along` blocks along the longer side.
 
     NaN counts as 0.

@@ -9,9 +9,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from pipeline.core.arrays import Doubles, Mask, freeze
+from pipeline.core.arrays import Doubles, Mask, Reals, freeze
 from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import MIN_DEPTH_MM, Camera
@@ -99,7 +99,7 @@ class HeightMap:
     name: str  # a stage, "source", "true_source" or "true_target"
     title: str
     place: SensorRole  # sensor whose rest surface the heights are over
-    heights_mm: NDArray[np.floating]  # (rows, cols) + toward the camera, NaN = no value
+    heights_mm: Reals  # (rows, cols) + toward the camera, NaN = no value
     plane: SectionPlane
     contact: Mask | None = None  # (rows, cols)
 
@@ -124,7 +124,7 @@ class CrossSection:
     profiles: tuple[HeightProfile, ...]
 
 
-def sample_bilinear(values: NDArray[np.floating], px: Doubles) -> Doubles:
+def sample_bilinear(values: Reals, px: Doubles) -> Doubles:
     """Return bilinear samples (n,) of values (rows, cols) at x, y (n, 2).
 
     NaN outside the image, and where one of the four neighbours has no value.

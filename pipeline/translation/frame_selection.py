@@ -5,9 +5,8 @@ illumination.
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.core.arrays import Floats
+from pipeline.core.arrays import Floats, Stored
 from pipeline.core.digests import compute_cached_digest
 from pipeline.core.errors import TouchError
 from pipeline.core.values.frames import Stream, TactileFrame
@@ -98,7 +97,7 @@ def _spread(stream: Stream) -> list[int]:
     return [round(i) for i in np.linspace(0, stream.n_frames - 1, count)]
 
 
-def _blocks(image: NDArray[np.generic]) -> Floats:
+def _blocks(image: Stored) -> Floats:
     import cv2
 
     rows, cols = image.shape[:2]
