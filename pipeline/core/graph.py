@@ -162,7 +162,7 @@ class StageResult:
         return () if self.state == "skipped" else select_warnings(self.notes)
 
 
-Results = Mapping[str, StageResult]  # stage -> its result
+StageResults = Mapping[str, StageResult]  # stage -> its result
 
 
 def skip_if_exact(

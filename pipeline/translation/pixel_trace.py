@@ -1,6 +1,6 @@
 """Trace of one pixel through all stages, forward and back, by the index maps of the methods."""
 
-from pipeline.core.graph import Results, StageResult
+from pipeline.core.graph import StageResult, StageResults
 from pipeline.stages.stage import GroundTruth, Stage
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.views.view import ProbePoint
@@ -9,7 +9,7 @@ SOURCE = "source"
 
 
 def trace_forward(
-    results: Results,
+    results: StageResults,
     row: int,
     col: int,
     cols: int,
@@ -31,7 +31,7 @@ def trace_forward(
 
 
 def trace_to_source(
-    results: Results, name: str, index: int, catalogue: Catalogue = BUILT_IN
+    results: StageResults, name: str, index: int, catalogue: Catalogue = BUILT_IN
 ) -> int:
     """Return the source pixel (flat index) that element `index` of a stage was made from.
 

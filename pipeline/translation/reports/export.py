@@ -20,7 +20,7 @@ from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.files import check_folder_for, open_atomic, require_separate, write_arrays
 from pipeline.core.frame_lists import parse_frames
 from pipeline.core.frozen import frozen
-from pipeline.core.graph import Results, StageResult
+from pipeline.core.graph import StageResult, StageResults
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame
 from pipeline.translation import cross_section
@@ -192,7 +192,7 @@ class _Work:
         time = f", {frame.time_s:.2f} s" if np.isfinite(frame.time_s) else ""
         return sheet.draw_pane_figure(self._pane(frame, results), f"frame {index}{time}")
 
-    def make_scene(self, frame: TactileFrame, results: Results) -> scene_film.FrameScene:
+    def make_scene(self, frame: TactileFrame, results: StageResults) -> scene_film.FrameScene:
         """Return both sensors and the object on a frame."""
         return scene_film.make_frame_scene(frame, results, self.translation, self.display)
 
@@ -210,7 +210,7 @@ class _Work:
             raise SettingProblem("a sheet is no cloud of points; name one pane of it with --pane")
         return self._pane(*self.evaluate_frame(index))
 
-    def _pane(self, frame: TactileFrame, results: Results) -> sheet.RenderedPane:
+    def _pane(self, frame: TactileFrame, results: StageResults) -> sheet.RenderedPane:
         asked = self.asked
         return sheet.render_pane(
             asked.pane, frame, results, self.translation, self.display, asked.content

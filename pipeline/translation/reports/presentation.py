@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.core.graph import Results, StageResult
+from pipeline.core.graph import StageResult, StageResults
 from pipeline.core.values.frames import TactileFrame
 from pipeline.translation.reports.export_request import SOURCE
 from pipeline.translation.reports.scene_film import (
@@ -49,7 +49,7 @@ def name_pane(translation: Translation, stage: str, result: StageResult | None) 
 
 def draw_presentation(
     frame: TactileFrame,
-    results: Results,
+    results: StageResults,
     translation: Translation,
     display: DisplayParams,
     size_px: tuple[int, int],

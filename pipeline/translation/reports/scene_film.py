@@ -14,7 +14,7 @@ from pipeline.core.figures import make_figure
 from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import Camera
-from pipeline.core.graph import Results
+from pipeline.core.graph import StageResults
 from pipeline.core.values.frames import TactileFrame
 from pipeline.sensors.alignment import correct_alignment
 from pipeline.translation.translate import Translation
@@ -118,7 +118,7 @@ def name_sensors(translation: Translation) -> str:
 
 def make_frame_scene(
     frame: TactileFrame,
-    results: Results,
+    results: StageResults,
     translation: Translation,
     display: DisplayParams,
 ) -> FrameScene:

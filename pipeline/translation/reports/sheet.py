@@ -15,7 +15,7 @@ from pipeline.core.arrays import Floats, Image
 from pipeline.core.errors import SettingProblem
 from pipeline.core.figures import make_figure, save_figure
 from pipeline.core.frozen import frozen
-from pipeline.core.graph import Results, StageResult
+from pipeline.core.graph import StageResult, StageResults
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import Cloud
 from pipeline.translation.reports.export_request import SOURCE, PaneContent
@@ -190,7 +190,7 @@ class RenderedPane:
 def render_pane(
     name: str,
     frame: TactileFrame,
-    results: Results,
+    results: StageResults,
     translation: Translation,
     display: DisplayParams,
     shown: PaneContent = "computed",
