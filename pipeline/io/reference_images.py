@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.core.arrays import Floats, Image, Stored, freeze
 from pipeline.core.errors import FileProblem, StageWarning
+from pipeline.core.frame_lists import spread_indices
 
 TAKEN = "is taken as the reference"  # in every note of `find_first_reference`
 
@@ -163,11 +164,7 @@ def sample_frames(
 
     Those that cannot be read are skipped.
     """
-    count = min(most, n_frames - first)
-    return read_each(
-        read,
-        sorted({round(i) for i in np.linspace(first, n_frames - 1, count)}) if count > 0 else (),
-    )
+    return read_each(read, spread_indices(n_frames, most, first))
 
 
 def read_each(read: Callable[[int], A], indices: Iterable[int]) -> Iterator[tuple[int, A]]:

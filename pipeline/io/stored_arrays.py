@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Floats, Image, Stored, freeze
 from pipeline.core.errors import FileProblem, escape_text
+from pipeline.core.frame_lists import spread_indices
 from pipeline.core.frozen import frozen
 
 _MIN_SIDE_PX = 8  # of an image; smaller arrays with three columns are points or matrices
@@ -164,7 +165,7 @@ class GreyScale:
 def sample_values(read: Callable[[int], Stored], n: int) -> Stored:
     """Values of frames spread evenly over a stack of `n`, (k,)."""
     parts = list[Stored]()
-    for index in sorted({round(k) for k in np.linspace(0, n - 1, min(n, _MAX_SAMPLED))}):
+    for index in spread_indices(n, _MAX_SAMPLED):
         values = read(index).ravel()
         parts.append(values[:: 1 + values.size * min(n, _MAX_SAMPLED) // _MAX_VALUES])
     return np.concatenate(parts)
