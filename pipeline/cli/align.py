@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from cyclopts import Parameter
 
-from pipeline.cli.terminal import open_progress_bar, print_line, print_table
+from pipeline.cli.terminal import format_number, open_progress_bar, print_line, print_table
 from pipeline.cli.translation_options import Flag
 from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.files import check_folder_for
@@ -202,11 +202,10 @@ def _print_scores(touches: Sequence[AlignmentTouch], scores: Sequence[AlignmentS
             (
                 name,
                 f"{score.iou:.3f}",
-                _format_number(score.edge_px, 2),
-                *(
-                    _format_number(length, 3)
-                    for length in (score.depth_mm, score.depth_rms_mm, score.bias_mm)
-                ),
+                format_number(score.edge_px, ".2f"),
+                format_number(score.depth_mm, ".3f"),
+                format_number(score.depth_rms_mm, ".3f"),
+                format_number(score.bias_mm, ".3f"),
             )
             for name, score in rows
         ),
@@ -219,9 +218,9 @@ def _print_sensitivities(sensitivities: Sequence[Sensitivity], frame: int) -> No
         (
             (
                 f"{axis.axis} ({axis.unit})",
-                _format_change(axis.iou, 4),
-                _format_change(axis.edge_px, 3),
-                _format_change(axis.depth_mm, 4),
+                _format_change(axis.iou, ".4f"),
+                _format_change(axis.edge_px, ".3f"),
+                _format_change(axis.depth_mm, ".4f"),
             )
             for axis in sensitivities
         ),
@@ -268,12 +267,8 @@ def print_refinement(fit: Refinement) -> None:
         print_line(f"note: {note}")
 
 
-def _format_number(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
-
-
-def _format_change(change: ScoreChange, digits: int) -> str:
-    return f"{_format_number(change.magnitude, digits)} ({_format_number(change.slope, digits)})"
+def _format_change(change: ScoreChange, form: str) -> str:
+    return f"{format_number(change.magnitude, form)} ({format_number(change.slope, form)})"
 
 
 def _format_vector(values: np.ndarray) -> str:

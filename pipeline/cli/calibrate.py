@@ -116,12 +116,19 @@ def _load_presses(
 
 
 def _print_report(calibration: Calibration, names: Sequence[str]) -> None:
-    rows: list[tuple[str, ...]] = []
-    for p in calibration.presses:
-        values = ("-", "-", "not used")
-        if p.used:
-            values = (f"{p.x_px:.1f}, {p.y_px:.1f}", f"{p.radius_px:.1f}", f"{p.residual:.3f}")
-        rows.append((names[p.index], *values))
-    print_table(("press", "centre (px)", "contact radius (px)", "slope residual (mm/mm)"), rows)
+    print_table(
+        ("press", "centre (px)", "contact radius (px)", "slope residual (mm/mm)"),
+        (
+            (
+                names[p.index],
+                f"{p.x_px:.1f}, {p.y_px:.1f}",
+                f"{p.radius_px:.1f}",
+                f"{p.residual:.3f}",
+            )
+            if p.used
+            else (names[p.index], "-", "-", "not used")
+            for p in calibration.presses
+        ),
+    )
     for line in format_calibration(calibration):
         print_line(line)

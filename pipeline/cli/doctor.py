@@ -14,6 +14,7 @@ from itertools import chain
 from pathlib import Path
 
 from pipeline.cli.terminal import print_line
+from pipeline.core.arrays import describe_size
 from pipeline.core.errors import TouchError
 from pipeline.core.user_folders import has_home
 from pipeline.io import open_recording
@@ -113,7 +114,7 @@ def _check_project() -> Iterator[tuple[bool, str]]:
             spec = load_sensor(name)
             yield (
                 True,
-                f"sensor {name}: {spec.camera.cols} x {spec.camera.rows} px, "
+                f"sensor {name}: {describe_size(spec.camera.shape)}, "
                 f"{len(spec.assumed_keys)} assumed values",
             )
         except TouchError as error:

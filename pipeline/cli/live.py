@@ -180,16 +180,13 @@ def _describe_metrics(shown: Sequence[LiveResult]) -> str:
 
 def _print_status(reader: LiveReader, recorder: LiveRecorder | None, translated: str) -> None:
     status = reader.status()
-    written = (
-        ""
-        if recorder is None
-        else f"; {recorder.n_written} recorded, {recorder.n_dropped} left out"
-    )
-    problem = status.message or ("" if recorder is None else recorder.problem)
-    print_line(
-        f"{status.describe()}{written}{f'; {translated}' if translated else ''}"
-        f"{'' if reader.has_reference else ', no reference yet'}{f'; {problem}' if problem else ''}"
-    )
+    parts = [status.describe()]
+    if recorder is not None:
+        parts.append(f"{recorder.n_written} recorded, {recorder.n_dropped} left out")
+    if not reader.has_reference:
+        parts.append("no reference yet")
+    problem = status.message or (recorder.problem if recorder else "")
+    print_line("; ".join(filter(None, (", ".join(parts), translated, problem))))
 
 
 def _print_result(reader: LiveReader, recorder: LiveRecorder | None) -> int:

@@ -1,11 +1,10 @@
 """`tactoscope rollout`: list, attribute, film and bundle recorded rollouts."""
 
-import math
 import os
 import shlex
 from pathlib import Path
 
-from pipeline.cli.terminal import open_progress_bar, print_line, print_table
+from pipeline.cli.terminal import format_number, open_progress_bar, print_line, print_table
 from pipeline.lab.tasks.rerun import attribute_rollout, write_rollout_bundle
 from pipeline.lab.tasks.rollout_file import read_rollout
 from pipeline.lab.tasks.rollout_video import write_rollout_video
@@ -31,10 +30,10 @@ def list_rollouts(folder: Path) -> int:
                 trial.task,
                 trial.case or trial.path.name,
                 trial.touch,
-                _format(trial.tolerance_mm, "g"),
+                format_number(trial.tolerance_mm, "g"),
                 trial.outcome,
-                _format(trial.error_mm, ".2f"),
-                _format(trial.error_deg, ".1f"),
+                format_number(trial.error_mm, ".2f"),
+                format_number(trial.error_deg, ".1f"),
                 trial.problem or ": ".join(filter(None, (trial.cause, trial.share))),
             )
             for trial in trials
@@ -92,7 +91,3 @@ def bundle(file: Path, *, out: Path, note: str = "") -> int:
         f"repro bundle written; replay it with: tactoscope replay {shlex.quote(os.fspath(out))}"
     )
     return 0
-
-
-def _format(value: float, digits: str) -> str:
-    return format(value, digits) if math.isfinite(value) else "-"

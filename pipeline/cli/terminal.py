@@ -7,6 +7,7 @@ point could be swallowed while a kernel compiles, or leave a file half written.
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 import threading
@@ -124,6 +125,11 @@ def print_table(
     for row in rows:
         table.add_row(*(Text(shorten_text(escape_text(cell), most_letters)) for cell in row))
     Console(width=width).print(table)
+
+
+def format_number(value: float | None, form: str) -> str:
+    """Return a number in a format such as `.2f`; a dash where it is not known."""
+    return "-" if value is None or not math.isfinite(value) else format(value, form)
 
 
 def print_error(text: str) -> None:

@@ -73,10 +73,9 @@ def train(
         seed: Seed of weights and examples, instead of the recipe's.
         workers: Processes that make examples; 0 makes them in the main process.
     """
-    known = {entry.subcommand for entry in TASKS.values()}
-    if what not in known:
+    if what not in _NETWORK_NAMES:
         raise SettingProblem(
-            f"nothing called {what!r} can be trained; there are {', '.join(sorted(known))}"
+            f"nothing called {what!r} can be trained; there are {', '.join(sorted(_NETWORK_NAMES))}"
         )
     if minutes is not None and not 0.0 < minutes <= 1e6:
         raise SettingProblem(f"--minutes must lie above 0 and at most a million, got {minutes:g}")
@@ -91,7 +90,9 @@ def train(
     chosen = load_recipe(recipe or f"{what}_pairs", what, initial_weights)
     if pairs is not None:
         chosen = override_pairs(chosen, os.fspath(pairs), hold_out, share)
-    pace = {name: value for name, value in (("steps", steps), ("seed", seed)) if value is not None}
+    pace = {
+        name: value for name, value in {"steps": steps, "seed": seed}.items() if value is not None
+    }
     run = TrainingRun(
         recipe=override_training(chosen, **pace),
         folder=out,

@@ -37,6 +37,8 @@ defer_import("numpy.f2py", "numpy.testing")
 Image = NDArray[np.uint8]  # (rows, cols, 3) RGB
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
+Reals = NDArray[np.floating]  # float32 or float64
+Stored = NDArray[np.generic]  # numbers of any type, as a file holds them
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.int32]  # -1 = none
 
@@ -47,6 +49,11 @@ def freeze(array: A) -> A:
     """Make the array read-only and return it."""
     array.flags.writeable = False
     return array
+
+
+def describe_size(shape: tuple[int, ...]) -> str:
+    """Return the size of an image of this shape (rows, cols, ...) as `cols x rows px`."""
+    return f"{shape[1]} x {shape[0]} px"
 
 
 def ensure_float(array: NDArray[Any]) -> NDArray[Any]:

@@ -2,6 +2,8 @@
 
 import re
 
+import numpy as np
+
 from pipeline.core.errors import SettingProblem
 
 _RANGE = re.compile(r"([0-9]{1,12})(?:-([0-9]{1,12}))?")
@@ -14,6 +16,12 @@ def check_frame_index(index: int, n_frames: int) -> int:
     if not 0 <= index < n_frames:
         raise SettingProblem(f"no frame {index}; the recording has frames 0 to {n_frames - 1}")
     return index
+
+
+def spread_indices(n: int, most: int, first: int = 0) -> list[int]:
+    """Return at most `most` different numbers from `first` to `n` - 1, spread evenly."""
+    count = min(most, n - first)
+    return sorted({round(k) for k in np.linspace(first, n - 1, count)}) if count > 0 else []
 
 
 def parse_frames(listed: str, n_frames: int) -> list[int]:

@@ -162,6 +162,9 @@ class StageResult:
         return () if self.state == "skipped" else select_warnings(self.notes)
 
 
+StageResults = Mapping[str, StageResult]  # stage -> its result
+
+
 def skip_if_exact(
     exact: Callable[..., Output | None],
     run: Callable[[Unpack[Reads], Params, Progress], Output | Skipped[Output] | Fallback[Output]],

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.core.arrays import Doubles, Image
+from pipeline.core.arrays import Doubles, Image, Stored
 from pipeline.core.errors import FileProblem, SettingProblem, escape_text
 from pipeline.core.files import read_arrays
 from pipeline.core.values.frames import Recording, Stream
@@ -83,7 +83,7 @@ def read_series(files: RecordingFiles, options: ReadOptions) -> Recording:
         )
     (base,) = _split(first, images[0].stem, images[0])[:1]
 
-    def read_raw(index: int) -> NDArray[np.generic]:
+    def read_raw(index: int) -> Stored:
         file = images[index]
         return _split(_read_one(file), file.stem, file)[0].read(0)
 
@@ -193,7 +193,7 @@ def make_array_source(
     path: Path,
     *,
     times_s: Doubles | None = None,
-    reference_values: NDArray[np.generic] | None = None,
+    reference_values: Stored | None = None,
 ) -> ImageSource:
     """The images of one sensor in grey levels.
 

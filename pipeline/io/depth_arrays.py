@@ -17,7 +17,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.core.arrays import Doubles, Floats, freeze
+from pipeline.core.arrays import Doubles, Floats, Stored, freeze
 from pipeline.core.errors import FileProblem, escape_text, naming_file
 from pipeline.core.files import read_arrays
 from pipeline.core.frozen import frozen
@@ -54,7 +54,10 @@ def is_depth_image(file: Path) -> bool:
 
     Raises FileProblem where it cannot be read.
     """
-    pixels = image_files.read_raw_pixels(file)
+    return _holds_depth(image_files.read_raw_pixels(file))
+
+
+def _holds_depth(pixels: Stored) -> bool:
     return pixels.ndim == 2 and (pixels.dtype == np.uint16 or pixels.dtype.kind == "f")
 
 
@@ -238,11 +241,12 @@ def _stack_arrays(
     key = _find_depth_key(arrays, path)
     images = _check_images(arrays[key], key, path)
     camera = None
-    if "K" in arrays:
-        if arrays["K"].dtype.kind not in "fiu":
-            raise FileProblem(f"K must hold real numbers, got {arrays['K'].dtype}", path)
+    k = arrays.get("K")
+    if k is not None:
+        if k.dtype.kind not in "fiu":
+            raise FileProblem(f"K must hold real numbers, got {k.dtype}", path)
         with naming_file(path):
-            camera = make_camera(arrays["K"], images.shape[1], images.shape[2], what="K")
+            camera = make_camera(k, images.shape[1], images.shape[2], what="K")
     unused = escape_text(", ".join(sorted(arrays.keys() - {key, "K", "frame", *_TIME_KEYS})))
     return _DepthStack(
         key=key,
@@ -259,12 +263,9 @@ def _stack_arrays(
 def find_times(arrays: Mapping[str, NDArray[Any]], n_frames: int) -> Doubles | None:
     """The times in seconds (n_frames,) among arrays; None where none holds them."""
     for name in _TIME_KEYS:
-        if (
-            name in arrays
-            and arrays[name].shape == (n_frames,)
-            and arrays[name].dtype.kind in "fiu"
-        ):
-            return freeze(arrays[name].astype(np.float64))
+        times = arrays.get(name)
+        if times is not None and times.shape == (n_frames,) and times.dtype.kind in "fiu":
+            return freeze(times.astype(np.float64))
     return None
 
 
@@ -290,7 +291,7 @@ def _check_images(array: NDArray[Any], key: str, path: Path) -> NDArray[Any]:
 
 def _read_depth_pixels(file: Path) -> NDArray[Any]:
     pixels = image_files.read_raw_pixels(file)
-    if pixels.ndim != 2 or not (pixels.dtype == np.uint16 or pixels.dtype.kind == "f"):
+    if not _holds_depth(pixels):
         raise FileProblem("a depth image must have one channel of 16 bits or of floats", file)
     return pixels
 
@@ -352,10 +353,9 @@ def _convert_to_mm(raw: NDArray[Any], unit: str, what: str, path: Path) -> Float
     if raw.dtype == np.uint16:
         depth_mm[raw == 65535] = np.nan
     median = _compute_median(depth_mm)
-    if median < _PLAUSIBLE_MM[0] or median > _PLAUSIBLE_MM[1]:
-        fits = _list_units(
-            median / _MM_PER_UNIT[unit], lambda mm: _PLAUSIBLE_MM[0] <= mm <= _PLAUSIBLE_MM[1]
-        )
+    low, high = _PLAUSIBLE_MM
+    if median < low or median > high:
+        fits = _list_units(median / _MM_PER_UNIT[unit], lambda mm: low <= mm <= high)
         remedy = f"; give --depth-unit {' or '.join(fits)}" if fits else ""
         raise FileProblem(
             f"{what} has a median of {median:.3g} mm when read in {unit}; check the unit{remedy}",

@@ -8,6 +8,7 @@ Nothing is unpickled.
 import math
 import re
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from pipeline.core.errors import FileProblem, escape_text
@@ -63,31 +64,30 @@ def find_recording(folder: Path) -> RecordingFiles:
                 "left out"
             )
             continue
-        if here.images:
-            images = sort_series(here.images)
-            return _image_files(folder, images, references + _nearby_references(at), notes, choices)
-        folder_format = next((f.key for f in list_formats() if f.matches_folder(at)), "")
+        found = RecordingFiles(path=at, notes=tuple(notes), alternatives=choices)
+        of_folder = (f.key for f in list_formats() if f.matches_folder(at))
+        folder_format = "" if here.images else next(of_folder, "")
         if folder_format:
-            return RecordingFiles(
-                path=at, format=folder_format, notes=tuple(notes), alternatives=choices
+            return replace(found, format=folder_format)
+        if here.files and not here.images:
+            if _are_arrays_of_one_image(here.files):
+                return replace(found, format="array_series", images=tuple(sort_series(here.files)))
+            return replace(
+                found,
+                path=here.files[0],
+                notes=(*notes, *_note_choice(here.files, folder)),
+                alternatives=choices or _list_choices(here.files),
             )
-        if _are_arrays_of_one_image(here.files):
-            return RecordingFiles(
-                path=at,
-                format="array_series",
-                images=tuple(sort_series(here.files)),
+        images = sort_series(here.images) or _single_images(here.folders)
+        if images:
+            if not here.images:
+                notes.append(f"{len(images)} folders of one image each are taken as one recording")
+            return replace(
+                found,
+                path=folder,
+                images=tuple(images),
+                references=(*references, *_nearby_references(at)),
                 notes=tuple(notes),
-                alternatives=choices,
-            )
-        if here.files:
-            notes += _note_choice(here.files, folder)
-            choices = choices or _list_choices(here.files)
-            return RecordingFiles(path=here.files[0], notes=tuple(notes), alternatives=choices)
-        presses = _single_images(here.folders)
-        if presses:
-            notes.append(f"{len(presses)} folders of one image each are taken as one recording")
-            return _image_files(
-                folder, presses, references + _nearby_references(at), notes, choices
             )
         inner = [f for f in here.folders if not _is_open(f) or _holds_recording(f)]
         if not inner:
@@ -132,22 +132,6 @@ def _list_entries(folder: Path) -> list[Path]:
         p for p in folder.iterdir() if not p.name.startswith(".") and not _COMPANIONS.match(p.name)
     ]
     return sorted(entries, key=lambda p: natural_sort_key(p.stem))
-
-
-def _image_files(
-    folder: Path,
-    images: list[Path],
-    references: list[Path],
-    notes: list[str],
-    choices: tuple[Path, ...],
-) -> RecordingFiles:
-    return RecordingFiles(
-        path=folder,
-        images=tuple(images),
-        references=tuple(references),
-        notes=tuple(notes),
-        alternatives=choices,
-    )
 
 
 def _list_choices(paths: list[Path]) -> tuple[Path, ...]:

@@ -10,9 +10,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.core.arrays import Image, freeze
+from pipeline.core.arrays import Image, Reals, Stored, freeze
 from pipeline.core.errors import FileProblem
 from pipeline.core.frozen import frozen
 from pipeline.core.values.frames import TactileFrame
@@ -71,7 +70,7 @@ class GelImageConverter:
     resampling_fit: ResamplingFit | None = None  # None = no resampling
     no_change_grey: float | None = None  # of a difference; None = the images are none
 
-    def convert_image(self, raw: NDArray[np.generic]) -> Image:
+    def convert_image(self, raw: Stored) -> Image:
         """The camera image (rows, cols, 3) uint8 of the sensor's size for a stored image.
 
         Of a difference, restored.
@@ -82,14 +81,14 @@ class GelImageConverter:
         change = stored.astype(np.float32) - np.float32(self.no_change_grey)
         return _round_grey(self.reference.astype(np.float32) + change)
 
-    def _convert_stored(self, raw: NDArray[np.generic]) -> Image:
+    def _convert_stored(self, raw: Stored) -> Image:
         image = np.asarray(raw, np.uint8) if raw.dtype == np.uint8 else None
         if image is None:  # a signed difference in grey levels
             image = _round_grey(raw.astype(np.float32) + np.float32(self.no_change_grey or 0.0))
         return image if self.resampling_fit is None else self.resampling_fit.resample_image(image)
 
     def make_frame(
-        self, raw: NDArray[np.generic], index: int, origin: str, time_s: float = math.nan
+        self, raw: Stored, index: int, origin: str, time_s: float = math.nan
     ) -> TactileFrame:
         """The frame of a stored image, which holds a difference as it is stored too."""
         return TactileFrame(
@@ -107,7 +106,7 @@ def make_gel_converter(
     sensor: str,
     shape: tuple[int, int],
     reference: Image | None,
-    read_first: Callable[[], NDArray[np.generic]],
+    read_first: Callable[[], Stored],
     *,
     file_names: Sequence[str] = (),
 ) -> GelImageConverter:
@@ -152,5 +151,5 @@ def _render_reference(spec: SensorSpec | None, shape: tuple[int, int]) -> Image:
     return _round_grey(compute_reference_light(spec.camera, spec.optics))
 
 
-def _round_grey(grey: NDArray[np.floating]) -> Image:
+def _round_grey(grey: Reals) -> Image:
     return freeze(np.clip(np.rint(grey), 0, 255).astype(np.uint8))

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.core.arrays import Doubles, Image, freeze
+from pipeline.core.arrays import Doubles, Image, Stored, describe_size, freeze
 from pipeline.core.errors import FileProblem, SettingProblem, escape_text
 from pipeline.core.frozen import frozen
 from pipeline.core.values.frames import Stream, TactileFrame
@@ -48,7 +47,7 @@ class ImageSource:
 
     n_frames: int
     # (rows, cols, 3): bytes, or a signed difference in grey levels; raises FileProblem
-    read: Callable[[int], NDArray[np.generic]]
+    read: Callable[[int], Stored]
     origin: Callable[[int], str] = str  # file and frame, where all are in one
     times_s: Doubles | None = None
     files: Sequence[Path] = ()  # one a frame; () = all are in one
@@ -82,14 +81,13 @@ def make_gel_stream(
         reference = image_files.read_rgb(options.reference)
         about = (f"{options.reference.name} is the reference",)
     first = next((i for i in firsts if reference is None or i.shape == reference.shape), firsts[0])
-    shape = (first.shape[0], first.shape[1])
+    size = describe_size(first.shape)
 
-    def read(index: int) -> NDArray[np.generic]:
+    def read(index: int) -> Stored:
         image = source.read(index)
         if image.shape != first.shape:
             raise FileProblem(
-                f"frame {index} is {image.shape[1]} x {image.shape[0]} px, the others are "
-                f"{shape[1]} x {shape[0]} px",
+                f"frame {index} is {describe_size(image.shape)}, the others are {size}",
                 source.files[index] if source.files else path,
             )
         return image
@@ -99,8 +97,8 @@ def make_gel_stream(
 
     if reference is not None and reference.shape != first.shape:
         raise FileProblem(
-            f"the reference image is {reference.shape[1]} x {reference.shape[0]} px, the others "
-            f"are {shape[1]} x {shape[0]} px; give one of that size as --reference",
+            f"the reference image is {describe_size(reference.shape)}, the others are {size}; "
+            "give one of that size as --reference",
             options.reference or reference_file or path,
         )
     if first.dtype == np.uint8:
@@ -114,7 +112,7 @@ def make_gel_stream(
     if options.sensor or may_guess:
         converter = make_gel_converter(
             options.sensor,
-            shape,
+            (first.shape[0], first.shape[1]),
             reference,
             lambda: first,
             file_names=[file.stem for file in source.files] or (name,),

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.core.arrays import freeze
+from pipeline.core.arrays import describe_size, freeze
 from pipeline.core.errors import FileProblem
 from pipeline.core.values.frames import Recording, Stream, TactileFrame, Truth
 from pipeline.io import resampling, torch_files
@@ -104,13 +104,12 @@ def _fit_size(shape: tuple[int, int], path: Path) -> ResamplingFit | None:
     """
     sensor = load_sensor("gelslim")
     fit = resampling.fit_resampling(sensor, shape)
-    rows, cols = sensor.camera.shape
-    if shape == (rows, cols) or (fit is not None and not fit.is_rotated):
+    size = sensor.camera.shape
+    if shape == size or (fit is not None and not fit.is_rotated):
         return fit
     raise FileProblem(
-        f"tactile_image has {shape[1]} x {shape[0]} px; images of {sensor.title} have {cols} x "
-        f"{rows} px, or another "
-        "size of the same proportions: crop them",
+        f"tactile_image has {describe_size(shape)}; images of {sensor.title} have "
+        f"{describe_size(size)}, or another size of the same proportions: crop them",
         path,
     )
 
@@ -132,10 +131,8 @@ def _truth(depth: Any, index: int, key: str, path: Path, fit: ResamplingFit | No
 
 
 def _notes(tensors: Mapping[str, Any], fit: ResamplingFit | None) -> tuple[str, ...]:
-    notes = [
-        "depth images are taken as millimetres, negative where pressed",
-        *(() if fit is None else (fit.note,)),
-    ]
+    notes = ["depth images are taken as millimetres, negative where pressed"]
+    notes += [] if fit is None else [fit.note]
     if "in_hand_pose" in tensors:
         notes.append(
             "in_hand_pose is left out: its documentation says millimetres, its programs read metres"

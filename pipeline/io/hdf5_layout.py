@@ -98,17 +98,6 @@ GEL_STEP_MM = 1e-4
 BUBBLE_STEP_MM = 1e-3
 
 
-def _require_unit(dataset: Any, want: str, path: Path) -> Any:
-    """`dataset`, whose attribute `unit` must be `want`; raises FileProblem."""
-    key = str(dataset.name).lstrip("/")
-    unit = dataset.attrs.get("unit")
-    if unit is None:
-        raise FileProblem(f"{key} has no unit, want {want!r}", path)
-    if unit != want:
-        raise FileProblem(f"{key} is given in {unit!r}, want {want!r}", path)
-    return dataset
-
-
 def parse_file_size(head: bytes) -> int:
     """The size in bytes of a file with this head: bytes 28 to 35 of superblocks 2 and 3, which this
     format has.
@@ -135,17 +124,16 @@ def encode_frame(values: NDArray[Any], dataset: Any, what: str) -> NDArray[Any]:
     if "step_mm" in dataset.attrs:
         limits = np.iinfo(dataset.dtype)
         nan_code = int(dataset.attrs["nan_code"])
-        counts = np.rint(np.asarray(values, np.float64) / float(dataset.attrs["step_mm"]))
-        gaps = np.isnan(counts)
+        step_mm = float(dataset.attrs["step_mm"])
+        counts = np.rint(np.asarray(values, np.float64) / step_mm)
         low = limits.min + (nan_code == limits.min)
         high = limits.max - (nan_code == limits.max)
         if ((counts < low) | (counts > high)).any():
             raise ShapeError(
-                f"{what} holds {float(np.nanmax(np.abs(values))):g} mm, but steps of "
-                f"{dataset.attrs['step_mm']:g} mm reach from {low * dataset.attrs['step_mm']:g} "
-                f"to {high * dataset.attrs['step_mm']:g} mm"
+                f"{what} holds {float(np.nanmax(np.abs(values))):g} mm, but steps of {step_mm:g} "
+                f"mm reach from {low * step_mm:g} to {high * step_mm:g} mm"
             )
-        values = np.where(gaps, nan_code, counts).astype(dataset.dtype)
+        values = np.where(np.isnan(counts), nan_code, counts).astype(dataset.dtype)
     if dataset.attrs.get("coding") == "row differences":
         values = np.concatenate([values[:1], values[1:] - values[:-1]])
     return values
@@ -185,19 +173,19 @@ def require_self_contained(file: Any, path: Path) -> None:
     n_bytes = 0
     _check_attributes(file, path)
     for group, key, part in iterate_parts(file, path, MAX_OBJECTS):
+        name = _name(group, key)
         if part is None:
-            _refuse(f"{_name(group, key)} is a link, which is not allowed", path)
+            _refuse(f"{name} is a link, which is not allowed", path)
         _check_attributes(part, path)
         if not isinstance(part, h5py.Dataset):
             continue
         if part.is_virtual or part.external:
-            _refuse(f"{_name(group, key)} lies in another file, which is not opened", path)
+            _refuse(f"{name} lies in another file, which is not opened", path)
         if part.ndim < 3:  # a table, which is read as a whole and converted
             n_bytes += 2 * 8 * math.prod(part.shape)
-            what = f"{_name(group, key)}, with the tables before it,"
-            require_budget(n_bytes, what, path)
+            require_budget(n_bytes, f"{name}, with the tables before it,", path)
         if part.chunks and math.prod(part.chunks) * part.dtype.itemsize > 8 * MAX_VALUES:
-            _refuse(f"{_name(group, key)} has chunks that are too large", path)
+            _refuse(f"{name} has chunks that are too large", path)
 
 
 def iterate_parts(file: Any, path: Path, most: int) -> Iterator[tuple[Any, str, Any]]:
@@ -233,13 +221,10 @@ def _check_attributes(holder: Any, path: Path) -> None:
     for index in range(h5py.h5a.get_num_attrs(holder.id)):
         attribute = h5py.h5a.open(holder.id, index=index)
         kind = attribute.get_type()
-        shape = attribute.shape
-        is_plain = isinstance(
-            kind, (h5py.h5t.TypeIntegerID, h5py.h5t.TypeFloatID, h5py.h5t.TypeStringID)
-        )
+        plain = (h5py.h5t.TypeIntegerID, h5py.h5t.TypeFloatID, h5py.h5t.TypeStringID)
         if (
-            not is_plain
-            or math.prod(shape or ()) > 1
+            not isinstance(kind, plain)
+            or math.prod(attribute.shape or ()) > 1
             or kind.get_size() > 4 * MAX_TEXT_LENGTH
             or index >= MAX_ATTRIBUTES
         ):
@@ -258,20 +243,22 @@ def require_dataset(
     """
     import h5py
 
-    dataset = group.get(key)
-    if not isinstance(dataset, h5py.Dataset):
-        _refuse(f"{_name(group, key)} is missing or no dataset", path)
-    dataset = _require_unit(dataset, unit, path)
     name = _name(group, key)
-    wanted_shape = ", ".join("any" if n is None else str(n) for n in shape)
-    if dataset.dtype.kind not in kinds or dataset.dtype.itemsize > (
-        1 if kinds == UINT8_KINDS else 8
-    ):
+    dataset: Any = group.get(key)
+    if not isinstance(dataset, h5py.Dataset):
+        _refuse(f"{name} is missing or no dataset", path)
+    stated: Any = dataset.attrs.get("unit")
+    if stated != unit:
+        how = "has no unit" if stated is None else f"is given in {stated!r}"
+        raise FileProblem(f"{name} {how}, want {unit!r}", path)
+    most_bytes = 1 if kinds == UINT8_KINDS else 8
+    if dataset.dtype.kind not in kinds or dataset.dtype.itemsize > most_bytes:
         _refuse(f"{name} must hold {_KIND_NAMES[kinds]}, got {dataset.dtype}", path)
     if dataset.ndim != len(shape) or any(
         n not in (None, m) for n, m in zip(shape, dataset.shape, strict=True)
     ):
-        _refuse(f"{name} must have shape ({wanted_shape}), got {dataset.shape}", path)
+        wanted = ", ".join("any" if n is None else str(n) for n in shape)
+        _refuse(f"{name} must have shape ({wanted}), got {dataset.shape}", path)
     row_shape = dataset.shape[1:] if len(shape) > 2 else dataset.shape
     if math.prod(row_shape) > MAX_VALUES or 0 in dataset.shape[1:] or dataset.shape[0] > MAX_FRAMES:
         _refuse(f"{name} cannot be as large as {dataset.shape}", path)

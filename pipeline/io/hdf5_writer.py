@@ -55,16 +55,13 @@ class RecordingWriter:
         self._begin(path, coding, depth_step_mm)
         with self._remove_on_error():
             self._open("w")
-            self._reserve(
-                0
-                if object_mesh is None
-                else object_mesh.vertices_mm.nbytes + object_mesh.triangles.nbytes
-            )
+            self._reserve(0)
             self._file.attrs["format"] = layout.FORMAT
             self._file.attrs["format_version"] = layout.VERSION
             self._file.attrs["notes"] = "\n".join(notes)
             self._file.create_group("streams")
             if object_mesh is not None:
+                self._reserve(object_mesh.vertices_mm.nbytes + object_mesh.triangles.nbytes)
                 group = self._file.create_group("object")
                 group.attrs["name"] = object_mesh.name
                 _write_dataset(group, "vertices", object_mesh.vertices_mm, "mm")
@@ -193,10 +190,8 @@ class RecordingWriter:
             )
         pixels = layout.encode_frame(frame.image, frames, f"frame {index} of {stream!r}")
         reference = self._reference_row(stream, group, frame)
-        if compressed:
-            _append_row(frames, index, pixels)
-        else:
-            _append_uncompressed(frames, index, pixels)
+        append_image = _append_row if compressed else _append_uncompressed
+        append_image(frames, index, pixels)
         _append_row(group["timestamps"], index, frame.time_s)
         _append_row(group["reference_index"], index, reference)
         self._append_truth(group, index, truth)
@@ -251,8 +246,8 @@ class RecordingWriter:
         if reference is None:
             return -1
         last = self._last_reference.get(stream)
-        if last is not None and (
-            last is reference or np.array_equal(last, reference, equal_nan=frame.is_depth)
+        if last is reference or (
+            last is not None and np.array_equal(last, reference, equal_nan=frame.is_depth)
         ):
             return stored.shape[0] - 1
         if reference.shape != frame.image.shape:

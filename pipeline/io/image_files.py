@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.core.arrays import Image, freeze
+from pipeline.core.arrays import Image, Stored, describe_size, freeze
 from pipeline.core.errors import FileProblem
 from pipeline.core.files import read_bytes
 from pipeline.core.native_stderr import silence_native_libraries
@@ -43,7 +42,7 @@ def is_reference_key(key: str) -> bool:
     return _REFERENCE_KEY.search(key) is not None
 
 
-def read_raw_pixels(path: Path) -> NDArray[np.generic]:
+def read_raw_pixels(path: Path) -> Stored:
     """The pixels as stored, colours as BGR(A).
 
     Raises FileProblem for a damaged or truncated file.
@@ -64,7 +63,7 @@ def read_raw_pixels(path: Path) -> NDArray[np.generic]:
         raise FileProblem(
             "the image cannot be decoded; it is damaged, too large or not an image", path
         )
-    return cast("NDArray[np.generic]", pixels)
+    return cast("Stored", pixels)
 
 
 def read_rgb(path: Path) -> Image:
@@ -146,9 +145,8 @@ def unpack_rgb(
     order, n_channels = _CHANNELS.get(encoding, ((), 2))
     rows, cols = shape
     if min(shape) < 1 or step < cols * n_channels or rows * step > len(content):
-        raise FileProblem(
-            f"{where} has fewer bytes than its size of {cols} x {rows} px needs", path
-        )
+        size = describe_size(shape)
+        raise FileProblem(f"{where} has fewer bytes than its size of {size} needs", path)
     lines = np.frombuffer(content, np.uint8, rows * step).reshape(rows, step)
     pixels = lines[:, : cols * n_channels].reshape(rows, cols, n_channels)
     if order:

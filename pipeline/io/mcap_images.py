@@ -9,6 +9,7 @@ import base64
 import json
 import struct
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -106,16 +107,15 @@ class Decoders:
 
         Raises ValueError where no package decodes it.
         """
+        encoding = channel.message_encoding
+        if encoding == "json":
+            return _decode_json(content)
         if id(channel) not in self._of_channel:
-            found = (
-                f.decoder_for(channel.message_encoding, channel.schema) for f in self._factories
-            )
-            self._of_channel[id(channel)] = next(
-                (decoder for decoder in found if decoder is not None), None
-            )
+            found = (f.decoder_for(encoding, channel.schema) for f in self._factories)
+            self._of_channel[id(channel)] = next(filter(None, found), None)
         decoder = self._of_channel[id(channel)]
         if decoder is None:
-            raise ValueError(f"no decoder for {channel.message_encoding!r}")
+            raise ValueError(f"no decoder for {encoding!r}")
         return decoder(content)
 
 
@@ -131,31 +131,20 @@ def make_decoders() -> Decoders:
         raise SettingProblem(
             "messages are read by mcap, which is not installed; pip install mcap-protobuf-support"
         ) from error
-    factories: list[Any] = [_JsonDecoders()]
-    try:
+    factories: list[Any] = []
+    with suppress(ImportError):
         from mcap_protobuf.decoder import DecoderFactory
 
         factories.append(DecoderFactory())
-    except ImportError:
-        pass
-    try:
+    with suppress(ImportError):
         from mcap_ros2.decoder import DecoderFactory as RosDecoderFactory
 
         factories.append(RosDecoderFactory())
-    except ImportError:
-        pass
     return Decoders(factories)
 
 
-class _JsonDecoders:
-    """Decoders of JSON messages, whose bytes are base64."""
-
-    def decoder_for(self, message_encoding: str, _schema: Any) -> Any:
-        """The decoder; None for other encodings."""
-        return _decode_json if message_encoding == "json" else None
-
-
 def _decode_json(content: bytes) -> Any:
+    """A JSON message, whose bytes are base64."""
     fields = json.loads(content)
     return SimpleNamespace(**{**fields, "data": base64.b64decode(fields["data"])})
 

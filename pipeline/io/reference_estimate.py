@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pipeline.core.arrays import Floats, Image, freeze
 from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.files import open_atomic, require_file, require_separate
+from pipeline.core.frame_lists import spread_indices
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import Stream
 from pipeline.io.depth_arrays import compute_median_depth
@@ -127,8 +128,8 @@ def _stack_median(
     first = next(read_each(range(n)), None)
     if first is None:
         raise FileProblem("none of the images can be read; record them anew", path)
-    n_chosen = min(n, _MAX_IMAGES, max(_MIN_IMAGES, _MAX_BYTES // first.nbytes))
-    chosen = sorted({round(k) for k in np.linspace(0, n - 1, n_chosen)})
+    most = min(_MAX_IMAGES, max(_MIN_IMAGES, _MAX_BYTES // first.nbytes))
+    chosen = spread_indices(n, most)
     stack = [image for image in read_each(chosen) if image.shape == first.shape]
     if len(stack) < _MIN_IMAGES:
         raise FileProblem(

@@ -9,15 +9,15 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.core.arrays import Floats, Image, freeze
+from pipeline.core.arrays import Floats, Image, Stored, freeze
 from pipeline.core.errors import FileProblem, StageWarning
+from pipeline.core.frame_lists import spread_indices
 
 TAKEN = "is taken as the reference"  # in every note of `find_first_reference`
 
 T = TypeVar("T")
-A = TypeVar("A", bound=NDArray[np.generic])
+A = TypeVar("A", bound=Stored)
 
 _MAX_FRAMES = 15
 _MAX_PIXELS = 20_000_000  # of all frames together: reading more delays the opening of a recording
@@ -47,7 +47,7 @@ _WHITE_GREY = 250.0
 _WHITE_SHARE = 0.05
 
 
-def compute_block_means(image: NDArray[np.generic], n_along: int) -> Floats:
+def compute_block_means(image: Stored, n_along: int) -> Floats:
     """Means (block rows, block cols, channels) with `n_along` blocks along the longer side.
 
     NaN counts as 0.
@@ -164,11 +164,7 @@ def sample_frames(
 
     Those that cannot be read are skipped.
     """
-    count = min(most, n_frames - first)
-    return read_each(
-        read,
-        sorted({round(i) for i in np.linspace(first, n_frames - 1, count)}) if count > 0 else (),
-    )
+    return read_each(read, spread_indices(n_frames, most, first))
 
 
 def read_each(read: Callable[[int], A], indices: Iterable[int]) -> Iterator[tuple[int, A]]:

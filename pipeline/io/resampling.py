@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.core.arrays import Doubles, Floats, Image, freeze
+from pipeline.core.arrays import Doubles, Floats, Image, describe_size, freeze
 from pipeline.core.errors import StageWarning
 from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import Camera
@@ -74,8 +74,9 @@ def fit_resampling(
         return None
     ratio = shape[1] / shape[0]
     sensor_ratio = size[1] / size[0]
-    stored = f"{shape[1]} x {shape[0]} px"
-    to = f"resampled to the {size[1]} x {size[0]} px of {spec.name}, {spec.pixel_mm:.4f} mm each"
+    stored = describe_size(shape)
+    resampled = f"resampled to the {describe_size(size)} of {spec.name}"
+    to = f"{resampled}, {spec.pixel_mm:.4f} mm each"
     if _is_close(ratio, sensor_ratio):
         how = f"images of {stored} are {to}"
         cut = _CROP_SHARES.get(spec.name, 0.0)
@@ -102,9 +103,7 @@ def fit_resampling(
     if ratio == 1.0 and max(shape) <= _MAX_TILE_PX:
         note = StageWarning(
             f"tiles of {stored} have no millimetres: they are taken as whole images squeezed to a "
-            "square and resampled "
-            f"to the {size[1]} x {size[0]} px of {spec.name}, so that lengths and depths are not "
-            "to scale"
+            f"square and {resampled}, so that lengths and depths are not to scale"
         )
         return ResamplingFit(shape=size, note=note)
     return None
@@ -148,7 +147,7 @@ def infer_depth_camera(
     own = spec.camera
     if not spec.sensor_kind.is_depth or shape == own.shape:
         return None, ()
-    size = f"{shape[1]} x {shape[0]} px"
+    size = describe_size(shape)
     exact = "a matrix K in the file would be exact"
     if own.shape == (140, 175) and shape == _TOF_SHAPE:
         camera = own.crop(-_TOF_CORNER[0], -_TOF_CORNER[1], *shape)
@@ -158,13 +157,14 @@ def infer_depth_camera(
         return own.resize(*shape), (note,)
     if any(_is_close(shape[1] / shape[0], ratio, 0.01) for ratio in _STEREO_RATIOS):
         f_px = _STEREO_FOCAL_PX * shape[0] / _STEREO_ROWS
+        rows, cols = shape
         camera = Camera(
-            rows=shape[0],
-            cols=shape[1],
+            rows=rows,
+            cols=cols,
             fx_px=f_px,
             fy_px=f_px,
-            cx_px=(shape[1] - 1) / 2,
-            cy_px=(shape[0] - 1) / 2,
+            cx_px=(cols - 1) / 2,
+            cy_px=(rows - 1) / 2,
         )
         note = (
             f"depth of {size} is taken as that of a RealSense with a focal length of about "

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, Never
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pipeline.core.arrays import Stored
 from pipeline.core.errors import FileProblem, escape_text
 from pipeline.core.files import close_on_error, require_file
 from pipeline.core.values.frames import Recording, Stream
@@ -106,7 +106,7 @@ def _join_episodes(camera: str, episodes: Sequence[ImageStack], path: Path) -> I
         raise FileProblem(f"the images of {camera} differ in size between episodes", path)
     ends = list(accumulate(stack.n_frames for stack in episodes))
 
-    def read(index: int) -> NDArray[np.generic]:
+    def read(index: int) -> Stored:
         at = bisect_right(ends, index)
         return episodes[at].read(index - (ends[at] - episodes[at].n_frames))
 
@@ -123,8 +123,8 @@ def _make_stacks(array: Any, place: str, path: Path) -> tuple[ImageStack, ...]:
     if stacks and max(row_bytes, chunk_bytes) > _MAX_BYTES:
         raise FileProblem(f"{place} has frames or chunks that are too large", path)
 
-    def guard(read: Callable[[int], NDArray[np.generic]]) -> Callable[[int], NDArray[np.generic]]:
-        def read_checked(index: int) -> NDArray[np.generic]:
+    def guard(read: Callable[[int], Stored]) -> Callable[[int], Stored]:
+        def read_checked(index: int) -> Stored:
             try:
                 return read(index)
             except Exception as error:  # noqa: BLE001 - codecs have no common root

@@ -5,6 +5,7 @@ state it.
 import re
 from collections.abc import Sequence
 
+from pipeline.core.arrays import describe_size
 from pipeline.sensors.spec import list_sensor_names, load_sensor
 
 # (rows, cols) of only one described sensor. A DIGIT on its side looks like a Mini; its driver
@@ -30,30 +31,19 @@ def resolve_sensor_name(
     """
     if sensor:
         return load_sensor(sensor).name, ()
-    rows, cols = shape
+    size = describe_size(shape)
+    unnamed = "the file does not name its sensor"
     if is_depth:
-        why = (
-            "only the soft bubble records depth"
-            if shape != (140, 175)
-            else f"depth of {cols} x {rows} px"
-        )
-        return "soft_bubble", (
-            f"the file does not name its sensor; taken to be soft_bubble ({why})",
-        )
+        why = f"depth of {size}" if shape == (140, 175) else "only the soft bubble records depth"
+        return "soft_bubble", (f"{unnamed}; taken to be soft_bubble ({why})",)
     guess = _BY_SIZE.get(shape, "")
     if guess:
-        return guess, (
-            f"the file does not name its sensor; taken to be {guess} by its size of {cols} x "
-            f"{rows} px",
-        )
+        return guess, (f"{unnamed}; taken to be {guess} by its size of {size}",)
     named = find_named_sensor(file_names)
     if named:
         return named, (f"taken to be {named}, which the names of the files hold",)
     fits = f"may be {_AMBIGUOUS[shape]}" if shape in _AMBIGUOUS else "fits none"
-    return "", (
-        f"the file does not name its sensor, and {cols} x {rows} px {fits}; say which with "
-        "--sensor",
-    )
+    return "", (f"{unnamed}, and {size} {fits}; say which with --sensor",)
 
 
 def find_named_sensor(file_names: Sequence[str]) -> str:

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.core.arrays import Floats, Image, freeze
+from pipeline.core.arrays import Floats, Image, Stored, freeze
 from pipeline.core.errors import FileProblem, escape_text
+from pipeline.core.frame_lists import spread_indices
 from pipeline.core.frozen import frozen
 
 _MIN_SIDE_PX = 8  # of an image; smaller arrays with three columns are points or matrices
@@ -30,7 +31,7 @@ class ImageStack:
     name: str  # "" where the array holds those of one sensor
     n_frames: int
     shape: tuple[int, int]  # (rows, cols) of an image
-    read: Callable[[int], NDArray[np.generic]]  # (rows, cols, 3) as stored
+    read: Callable[[int], Stored]  # (rows, cols, 3) as stored
 
 
 def split_stacks(array: NDArray[Any]) -> tuple[ImageStack, ...]:
@@ -63,8 +64,8 @@ def split_stacks(array: NDArray[Any]) -> tuple[ImageStack, ...]:
     shape = array.shape[-3:-1] if axis == -1 else array.shape[-2:]
     n_parts = n_colours // 3  # of the colours
 
-    def make_reader(sensor: int, part: int) -> Callable[[int], NDArray[np.generic]]:
-        def read(index: int) -> NDArray[np.generic]:
+    def make_reader(sensor: int, part: int) -> Callable[[int], Stored]:
+        def read(index: int) -> Stored:
             place = tuple(
                 index if k == frames else sensor if k in sensors else 0 for k in range(len(leading))
             )
@@ -138,7 +139,7 @@ class GreyScale:
     is_difference: bool = False  # grey levels are changes from the reference
     note: str = ""  # "" where bytes are stored
 
-    def convert_image(self, raw: NDArray[np.generic], where: str, path: Path) -> Image:
+    def convert_image(self, raw: Stored, where: str, path: Path) -> Image:
         """The stored image as bytes; raises FileProblem for values that are not finite."""
         if raw.dtype == np.uint8:
             return freeze(np.ascontiguousarray(raw, np.uint8))
@@ -146,7 +147,7 @@ class GreyScale:
             np.clip(np.rint(self.convert_difference(raw, where, path)), 0, 255).astype(np.uint8)
         )
 
-    def convert_difference(self, raw: NDArray[np.generic], where: str, path: Path) -> Floats:
+    def convert_difference(self, raw: Stored, where: str, path: Path) -> Floats:
         """The stored image in grey levels, which may be signed.
 
         Raises FileProblem for values that are not finite.
@@ -161,21 +162,21 @@ class GreyScale:
         return freeze(grey)
 
 
-def sample_values(read: Callable[[int], NDArray[np.generic]], n: int) -> NDArray[np.generic]:
+def sample_values(read: Callable[[int], Stored], n: int) -> Stored:
     """Values of frames spread evenly over a stack of `n`, (k,)."""
-    parts = list[NDArray[np.generic]]()
-    for index in sorted({round(k) for k in np.linspace(0, n - 1, min(n, _MAX_SAMPLED))}):
+    parts = list[Stored]()
+    for index in spread_indices(n, _MAX_SAMPLED):
         values = read(index).ravel()
         parts.append(values[:: 1 + values.size * min(n, _MAX_SAMPLED) // _MAX_VALUES])
     return np.concatenate(parts)
 
 
 def infer_grey_scale(
-    values: NDArray[np.generic],
+    values: Stored,
     key: str,
     path: Path,
     *,
-    of_reference: NDArray[np.generic] | None = None,
+    of_reference: Stored | None = None,
 ) -> GreyScale:
     """The meaning of the sampled `values` of the array `key`.
 

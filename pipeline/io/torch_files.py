@@ -103,13 +103,11 @@ def convert_to_rgb(channels_first: Any, key: str, path: Path) -> Image:
     values = cast("NDArray[np.float32]", channels_first.float().numpy())
     low = float(values.min())
     high = float(values.max())
+    want = f"{key} must hold grey levels of 0 to 255"
     if not (low >= -0.5 and high <= 255.5):
-        raise FileProblem(f"{key} must hold grey levels of 0 to 255, got {low:g} to {high:g}", path)
+        raise FileProblem(f"{want}, got {low:g} to {high:g}", path)
     if 0 < high <= 1.0:
-        raise FileProblem(
-            f"{key} must hold grey levels of 0 to 255, but none exceeds {high:g}; are they 0 to 1?",
-            path,
-        )
+        raise FileProblem(f"{want}, but none exceeds {high:g}; are they 0 to 1?", path)
     return freeze(
         np.ascontiguousarray(np.moveaxis(np.clip(np.rint(values), 0, 255).astype(np.uint8), 0, 2))
     )

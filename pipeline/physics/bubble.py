@@ -19,9 +19,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.core.arrays import Doubles, Floats, Mask, freeze
+from pipeline.core.arrays import Doubles, Floats, Mask, Reals, freeze
 from pipeline.core.errors import SettingProblem
 from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import Camera
@@ -134,7 +133,7 @@ def compute_tension_n_per_mm(bubble: Bubble) -> float:
 
 def press_bubble(
     bubble: Bubble,
-    ceiling_mm: NDArray[np.floating],
+    ceiling_mm: Reals,
     on: Lattice,
     *,
     tolerance_mm: float = TOLERANCE_MM,
@@ -262,9 +261,7 @@ def compute_contact_load(grid: ObstacleProblem, v: Doubles | Floats, load_per_mm
 _MIN_COSINE = 0.1  # noise is constant beyond 84 degrees, where there is no signal
 
 
-def compute_ceiling_from_depth(
-    sensor: SensorSpec, depth_mm: NDArray[np.floating], on: Lattice
-) -> Doubles:
+def compute_ceiling_from_depth(sensor: SensorSpec, depth_mm: Reals, on: Lattice) -> Doubles:
     """Height (ny, nx) in mm over the rim plane of the surface in a depth image.
 
     +inf without a surface.
@@ -272,9 +269,7 @@ def compute_ceiling_from_depth(
     return lattice.rasterise_depth_image(sensor.camera, depth_mm, on) - get_rim_z_mm(sensor)
 
 
-def compute_depth_from_deviation(
-    sensor: SensorSpec, deviation_mm: NDArray[np.floating], on: Lattice
-) -> Doubles:
+def compute_depth_from_deviation(sensor: SensorSpec, deviation_mm: Reals, on: Lattice) -> Doubles:
     """Z (rows, cols) where each camera ray meets the membrane.
 
     The rest depth itself where nothing deviates.
@@ -291,10 +286,10 @@ def compute_depth_from_deviation(
 
 def simulate_depth_frame(
     sensor: SensorSpec,
-    depth_mm: NDArray[np.floating],
+    depth_mm: Reals,
     seed: int | None,
     *,
-    cosine: NDArray[np.floating] | None = None,
+    cosine: Reals | None = None,
 ) -> Floats:
     """The depth frame (rows, cols) float32 of a membrane; NaN = no value.
 
@@ -321,7 +316,7 @@ def simulate_depth_frame(
     return freeze(np.where(lost, np.nan, seen).astype(np.float32))
 
 
-def compute_incidence_cosine(camera: Camera, depth_mm: NDArray[np.floating]) -> Doubles:
+def compute_incidence_cosine(camera: Camera, depth_mm: Reals) -> Doubles:
     """Cosine (rows, cols) of the angle between each ray and the surface normal.
 
     1 = perpendicular incidence.
@@ -339,7 +334,7 @@ def compute_rest_cosine(sensor: SensorSpec) -> Doubles:
     return freeze(compute_incidence_cosine(sensor.camera, rest))
 
 
-def _relative_noise(depth_mm: Doubles, cosine: NDArray[np.floating], errs: DepthCamera) -> Doubles:
+def _relative_noise(depth_mm: Doubles, cosine: Reals, errs: DepthCamera) -> Doubles:
     """Standard deviation (rows, cols) up to a factor.
 
     Distance in tenths of a metre, to stay near 1.

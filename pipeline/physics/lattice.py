@@ -7,9 +7,8 @@ meet the bilinear surface to a nanometre.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.core.arrays import Doubles, Indices, Mask, freeze
+from pipeline.core.arrays import Doubles, Indices, Mask, Reals, freeze
 from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.geometry.meshes import make_grid_triangles
@@ -34,7 +33,7 @@ class Lattice:
         return self.y0_mm + self.step_mm * np.arange(self.shape[0], dtype=np.float64)
 
 
-def rasterise_depth_image(camera: Camera, depth_mm: NDArray[np.floating], on: Lattice) -> Doubles:
+def rasterise_depth_image(camera: Camera, depth_mm: Reals, on: Lattice) -> Doubles:
     """Z (ny, nx) in mm of the surface in a depth image (NaN = none), the nearest where it folds.
 
     +inf without one.
@@ -68,9 +67,7 @@ def rasterise_mesh(vertices_mm: Doubles, triangles: Indices, on: Lattice) -> Dou
     return rasterise_triangles(nodes, triangles, on.shape)[0]
 
 
-def intersect_rays(
-    camera: Camera, z_mm: Doubles, on: Lattice, guess_mm: NDArray[np.floating]
-) -> Doubles:
+def intersect_rays(camera: Camera, z_mm: Doubles, on: Lattice, guess_mm: Reals) -> Doubles:
     """Z (rows, cols) where each camera ray meets the surface `z_mm` (ny, nx), level beyond the
     lattice.
     """
@@ -86,9 +83,7 @@ def intersect_rays(
     return freeze(z)
 
 
-def sample_mask_at_pixels(
-    camera: Camera, mask: Mask, on: Lattice, depth_mm: NDArray[np.floating]
-) -> Mask:
+def sample_mask_at_pixels(camera: Camera, mask: Mask, on: Lattice, depth_mm: Reals) -> Mask:
     """`mask` (ny, nx) at the points that the camera sees at `depth_mm` (rows, cols): of the
     nearest node.
     """

@@ -15,9 +15,8 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.core.arrays import Floats, Image, freeze
+from pipeline.core.arrays import Floats, Image, Reals, freeze
 from pipeline.core.derived import derive_once
 from pipeline.core.errors import SettingProblem, ShapeError
 from pipeline.core.geometry.camera import Camera
@@ -25,7 +24,7 @@ from pipeline.sensors.parts import Gel, Markers, Optics, compute_reference_light
 from pipeline.sensors.spec import SensorSpec
 
 
-def compute_slopes(height_mm: NDArray[np.floating], pixel_mm: float) -> tuple[Floats, Floats]:
+def compute_slopes(height_mm: Reals, pixel_mm: float) -> tuple[Floats, Floats]:
     """(d/dx, d/dy) in mm/mm of height images (..., rows, cols): central differences, one-sided
     at the border.
     """
@@ -46,8 +45,8 @@ _COARSE = 4  # pixels to a node: the motion is smooth
 
 def compute_marker_motion_px(
     sensor: SensorSpec,
-    indentation_mm: NDArray[np.floating],
-    shear_mm: NDArray[np.floating] | None = None,
+    indentation_mm: Reals,
+    shear_mm: Reals | None = None,
 ) -> tuple[Floats, Floats]:
     """Motion (x, y), each (rows, cols) in pixels, of the surface point at each pixel since the
     reference image.
@@ -66,9 +65,7 @@ def compute_marker_motion_px(
     return freeze(x + dragged[..., 0]), freeze(y + dragged[..., 1])
 
 
-def check_surface(
-    sensor: SensorSpec, indentation_mm: NDArray[np.floating], shear_mm: NDArray[np.floating] | None
-) -> None:
+def check_surface(sensor: SensorSpec, indentation_mm: Reals, shear_mm: Reals | None) -> None:
     """Raise ShapeError unless both have the shape of the sensor's image and are finite."""
     shape = sensor.camera.shape
     if indentation_mm.shape != shape:
@@ -141,9 +138,7 @@ _NO_SHADOW_MM = 0.02  # shallower surfaces cast no visible shadow
 _N_QUANTILES = 4096
 
 
-def compute_colour_change(
-    sensor: SensorSpec, gx: NDArray[np.floating], gy: NDArray[np.floating]
-) -> Floats:
+def compute_colour_change(sensor: SensorSpec, gx: Reals, gy: Reals) -> Floats:
     """Grey levels (rows, cols, 3) float32 that the slopes add to the reference image.
 
     Exactly 0 for zero slopes.
@@ -178,10 +173,10 @@ def render_reference(sensor: SensorSpec) -> Image:
 
 def render(
     sensor: SensorSpec,
-    indentation_mm: NDArray[np.floating],
+    indentation_mm: Reals,
     *,
     seed: int | None,
-    shear_mm: NDArray[np.floating] | None = None,
+    shear_mm: Reals | None = None,
 ) -> Image:
     """The image (rows, cols, 3) of a gel sensor under an indentation (rows, cols) in mm.
 
@@ -206,7 +201,7 @@ def require_optics(sensor: SensorSpec) -> Optics:
     return sensor.optics
 
 
-def _to_float32(array: NDArray[np.floating]) -> Floats:
+def _to_float32(array: Reals) -> Floats:
     """A contiguous float32 array, read-only: kernels are compiled again for writable ones."""
     return freeze(np.ascontiguousarray(array, dtype=np.float32).view())
 
@@ -287,7 +282,7 @@ def apply_shadows(
 
 
 def iterate_led_shadows(
-    height_mm: Floats, towards: NDArray[np.floating], sinks: NDArray[np.floating], pixel_mm: float
+    height_mm: Floats, towards: Reals, sinks: Reals, pixel_mm: float
 ) -> Iterator[Floats]:
     """LED by LED, the share (rows, cols) of its light, 0 to 1, that an indentation blocks.
 

@@ -18,9 +18,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.core.arrays import Doubles, Floats, freeze
+from pipeline.core.arrays import Doubles, Floats, Reals, freeze
 from pipeline.core.errors import SettingProblem
 from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import Camera
@@ -62,7 +61,7 @@ class ShearResult:
 
 
 def solve_shear(
-    gel: Gel, pixel_mm: float, pressure_kpa: NDArray[np.floating], load: TangentialLoad
+    gel: Gel, pixel_mm: float, pressure_kpa: Reals, load: TangentialLoad
 ) -> ShearResult:
     """The surface under `pressure_kpa` (rows, cols) dragged by `load`.
 
@@ -91,7 +90,7 @@ def solve_shear(
 
 
 def sample_motion_at_pixels(
-    camera: Camera, on: Lattice, move_mm: Floats, depth_mm: NDArray[np.floating]
+    camera: Camera, on: Lattice, move_mm: Floats, depth_mm: Reals
 ) -> Floats:
     """The motion (rows, cols, 2) in mm at the points that a camera sees at `depth_mm`.
 
@@ -200,7 +199,7 @@ def _limit_traction(traction: Floats, limit: Floats) -> Floats:
     return (traction * np.minimum(1.0, limit / size)[..., None]).astype(np.float32)
 
 
-def _average_cells(field: NDArray[np.floating], cell: int) -> Floats:
+def _average_cells(field: Reals, cell: int) -> Floats:
     rows, cols = (-(-n // cell) for n in field.shape)
     padded = np.zeros((rows * cell, cols * cell), np.float32)
     padded[: field.shape[0], : field.shape[1]] = field

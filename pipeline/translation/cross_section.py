@@ -6,11 +6,12 @@ touch is, and a camera sees a straight line as a straight line.
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from pipeline.core.arrays import Doubles, Mask, freeze
+from pipeline.core.arrays import Doubles, Mask, Reals, freeze
 from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import MIN_DEPTH_MM, Camera
@@ -98,7 +99,7 @@ class HeightMap:
     name: str  # a stage, "source", "true_source" or "true_target"
     title: str
     place: SensorRole  # sensor whose rest surface the heights are over
-    heights_mm: NDArray[np.floating]  # (rows, cols) + toward the camera, NaN = no value
+    heights_mm: Reals  # (rows, cols) + toward the camera, NaN = no value
     plane: SectionPlane
     contact: Mask | None = None  # (rows, cols)
 
@@ -123,7 +124,7 @@ class CrossSection:
     profiles: tuple[HeightProfile, ...]
 
 
-def sample_bilinear(values: NDArray[np.floating], px: Doubles) -> Doubles:
+def sample_bilinear(values: Reals, px: Doubles) -> Doubles:
     """Return bilinear samples (n,) of values (rows, cols) at x, y (n, 2).
 
     NaN outside the image, and where one of the four neighbours has no value.
@@ -201,29 +202,25 @@ def build_height_map(
 ) -> HeightMap | None:
     """Return the heights of a stage's membrane, else of its preview; None without any."""
     membrane = getattr(value, "membrane", None)
+    scale = picture.scale
     if isinstance(membrane, DepthMap):
-        beneath = SectionPlane(
-            camera=membrane.camera,
-            plane_z_mm=sheet.plane_z_mm,
-            camera_from_source=sheet.camera_from_source,
-        )
-        return HeightMap(
-            name=name,
-            title=title,
-            place=place,
-            heights_mm=membrane.indentation_mm,
-            plane=beneath,
-            contact=membrane.contact,
-        )
-    if picture.values is None or picture.scale is None or picture.scale.unit != "mm":
+        heights = membrane.indentation_mm
+        contact: Mask | None = membrane.contact
+        sheet = replace(sheet, camera=membrane.camera)
+    elif (
+        picture.values is not None
+        and scale is not None
+        and scale.unit == "mm"
+        and scale.quantity.endswith(_HEIGHTS)
+    ):
+        heights = picture.values
+        contact = getattr(value, "contact", None)
+        if contact is not None and contact.shape != heights.shape:
+            contact = None
+    else:
         return None
-    if not picture.scale.quantity.endswith(_HEIGHTS):
-        return None
-    contact: Mask | None = getattr(value, "contact", None)
-    if contact is not None and contact.shape != picture.values.shape:
-        contact = None
     return HeightMap(
-        name=name, title=title, place=place, heights_mm=picture.values, plane=sheet, contact=contact
+        name=name, title=title, place=place, heights_mm=heights, plane=sheet, contact=contact
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.core.arrays import Mask, freeze
 from pipeline.core.errors import SettingProblem
 from pipeline.core.frozen import frozen
-from pipeline.core.graph import StageResult
+from pipeline.core.graph import StageResults
 from pipeline.core.progress import SILENT, Progress, SubProgress
 from pipeline.core.values.results import TargetDepth
 from pipeline.stages.metrics.stage_metrics import METRICS
@@ -99,7 +99,7 @@ def attribute_error(
     if METRICS[name].better != "lower":
         raise SettingProblem(f"{figure} is not an error; choose a metric of which lower is better")
 
-    def evaluate_metric(part: Progress) -> tuple[Mapping[str, StageResult], float | None]:
+    def evaluate_metric(part: Progress) -> tuple[StageResults, float | None]:
         results = translation.evaluate(at_hand, [stage], part, given=given)
         return results, translation.compute_metrics(results, frame).get(figure)
 
@@ -136,7 +136,7 @@ def attribute_error(
 
 
 def list_substitutions(
-    translation: Translation, truths: Mapping[str, object], results: Mapping[str, StageResult]
+    translation: Translation, truths: Mapping[str, object], results: StageResults
 ) -> Iterator[tuple[str, str, object]]:
     """Yield (stage, title, truth) in running order.
 

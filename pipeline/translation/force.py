@@ -3,9 +3,8 @@ were weighed.
 """
 
 import math
-from collections.abc import Mapping
 
-from pipeline.core.graph import StageResult
+from pipeline.core.graph import StageResults
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthMap
 from pipeline.physics.contact_force import ContactForce
@@ -32,9 +31,7 @@ def estimate_force(depth: DepthMap, frame: TactileFrame, translation: Translatio
     )
 
 
-def measure_force(
-    results: Mapping[str, StageResult], index: int, translation: Translation
-) -> dict[str, float]:
+def measure_force(results: StageResults, index: int, translation: Translation) -> dict[str, float]:
     """The force of a frame's depth as metrics, and the true one where known.
 
     {} without depth or certain contact.

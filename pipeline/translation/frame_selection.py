@@ -2,14 +2,15 @@
 illumination.
 """
 
+import contextlib
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.core.arrays import Floats
+from pipeline.core.arrays import Floats, Stored
 from pipeline.core.digests import compute_cached_digest
 from pipeline.core.errors import TouchError
+from pipeline.core.frame_lists import spread_indices
 from pipeline.core.values.frames import Stream, TactileFrame
 
 _MOST_FRAMES = 24
@@ -89,16 +90,15 @@ def compare_with_reference(stream: Stream) -> Iterator[tuple[TactileFrame, Float
 def _spread(stream: Stream) -> list[int]:
     if stream.n_frames < 2:
         return []
-    try:
+    rows = 320
+    cols = 427
+    with contextlib.suppress(TouchError):
         rows, cols = stream.frame(0).image.shape[:2]
-    except TouchError:
-        rows = 320
-        cols = 427
-    count = min(_MOST_FRAMES, stream.n_frames, max(3, _MOST_PIXELS // (rows * cols)))
-    return [round(i) for i in np.linspace(0, stream.n_frames - 1, count)]
+    most = min(_MOST_FRAMES, max(3, _MOST_PIXELS // (rows * cols)))
+    return spread_indices(stream.n_frames, most)
 
 
-def _blocks(image: NDArray[np.generic]) -> Floats:
+def _blocks(image: Stored) -> Floats:
     import cv2
 
     rows, cols = image.shape[:2]

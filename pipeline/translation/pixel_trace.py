@@ -1,8 +1,6 @@
 """Trace of one pixel through all stages, forward and back, by the index maps of the methods."""
 
-from collections.abc import Mapping
-
-from pipeline.core.graph import StageResult
+from pipeline.core.graph import StageResult, StageResults
 from pipeline.stages.stage import GroundTruth, Stage
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.views.view import ProbePoint
@@ -11,7 +9,7 @@ SOURCE = "source"
 
 
 def trace_forward(
-    results: Mapping[str, StageResult],
+    results: StageResults,
     row: int,
     col: int,
     cols: int,
@@ -33,7 +31,7 @@ def trace_forward(
 
 
 def trace_to_source(
-    results: Mapping[str, StageResult], name: str, index: int, catalogue: Catalogue = BUILT_IN
+    results: StageResults, name: str, index: int, catalogue: Catalogue = BUILT_IN
 ) -> int:
     """Return the source pixel (flat index) that element `index` of a stage was made from.
 

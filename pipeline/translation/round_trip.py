@@ -12,7 +12,6 @@ nearest neighbour, it says beyond 1 that a touch is unlike what the network has 
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +20,7 @@ from pipeline.core.arrays import Doubles, Floats, Mask, freeze
 from pipeline.core.derived import derive_once
 from pipeline.core.files import read_arrays
 from pipeline.core.geometry import rigid
-from pipeline.core.graph import StageResult
+from pipeline.core.graph import StageResults
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthMap, GeneratedTouch, TargetDepth
@@ -35,9 +34,7 @@ from pipeline.translation.translate import Translation, load_nothing
 _BACK = "touch_depth"  # stage whose value on the way back is compared
 
 
-def measure_training_distance(
-    results: Mapping[str, StageResult], translation: Translation
-) -> dict[str, float]:
+def measure_training_distance(results: StageResults, translation: Translation) -> dict[str, float]:
     """Return the distance of a touch from training as a metric of its frame.
 
     {} where it is unknown.
@@ -50,7 +47,7 @@ def measure_training_distance(
 
 
 def measure_round_trip(
-    results: Mapping[str, StageResult], translation: Translation, progress: Progress = SILENT
+    results: StageResults, translation: Translation, progress: Progress = SILENT
 ) -> dict[str, float]:
     """Return the round-trip error of a frame's results as a metric.
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pipeline.core.frozen import frozen
-from pipeline.core.graph import StageResult
+from pipeline.core.graph import StageResult, StageResults
 from pipeline.translation.truth_view import add_truth_warnings
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ class TranslatedFrame:
         return self.translation.read_ground_truth(self.index)
 
     @property
-    def results(self) -> Mapping[str, StageResult]:
+    def results(self) -> StageResults:
         """Stage -> result of every stage of the route: `output`, `state`, `ms`, `notes`,
         `answered_by`.
         """
@@ -182,7 +182,7 @@ class FrameReport:
     """Stages and metrics of one frame; `problem` is the reason if there are none."""
 
     index: int
-    results: Mapping[str, StageResult]
+    results: StageResults
     metrics: Mapping[str, float]
     problem: str = ""
     is_user_error: bool = True  # whether the user can mend the problem

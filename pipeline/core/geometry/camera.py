@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pipeline.core.arrays import Doubles, Mask
+from pipeline.core.arrays import Doubles, Mask, Reals
 from pipeline.core.errors import CalibrationError
 from pipeline.core.frozen import frozen
 
@@ -78,7 +78,7 @@ class Camera:
         y = (np.arange(self.rows, dtype=np.float64) - self.cy_px) / self.fy_px
         return x, y
 
-    def back_project(self, depth_mm: NDArray[np.floating]) -> Doubles:
+    def back_project(self, depth_mm: Reals) -> Doubles:
         """Return the points (rows, cols, 3) of a depth image in the sensor frame; NaN stays NaN."""
         z = np.asarray(depth_mm, dtype=np.float64)
         return self.back_project_at(np.arange(self.cols), np.arange(self.rows)[:, None], z)

@@ -1,12 +1,11 @@
 """Surface normals and areas of images of points."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.core.arrays import Doubles, Mask
+from pipeline.core.arrays import Doubles, Mask, Reals
 
 
-def compute_area_vectors(points_mm: NDArray[np.floating]) -> Doubles:
+def compute_area_vectors(points_mm: Reals) -> Doubles:
     """Return the normals of an image of points (rows, cols, 3), toward the camera, with the pixel's
     area as length.
 
@@ -17,7 +16,7 @@ def compute_area_vectors(points_mm: NDArray[np.floating]) -> Doubles:
     return np.cross(down, to_right)  # y cross x points to -z: toward a camera that looks along +z
 
 
-def _slope(points: NDArray[np.floating], axis: int) -> Doubles:
+def _slope(points: Reals, axis: int) -> Doubles:
     """Return the change per pixel along `axis`: the mean of both steps, or the only one known."""
     step = np.diff(points, axis=axis)
     gap = np.full_like(np.take(points, [0], axis=axis), np.nan)
@@ -32,5 +31,5 @@ def _slope(points: NDArray[np.floating], axis: int) -> Doubles:
     return total / np.where(count > 0, count, np.nan)[..., None]
 
 
-def _is_finite(vectors: NDArray[np.floating]) -> Mask:
+def _is_finite(vectors: Reals) -> Mask:
     return np.isfinite(vectors[..., 2])

@@ -8,9 +8,8 @@ import math
 from dataclasses import field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.core.arrays import Doubles, Floats, Image, Indices, Mask, freeze
+from pipeline.core.arrays import Doubles, Floats, Image, Indices, Mask, Reals, freeze
 from pipeline.core.derived import derive_once
 from pipeline.core.digests import UNDIGESTED
 from pipeline.core.errors import find_uncertain_contact
@@ -185,7 +184,7 @@ class PressedMembrane(DepthMap):
 
 
 def make_depth_map(
-    rest_mm: NDArray[np.floating],
+    rest_mm: Reals,
     indentation_mm: Floats,
     contact: Mask,
     camera: Camera,

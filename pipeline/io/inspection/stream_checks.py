@@ -10,7 +10,7 @@ from typing import Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.core.arrays import Doubles, Image
+from pipeline.core.arrays import Doubles, Image, describe_size
 from pipeline.core.errors import CalibrationError
 from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
@@ -80,11 +80,8 @@ class StreamChecker:
         if self._spec is not None:
             shape = (frame.camera or self._spec.camera).shape
             if frame.image.shape[:2] != shape:
-                self.add_problem(
-                    f"{name} does not have the size of {self._spec.name}, {shape[1]} x {shape[0]} "
-                    "px",
-                    "image size",
-                )
+                want = f"the size of {self._spec.name}, {describe_size(shape)}"
+                self.add_problem(f"{name} does not have {want}", "image size")
         dtype = np.dtype(np.float32 if frame.is_depth else np.uint8)
         if frame.image.dtype != dtype:
             self.add_problem(f"{name} holds {frame.image.dtype}, it must be {dtype}", "types")

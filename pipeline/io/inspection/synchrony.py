@@ -131,12 +131,8 @@ def compare_streams(one: Stream, other: Stream) -> SynchronyResult | None:
 def select_moments(pairs: FramePairs) -> list[int]:
     """Frames of the first stream, at most `_MAX_MOMENTS` spread evenly over the pairs."""
     indices = pairs.indices.tolist()
-    n = len(indices)
-    return (
-        indices
-        if n <= _MAX_MOMENTS
-        else [indices[k * n // _MAX_MOMENTS] for k in range(_MAX_MOMENTS)]
-    )
+    n = min(len(indices), _MAX_MOMENTS)
+    return [indices[k * len(indices) // n] for k in range(n)]
 
 
 def compare_moments(

@@ -189,8 +189,8 @@ def _outline_points(depth: DepthMap) -> Doubles:
         row, col = np.nonzero(contact[: rows - down, : cols - right] != contact[down:, right:])
         is_free = ~contact[row, col]
         z = depth.depth_mm[row + down * is_free, col + right * is_free]
-        places = [col + 0.5 * right, row + 0.5 * down, z.astype(np.float64)]
-        found.append(np.stack(places, axis=-1))
+        places = [col + 0.5 * right, row + 0.5 * down, z]
+        found.append(np.stack(places, axis=-1, dtype=np.float64))
     x, y, z = np.concatenate(found).T
     margin = _BORDER_PX
     kept = (

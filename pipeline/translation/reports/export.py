@@ -8,7 +8,6 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from itertools import chain
@@ -20,9 +19,10 @@ from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.files import check_folder_for, open_atomic, require_separate, write_arrays
 from pipeline.core.frame_lists import parse_frames
 from pipeline.core.frozen import frozen
-from pipeline.core.graph import StageResult
+from pipeline.core.graph import StageResult, StageResults
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.pairing import compute_interval_s
 from pipeline.translation import cross_section
 from pipeline.translation.colour_limits import fit_display
 from pipeline.translation.force import measure_force
@@ -192,9 +192,7 @@ class _Work:
         time = f", {frame.time_s:.2f} s" if np.isfinite(frame.time_s) else ""
         return sheet.draw_pane_figure(self._pane(frame, results), f"frame {index}{time}")
 
-    def make_scene(
-        self, frame: TactileFrame, results: Mapping[str, StageResult]
-    ) -> scene_film.FrameScene:
+    def make_scene(self, frame: TactileFrame, results: StageResults) -> scene_film.FrameScene:
         """Return both sensors and the object on a frame."""
         return scene_film.make_frame_scene(frame, results, self.translation, self.display)
 
@@ -212,7 +210,7 @@ class _Work:
             raise SettingProblem("a sheet is no cloud of points; name one pane of it with --pane")
         return self._pane(*self.evaluate_frame(index))
 
-    def _pane(self, frame: TactileFrame, results: Mapping[str, StageResult]) -> sheet.RenderedPane:
+    def _pane(self, frame: TactileFrame, results: StageResults) -> sheet.RenderedPane:
         asked = self.asked
         return sheet.render_pane(
             asked.pane, frame, results, self.translation, self.display, asked.content
@@ -334,15 +332,11 @@ def _rgb(drawn: Figure) -> Any:
 
 
 def _rate_hz(translation: Translation, indices: Sequence[int]) -> float:
-    times: list[float] = []
-    for index in indices[:32]:
-        with suppress(FileProblem):
-            times.append(translation.stream.frame(index).time_s)
-    steps = np.diff(times)
-    steps = steps[np.isfinite(steps) & (steps > 0)]
-    return (
-        float(np.clip(1.0 / np.median(steps), 1.0, 120.0)) if steps.size else DEFAULT_VIDEO_RATE_HZ
-    )
+    times_s = translation.stream.times_s
+    if times_s is None:
+        return DEFAULT_VIDEO_RATE_HZ
+    rate_hz = 1.0 / compute_interval_s(times_s[list(indices)])
+    return float(np.clip(rate_hz, 1.0, 120.0)) if np.isfinite(rate_hz) else DEFAULT_VIDEO_RATE_HZ
 
 
 def _number(value: float) -> str:

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.core.figures import make_figure
-from pipeline.core.graph import StageResult
+from pipeline.core.graph import StageResult, StageResults
 from pipeline.core.values.frames import TactileFrame
 from pipeline.translation.reports.export_request import SOURCE
-from pipeline.translation.reports.scene_film import DPI, INK, make_frame_scene
+from pipeline.translation.reports.scene_film import (
+    INK,
+    make_dark_figure,
+    make_frame_scene,
+    name_sensors,
+)
 from pipeline.translation.reports.sheet import render_pane
 from pipeline.translation.translate import Translation
 from pipeline.views.colours import get_colour_table
 from pipeline.views.display_params import DisplayParams
 from pipeline.views.preview import Preview
-from pipeline.views.scene_drawing import DARK_BACKGROUND
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,14 +47,9 @@ def name_pane(translation: Translation, stage: str, result: StageResult | None) 
     return f"{translation.get_sensor(stage).title}, {title}: {by}"
 
 
-def name_sensors(translation: Translation) -> str:
-    """Return both sensors."""
-    return f"{translation.source.title} \N{RIGHTWARDS ARROW} {translation.target.title}"
-
-
 def draw_presentation(
     frame: TactileFrame,
-    results: Mapping[str, StageResult],
+    results: StageResults,
     translation: Translation,
     display: DisplayParams,
     size_px: tuple[int, int],
@@ -66,8 +63,7 @@ def draw_presentation(
         panes.append(render_pane(stage, frame, results, translation, display, "truth"))
     pictures = [pane.preview for pane in panes]
     width, height = size_px
-    figure = make_figure(figsize=(width / DPI, height / DPI), dpi=DPI)
-    figure.set_facecolor("#{:02x}{:02x}{:02x}".format(*DARK_BACKGROUND))
+    figure = make_dark_figure(size_px)
     scene = make_frame_scene(frame, results, translation, display)
     rows = len(pictures) - 1  # generated over recorded
     cells = [(0, 0, 1), *((2, row, rows) for row in range(rows))]

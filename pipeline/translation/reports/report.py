@@ -22,7 +22,7 @@ from pipeline.core.errors import StageWarning
 from pipeline.core.files import write_arrays, write_folder, write_json
 from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import Camera
-from pipeline.core.graph import StageResult
+from pipeline.core.graph import StageResult, StageResults
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import ObjectPose
 from pipeline.stages.depth.contact_force import FORCE
@@ -34,9 +34,7 @@ from pipeline.translation.translated_frame import FrameReport
 FRAME_FILES = ("frame.json", "stages.npz", "sheet.png")  # of one frame's folder
 
 
-def collect_stage_arrays(
-    frame: TactileFrame, results: Mapping[str, StageResult]
-) -> dict[str, NDArray[Any]]:
+def collect_stage_arrays(frame: TactileFrame, results: StageResults) -> dict[str, NDArray[Any]]:
     """Return every array of every stage as `stage.field`; a camera becomes its K (3, 3)."""
     arrays: dict[str, NDArray[Any]] = {"source.image": frame.shown_image}
     if frame.reference is not None:

@@ -31,7 +31,7 @@ from pipeline.core.files import (
     write_json,
 )
 from pipeline.core.frozen import frozen
-from pipeline.core.graph import StageResult
+from pipeline.core.graph import StageResults
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.typed_data import FileName, Name, Note, convert
 from pipeline.core.values.frames import TactileFrame
@@ -211,7 +211,7 @@ def _of_stages(settings: tuple[str, ...]) -> list[str]:
 
 def _translate(
     translation: Translation, progress: Progress
-) -> tuple[TactileFrame, Mapping[str, StageResult], dict[str, float]]:
+) -> tuple[TactileFrame, StageResults, dict[str, float]]:
     results = translation.evaluate(0, progress=progress)
     return translation.stream.frame(0), results, translation.compute_metrics(results, 0)
 

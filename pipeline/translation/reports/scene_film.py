@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,7 @@ from pipeline.core.figures import make_figure
 from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import Camera
-from pipeline.core.graph import StageResult
+from pipeline.core.graph import StageResults
 from pipeline.core.values.frames import TactileFrame
 from pipeline.sensors.alignment import correct_alignment
 from pipeline.translation.translate import Translation
@@ -81,8 +81,7 @@ class FrameScene:
     def _lay_out(self, size_px: tuple[int, int]) -> tuple[Figure, Any]:
         """Return an empty figure, and what draws layers, a turn in rad and a text into it."""
         width, height = size_px
-        figure = make_figure(figsize=(width / DPI, height / DPI), dpi=DPI)
-        figure.set_facecolor("#{:02x}{:02x}{:02x}".format(*DARK_BACKGROUND))
+        figure = make_dark_figure(size_px)
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         axes.set_axis_off()
         shown = axes.imshow(np.zeros((height, width, 3), np.uint8), aspect="auto")
@@ -104,9 +103,22 @@ class FrameScene:
         return figure, draw
 
 
+def make_dark_figure(size_px: tuple[int, int]) -> Figure:
+    """Return an empty figure of this width and height on the background of scenes."""
+    width, height = size_px
+    figure = make_figure(figsize=(width / DPI, height / DPI), dpi=DPI)
+    figure.set_facecolor("#{:02x}{:02x}{:02x}".format(*DARK_BACKGROUND))
+    return figure
+
+
+def name_sensors(translation: Translation) -> str:
+    """Return both sensors."""
+    return f"{translation.source.title} \N{RIGHTWARDS ARROW} {translation.target.title}"
+
+
 def make_frame_scene(
     frame: TactileFrame,
-    results: Mapping[str, StageResult],
+    results: StageResults,
     translation: Translation,
     display: DisplayParams,
 ) -> FrameScene:
@@ -129,13 +141,13 @@ def make_frame_scene(
     opened = correct_alignment(translation.alignment, motion)
     places = find_scene_places(opened, translation.alignment)
     layers = make_scene_layers(shown, source, target, places, recorded)
-    sensors = f"{source.title} \N{RIGHTWARDS ARROW} {target.title}"
+    words = (name_sensors(translation), f"frame {frame.index}", translation.truth_label)
     return FrameScene(
         layers=layers,
         motion=PressMotion(layers, source, target, places),
         places=places,
         bounds=compute_scene_bounds(source, target, opened),
-        title=", ".join(filter(None, (sensors, f"frame {frame.index}", translation.truth_label))),
+        title=", ".join(filter(None, words)),
     )
 
 

@@ -5,7 +5,6 @@ One pane of the window as a figure: image with scale bar, colour bar and caption
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +15,7 @@ from pipeline.core.arrays import Floats, Image
 from pipeline.core.errors import SettingProblem
 from pipeline.core.figures import make_figure, save_figure
 from pipeline.core.frozen import frozen
-from pipeline.core.graph import StageResult
+from pipeline.core.graph import StageResult, StageResults
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import Cloud
 from pipeline.translation.reports.export_request import SOURCE, PaneContent
@@ -191,7 +190,7 @@ class RenderedPane:
 def render_pane(
     name: str,
     frame: TactileFrame,
-    results: Mapping[str, StageResult],
+    results: StageResults,
     translation: Translation,
     display: DisplayParams,
     shown: PaneContent = "computed",
