@@ -247,7 +247,8 @@ def average_surfaces(
     filled = np.where(
         np.isfinite(key.depth_mm), key.depth_mm, np.float32(np.nanmedian(key.depth_mm))
     )
-    points = key.camera.back_project(cv2.GaussianBlur(filled, (0, 0), 1.0))[rows, cols]
+    smooth = np.asarray(cv2.GaussianBlur(filled, (0, 0), 1.0), np.float32)
+    points = key.camera.back_project(smooth)[rows, cols]
     depth_sum, outline_sum, n_seen = (np.zeros(points.shape[:2]) for _ in range(3))
     for surface, motion in zip(surfaces, current_from_key, strict=True):
         depth_mm, outline_mm, seen = _warp(surface, motion, points)
@@ -365,7 +366,7 @@ def sample_key_points(key: MembraneSurface, level: int) -> KeyPoints:
 def find_inside(pixels: Doubles, surface: MembraneSurface, margin_px: float) -> Mask:
     """Which pixels (n, 2) x, y are at least `margin_px` inside the image."""
     far = np.array(surface.camera.shape[::-1]) - 1 - margin_px
-    return ((pixels >= margin_px) & (pixels <= far)).all(axis=1)
+    return np.asarray(((pixels >= margin_px) & (pixels <= far)).all(axis=1), np.bool_)
 
 
 def compute_residuals(

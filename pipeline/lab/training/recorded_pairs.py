@@ -142,7 +142,7 @@ def _roles_by_split(grasps: Sequence[Grasp], splits: Sequence[str | None]) -> li
             return "training"
         return "unseen_grasps" if grasp.tool in trained else "unseen_tools"
 
-    return list(map(find_role, grasps, splits))
+    return [find_role(grasp, split) for grasp, split in zip(grasps, splits, strict=True)]
 
 
 def _select_tools(tools: set[str], hold_out: str) -> ToolSplit:
