@@ -84,16 +84,11 @@ def _inspect_file(plan: SimulationPlan, path: Path) -> tuple[int, bool]:
             )
         counts = [stream.n_frames for stream in recording.streams]
         good = next((k for k in range(min(counts)) if not _is_readable(recording, k)), min(counts))
-        if any(
-            hdf5.TRUTH_TABLE_TITLE in note and note.endswith(hdf5.DAMAGED_NOTE)
-            for note in recording.notes
-        ):
+        damaged = [note for note in recording.notes if note.endswith(hdf5.DAMAGED_NOTE)]
+        if any(hdf5.TRUTH_TABLE_TITLE in note for note in damaged):
             good = 0  # frames without their truth
-        damaged = any(
-            note.startswith(hdf5.TRUNCATED_NOTE) or note.endswith(hdf5.DAMAGED_NOTE)
-            for note in recording.notes
-        )
-        return good, good == max(counts) and not damaged
+        is_cut = any(note.startswith(hdf5.TRUNCATED_NOTE) for note in recording.notes)
+        return good, good == max(counts) and not (damaged or is_cut)
 
 
 def _is_readable(recording: Recording, index: int) -> bool:

@@ -63,11 +63,12 @@ def draw_paper_figures(
         models = _select_models(request, source, target)
         rows += [_make_row(request, of, source, target, models) for of in _spread(held_out)]
     both = [row for row in rows if {row.source, row.target} == {"gelslim", "soft_bubble"}]
-    paths = {number: folder / f"figure_{number}_{request.split}.png" for number in _COLUMNS}
+    drawn: list[Path] = []
     for number, of_figure in ((4, both), (5, rows)):
         if of_figure:
-            _draw(of_figure, _COLUMNS[number], request.split.replace("_", " "), paths[number])
-    return [path for number, path in paths.items() if (both if number == 4 else rows)]
+            drawn.append(folder / f"figure_{number}_{request.split}.png")
+            _draw(of_figure, _COLUMNS[number], request.split.replace("_", " "), drawn[-1])
+    return drawn
 
 
 def _spread(held_out: Sequence[PressRecordings]) -> list[PressRecordings]:
@@ -147,15 +148,7 @@ def _draw(rows: Sequence[FigureRow], columns: Sequence[str], split: str, path: P
             if column in row.images:
                 axes.imshow(row.images[column])
             else:
-                axes.text(
-                    0.5,
-                    0.5,
-                    "no weights",
-                    ha="center",
-                    va="center",
-                    transform=axes.transAxes,
-                    fontsize=7,
-                )
+                axes.set_xlabel("no weights", fontsize=7)
         titles = [load_sensor(name).title for name in (row.source, row.target)]
         line[0].set_ylabel(f"{titles[0]} to\n{titles[1]}\n{row.object_name}", fontsize=6)
     save_figure(figure, path, "the figure")

@@ -25,7 +25,6 @@ from pipeline.lab.evaluation.table_rows import TableRow, build_rows
 from pipeline.lab.evaluation.touch_scoring import (
     INCEPTION,
     PAPER_GRASP,
-    ScoredTouch,
     ScoringJob,
     load_encoder_weights,
     score_recording,
@@ -118,14 +117,13 @@ def evaluate_tables(request: EvaluationRequest, progress: Progress = SILENT) -> 
             )
             for one in held_out
         ]
-        scored = _run_jobs(jobs, part)
-        rows += build_rows(
-            request.split,
-            source,
-            target,
-            candidate_set.candidates,
-            [touch for job in scored for touch in job],
-        )
+        n = len(jobs)
+        scored = [
+            touch
+            for k, job in enumerate(jobs)
+            for touch in score_recording(job, SubProgress(part, k / n, 1.0 / n))
+        ]
+        rows += build_rows(request.split, source, target, candidate_set.candidates, scored)
     return EvaluationTable(
         split=request.split,
         rows=tuple(_remove_duplicates(rows)),
@@ -176,11 +174,8 @@ def _select_pose_methods(
     methods: list[str] = []
     missing: list[str] = []
     for name in names:
-        if name == PAPER_GRASP:
-            methods.append(name)
-            continue
-        method = BUILT_IN.method("pose", name)
-        known = None if method.weights is None else method.weights(source, target, None)
+        select = None if name == PAPER_GRASP else BUILT_IN.method("pose", name).weights
+        known = select and select(source, target, None)
         if isinstance(known, NoWeights):
             missing.append(f"no poses by {name} for {target.name}: {known.why}")
         else:
@@ -214,13 +209,6 @@ def _check_settings(request: EvaluationRequest) -> None:
             )
 
 
-def _run_jobs(jobs: Sequence[ScoringJob], progress: Progress) -> list[list[ScoredTouch]]:
-    return [
-        score_recording(job, SubProgress(progress, k / len(jobs), 1.0 / len(jobs)))
-        for k, job in enumerate(jobs)
-    ]
-
-
 def _remove_duplicates(rows: Sequence[TableRow]) -> list[TableRow]:
     """Keep recorded touches and baselines once per target."""
     unique: dict[tuple[str, ...], TableRow] = {}
@@ -234,21 +222,13 @@ def _describe_conditions(request: EvaluationRequest, touches: DirectionTouches) 
     """Notes on the conditions of the evaluation."""
     split = request.split.replace("_", " ")
     if request.pairs.path:
-        counts = [
-            (
-                sum(
-                    len(set(r.frame_names))
-                    for r in held_out
-                    if r.source_stream == held_out[0].source_stream
-                ),
-                sum(len(r.frames) for r in held_out),
-            )
-            for held_out, _ in touches.values()
-        ]
-        notes = [
-            f"{split}: {n_pairs} pairs of {n_grasps} grasps in {request.pairs.path}"
-            for n_grasps, n_pairs in dict.fromkeys(counts)
-        ]
+        found: list[str] = []
+        for held_out, _ in touches.values():
+            fingers = [r for r in held_out if r.source_stream == held_out[0].source_stream]
+            n_grasps = sum(len(set(r.frame_names)) for r in fingers)
+            n_pairs = sum(len(r.frames) for r in held_out)
+            found.append(f"{split}: {n_pairs} pairs of {n_grasps} grasps in {request.pairs.path}")
+        notes = list(dict.fromkeys(found))
     else:
         notes = [
             f"{split}: {request.held_out.grasps} grasps of each object; source sensor "

@@ -45,32 +45,31 @@ class VariantView:
     def build_tile(self, stage: str, *, starts_row: bool = False) -> Tile:
         """A stage's preview with its metrics and warnings."""
         view = self.stages.get(stage)
-        title = f"{self.label} · {self.titles.get(stage, stage)}"
+        tile = Tile(title=f"{self.label} · {self.titles.get(stage, stage)}", starts_row=starts_row)
         if view is None:
-            return Tile(
-                title=title,
-                problem=self.problem or "this route does not have it",
-                starts_row=starts_row,
-            )
+            return replace(tile, problem=self.problem or "this route does not have it")
         metrics = self.stage_metrics(stage)
         result = view.result
         truth = view.truth_view
         words = _format_metrics(metrics, "")
-        return Tile(
-            title=title,
+        return replace(
+            tile,
             subtitle=" · ".join([*words, *(() if result is None else result.warnings)]),
             metrics=metrics,
             preview=view.preview,
-            truth=None if truth is None else truth.truth,
-            difference=None if truth is None else truth.difference_to_truth,
+            truth=truth and truth.truth,
+            difference=truth and truth.difference_to_truth,
             problem="" if result is None else result.fallback,
-            starts_row=starts_row,
         )
 
     def stage_metrics(self, stage: str) -> dict[str, float]:
         """Name -> value of one stage's metrics."""
-        named = ((*name.split(".", 1), value) for name, value in self.metrics.items())
-        return {name: value for of, name, value in named if of == stage}
+        start = f"{stage}."
+        return {
+            name.removeprefix(start): value
+            for name, value in self.metrics.items()
+            if name.startswith(start)
+        }
 
 
 def compare_pair(
@@ -171,22 +170,15 @@ def build_tiles(
     one, other = _share_scales(one, other)
     if other.problem not in ("", IN_PROGRESS):
         summary = f"{summary} · B: {other.problem}"
-    if not stage:
-        names = list(dict.fromkeys((*one.stages, *other.stages)))
-        rows = [
-            view.build_tile(name, starts_row=name == names[0])
-            for view in (one, other)
-            for name in names
-        ]
-        return Comparison(tiles=tuple(rows), summary=summary)
-    return Comparison(
-        tiles=(
-            one.build_tile(stage),
-            other.build_tile(stage),
-            _build_difference_tile(one, other, stage),
-        ),
-        summary=summary,
-    )
+    names = [stage] if stage else list(dict.fromkeys((*one.stages, *other.stages)))
+    tiles = [
+        view.build_tile(name, starts_row=not stage and name == names[0])
+        for view in (one, other)
+        for name in names
+    ]
+    if stage:
+        tiles.append(_build_difference_tile(one, other, stage))
+    return Comparison(tiles=tuple(tiles), summary=summary)
 
 
 def _share_scales(one: VariantView, other: VariantView) -> tuple[VariantView, VariantView]:
@@ -215,21 +207,14 @@ def _build_difference_tile(one: VariantView, other: VariantView, stage: str) -> 
     reference = other.stage_metrics(stage)
     metrics = {name: values[name] - reference[name] for name in values if name in reference}
     subtitle = " · ".join(_format_metrics(metrics, "+"))
-    difference = None if a is None or b is None else compute_difference(a, b, label=_DIFFERENCE)
+    tile = Tile(title=_DIFFERENCE, subtitle=subtitle, metrics=metrics)
+    if b is None:
+        return tile
+    difference = None if a is None else compute_difference(a, b, label=_DIFFERENCE)
     if difference is None:
-        problem = (
-            "" if b is None else "no difference: the two have other pixels, or no common scale"
-        )
-        return Tile(title=_DIFFERENCE, subtitle=subtitle, metrics=metrics, problem=problem)
-    return Tile(
-        title=_DIFFERENCE,
-        subtitle=subtitle,
-        metrics=metrics,
-        preview=a,
-        truth=b,
-        difference=difference,
-        default_mode="difference",
-    )
+        problem = "no difference: the two have other pixels, or no common scale"
+        return replace(tile, problem=problem)
+    return replace(tile, preview=a, truth=b, difference=difference, default_mode="difference")
 
 
 def _format_metrics(metrics: Mapping[str, float], sign: str) -> list[str]:

@@ -142,12 +142,7 @@ class VariantRunner:
             return
         ms = result.ms
         is_computed = result.state == "computed" and not result.fallback
-        if (
-            method is not None
-            and method.weights is not None
-            and is_computed
-            and method.key not in self._loaded
-        ):
+        if method and method.weights and is_computed and method.key not in self._loaded:
             self._loaded.add(method.key)
             anew = replace(translation, graph=Graph(()))
             ms = anew.evaluate(frame, [result.name], given=given)[result.name].ms

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import product
+from operator import itemgetter
 
 import numpy as np
 
@@ -122,14 +123,6 @@ def press_between_fingers(
     return pose
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FingerEstimate:
-    """The grasp as one finger sees it."""
-
-    pose: PlanarPose
-    misfit_mm: float
-
-
 def estimate_grasp(
     touches: Sequence[DepthMap | None], mesh: Mesh, sensor: SensorSpec
 ) -> PlanarPose | None:
@@ -142,25 +135,22 @@ def estimate_grasp(
         for touch, finger in zip(touches, FINGERS, strict=True)
         if touch is not None
     ]
-    known = sorted((one for one in found if one is not None), key=lambda one: one.misfit_mm)
+    known = sorted((one for one in found if one is not None), key=itemgetter(1))
     if not known:
         return None
-    best = known[0].pose
-    near = [one for one in known if _is_near(one.pose, best)]
-    weights = np.array([1.0 / max(one.misfit_mm, 1e-3) ** 2 for one in near])
-    values = np.array([(one.pose.x_mm, one.pose.y_mm, one.pose.angle_rad) for one in near])
+    values = np.array([(pose.x_mm, pose.y_mm, pose.angle_rad) for pose, _ in known])
+    off = values - values[0]
+    near = np.hypot(off[:, 0], off[:, 1]) < _AGREE_MM
+    near &= np.abs(off[:, 2]) < math.radians(_AGREE_DEG)
+    weights = near / np.array([max(misfit_mm, 1e-3) ** 2 for _, misfit_mm in known])
     x, y, angle = (weights @ values / weights.sum()).tolist()
     return PlanarPose(x_mm=x, y_mm=y, angle_rad=angle)
 
 
-def _is_near(a: PlanarPose, b: PlanarPose) -> bool:
-    apart_mm = math.hypot(a.x_mm - b.x_mm, a.y_mm - b.y_mm)
-    return apart_mm < _AGREE_MM and abs(a.angle_rad - b.angle_rad) < math.radians(_AGREE_DEG)
-
-
 def _estimate_by_finger(
     touch: DepthMap, mesh: Mesh, sensor: SensorSpec, finger: str
-) -> FingerEstimate | None:
+) -> tuple[PlanarPose, float] | None:
+    """The grasp as one finger sees it, and its misfit in mm."""
     prepared = prepare_search(_keep_certain(touch), mesh, PoseParams())
     if isinstance(prepared, ObjectPose):
         return None
@@ -178,7 +168,7 @@ def _estimate_by_finger(
         pose = project_to_plane(hand_from_sensor @ minimum.fit.sensor_from_object)
         is_planned = max(abs(pose.x_mm), abs(pose.y_mm)) <= _MAX_OFFSET_MM
         if is_planned and abs(pose.angle_rad) <= math.radians(_MAX_ANGLE_DEG):
-            return FingerEstimate(pose=pose, misfit_mm=minimum.misfit_mm)
+            return pose, minimum.misfit_mm
     return None
 
 
@@ -224,27 +214,18 @@ class HeldObject:
         if touch == NONE:
             return PlanarPose()
         values = given or [{} for _ in self.moments]
-        part = 1.0 / len(values)
         maps = [
-            moment.measure_depth(touch, one, SubProgress(progress, k * part, part, finger))
-            for k, (moment, one, finger) in enumerate(
-                zip(self.moments, values, FINGERS, strict=True)
-            )
+            moment.measure_depth(touch, one, SubProgress(progress, 0.5 * k, 0.5, FINGERS[k]))
+            for k, (moment, one) in enumerate(zip(self.moments, values, strict=True))
         ]
-        return (
-            estimate_grasp(maps, self.mesh, self.source if touch == OWN else self.target)
-            or PlanarPose()
-        )
-
-
-def _list_seeds(plan: TrialPlan, case: str) -> tuple[int, ...]:
-    return plan.seed, zlib.crc32(case.encode()), plan.index
+        sensor = self.source if touch == OWN else self.target
+        return estimate_grasp(maps, self.mesh, sensor) or PlanarPose()
 
 
 def feel_grasp(plan: TrialPlan, mesh: Mesh, case: str, progress: Progress = SILENT) -> HeldObject:
     """Record a random grasp with the sensors that the plan needs: the target only for truth."""
-    rng = np.random.default_rng(_list_seeds(plan, case))
-    draw = np.random.default_rng([*_list_seeds(plan, case), 1])
+    seeds = plan.seed, zlib.crc32(case.encode()), plan.index
+    rng, draw = (np.random.default_rng(own) for own in (seeds, (*seeds, 1)))
     disturbed = plan.disturbance
     heading_rad, axis_rad = draw.uniform(0.0, 2.0 * math.pi, 2)
     tilt_rad = math.radians(disturbed.tilt)
@@ -252,11 +233,8 @@ def feel_grasp(plan: TrialPlan, mesh: Mesh, case: str, progress: Progress = SILE
         project_to_plane(sample_press_pose(mesh, rng, tilt_deg=0.0)),
         tilt_rad=(tilt_rad * math.cos(axis_rad), tilt_rad * math.sin(axis_rad)),
     )
-    acted = replace(
-        held,
-        x_mm=held.x_mm + disturbed.slip * math.cos(heading_rad),
-        y_mm=held.y_mm + disturbed.slip * math.sin(heading_rad),
-    )
+    slip_x_mm, slip_y_mm = (disturbed.slip * turn(heading_rad) for turn in (math.cos, math.sin))
+    acted = replace(held, x_mm=held.x_mm + slip_x_mm, y_mm=held.y_mm + slip_y_mm)
     # the source is believed to be off its place by this
     shift, axis = (v / np.linalg.norm(v) for v in draw.standard_normal((2, 3)))
     moved = rigid.translation(*(disturbed.alignment * shift)) @ rigid.rotation(

@@ -45,6 +45,7 @@ from pipeline.lab.tasks.task import (
     TrialPlan,
 )
 from pipeline.physics.simulation import shapes
+from pipeline.physics.simulation.poses import cut_edges
 from pipeline.physics.simulation.shapes.solids import transform_mesh
 
 _MARGIN_MM = 1.0  # of the peg beyond what is inserted
@@ -70,21 +71,19 @@ class Peg:
 
 def cut_peg(mesh: Mesh, depth_mm: float) -> Peg:
     """The peg at the +x end of a tool; raises MeshProblem for a tool shorter than the depth."""
+    from scipy.spatial import ConvexHull
+
     x = mesh.vertices_mm[:, 0]
     tip = float(x.max())
-    start = float(x.max()) - depth_mm - _MARGIN_MM
+    start = tip - depth_mm - _MARGIN_MM
     if start < x.min():
         raise MeshProblem(
             f"the tool {mesh.name!r} is {np.ptp(x):.3g} mm long along x, too short for "
             f"{depth_mm:g} mm"
         )
-    a, b = (mesh.vertices_mm[mesh.triangles[:, k]].reshape(-1, 3) for k in ((0, 1, 2), (1, 2, 0)))
-    crosses = (a[:, 0] < start) != (b[:, 0] < start)
-    a = a[crosses]
-    b = b[crosses]
-    cut = a + ((start - a[:, 0]) / (b[:, 0] - a[:, 0]))[:, None] * (b - a)
+    cut = cut_edges(mesh.vertices_mm, mesh.triangles, 0, start)
     points = np.concatenate([mesh.vertices_mm[x >= start], cut])
-    hull = _hull_vertices(points)
+    hull = points[np.sort(ConvexHull(points).vertices)]
     inserted = points[points[:, 0] >= start + _MARGIN_MM - 1e-9, 1:]
     directions = _list_walls(inserted if len(inserted) > 2 else points[:, 1:])
     return Peg(
@@ -103,6 +102,10 @@ def write_hole(peg: Peg, clearance_mm: float, lead_in_mm: float) -> str:
     The tool's x points down, its y along -x and its z along +y of the world.
     """
     pieces: list[str] = []
+
+    def add_box(half_mm: tuple[float, float, float], pose: Doubles) -> None:
+        pieces.append(write_box(half_mm, pose, 'friction="0.3"'))
+
     for (u, v), reach in zip(peg.directions, peg.reach_mm, strict=True):
         heading = math.atan2(v, -u)
         wall = rigid.rotation((0.0, 0.0, heading)) @ rigid.translation(
@@ -110,20 +113,15 @@ def write_hole(peg: Peg, clearance_mm: float, lead_in_mm: float) -> str:
         )
         half_height = 0.5 * (peg.depth_mm + 10.0)
         middle = rigid.translation(0.5 * _WALL_MM, 0.0, -lead_in_mm - half_height)
-        pieces.append(
-            write_box((0.5 * _WALL_MM, _WALL_MM, half_height), wall @ middle, 'friction="0.3"')
-        )
+        add_box((0.5 * _WALL_MM, _WALL_MM, half_height), wall @ middle)
         if lead_in_mm > 0:  # a slab whose upper face rises by 45 degrees from the wall's upper edge
             slope = rigid.translation(0.0, 0.0, -lead_in_mm) @ rigid.rotation(
                 (0.0, -0.25 * math.pi, 0.0)
             )
             half = 0.5 * math.sqrt(2.0) * lead_in_mm
-            slab = wall @ slope @ rigid.translation(half, 0.0, -2.0)
-            pieces.append(write_box((half, _WALL_MM, 2.0), slab, 'friction="0.3"'))
+            add_box((half, _WALL_MM, 2.0), wall @ slope @ rigid.translation(half, 0.0, -2.0))
             top = rigid.translation(lead_in_mm + 0.5 * _WALL_MM, 0.0, -2.0)
-            pieces.append(
-                write_box((0.5 * _WALL_MM, 2.0 * _WALL_MM, 2.0), wall @ top, 'friction="0.3"')
-            )
+            add_box((0.5 * _WALL_MM, 2.0 * _WALL_MM, 2.0), wall @ top)
     return f'<body name="plate">{"".join(pieces)}</body>'
 
 
@@ -144,12 +142,6 @@ def make_hole_mesh(peg: Peg, clearance_mm: float, lead_in_mm: float) -> Mesh:
         (outside, -deep_mm),
     )
     return make_ring(profile, angles, "hole")
-
-
-def _hull_vertices(points: Doubles) -> Doubles:
-    from scipy.spatial import ConvexHull
-
-    return points[np.sort(ConvexHull(points).vertices)]
 
 
 def _list_walls(outline_mm: Doubles) -> Doubles:
@@ -376,8 +368,8 @@ def insert(
     cause = ""
     depth = -START_MM
     n_ticks = round((full_mm / SPEED_MM_S + SETTLE_S) / TICK_S)
-    for tick in range(n_ticks):
-        lowered = min(full_mm, SPEED_MM_S * TICK_S * (tick + 1))
+    for tick in range(1, n_ticks + 1):
+        lowered = min(full_mm, SPEED_MM_S * TICK_S * tick)
         scene.command("hand_z", -1e-3 * lowered)
         scene.advance(TICK_S)
         hand = scene.get_pose("hand") @ turned
@@ -386,7 +378,7 @@ def insert(
         depth = -float(rigid.apply(world_from_tool, (peg.tip_mm, 0.0, 0.0))[2])
         ticks.append(
             Tick(
-                time_s=TICK_S * (tick + 1),
+                time_s=TICK_S * tick,
                 world_from_object=world_from_tool,
                 world_from_hand=hand,
                 commanded=rigid.translation(0.0, 0.0, -lowered) @ world_from_hand,

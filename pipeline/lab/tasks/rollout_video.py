@@ -28,6 +28,7 @@ from pipeline.lab.tasks.scene_view import (
 )
 from pipeline.lab.tasks.task import RecordedRollout, describe_error, load_task
 from pipeline.lab.tasks.touches import NONE, OWN, TRUE, make_touch_request
+from pipeline.translation.reports.export_request import PaneContent
 from pipeline.translation.reports.sheet import render_pane
 from pipeline.translation.reports.video import write_video
 from pipeline.translation.translate import open_translation
@@ -91,8 +92,8 @@ def read_touches(rollout: RecordedRollout, decision: int) -> tuple[Preview | Non
             display = DisplayParams()
             truths = translation.read_true_outputs(index)
 
-            def show(pane: str, *what: str) -> Preview:
-                return render_pane(pane, frame, results, translation, display, *what).preview
+            def show(pane: str, shown: PaneContent = "computed") -> Preview:
+                return render_pane(pane, frame, results, translation, display, shown).preview
 
             return (
                 show("source"),

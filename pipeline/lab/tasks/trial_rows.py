@@ -3,7 +3,6 @@ decision.
 """
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -77,7 +76,7 @@ def _read_row(file: Path) -> TrialRow | None:
 
 def make_row(path: Path, task: str, summary: RolloutSummary) -> TrialRow:
     """The row of one rollout."""
-    worst = find_worst_decision(summary.decisions)
+    worst = max(summary.decisions, key=lambda decision: decision.error_mm, default=None)
     share = max(worst.shares, key=lambda part: part.share_mm, default=None) if worst else None
     return TrialRow(
         path=path,
@@ -94,24 +93,14 @@ def make_row(path: Path, task: str, summary: RolloutSummary) -> TrialRow:
     )
 
 
-def find_worst_decision(decisions: Sequence[Decision]) -> Decision | None:
-    """The decision with the largest error; None without one."""
-    return max(decisions, key=lambda decision: decision.error_mm, default=None)
-
-
 def compute_error_deg(decision: Decision) -> float:
     """The largest difference of an angle between estimate and truth in degrees.
 
     NaN without angles.
     """
-    gaps = [abs(gap) for name, gap in compute_gaps(decision).items() if name.endswith("_deg")]
+    gaps = [
+        abs(math.remainder(decision.estimate[name] - decision.truth[name], _CYCLE_DEG))
+        for name in decision.estimate.keys() & decision.truth.keys()
+        if name.endswith("_deg")
+    ]
     return max(gaps, default=math.nan)
-
-
-def compute_gaps(decision: Decision) -> Mapping[str, float]:
-    """Estimate minus truth of every value that both have; angles within half a turn."""
-    gaps: dict[str, float] = {}
-    for name in decision.estimate.keys() & decision.truth.keys():
-        gap = decision.estimate[name] - decision.truth[name]
-        gaps[name] = math.remainder(gap, _CYCLE_DEG) if name.endswith("_deg") else gap
-    return {name: gaps[name] for name in decision.estimate if name in gaps}

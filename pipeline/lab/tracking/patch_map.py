@@ -66,6 +66,12 @@ class ContactView:
         """Depth (rows, cols), 0 outside the contact."""
         return np.where(self.contact, self.depth_mm, np.float32(0.0))
 
+    @property
+    def pixel_mm(self) -> float:
+        """Width of a pixel on the contact."""
+        depth_mm = self.contact_depth_mm
+        return float(np.median(depth_mm[depth_mm > 0])) / self.camera.fx_px
+
 
 def make_view(frame: TrackedFrame, depth: DepthMap) -> ContactView | None:
     """The view of a tracked frame; None where its pose is not measured in every direction."""
@@ -178,29 +184,22 @@ def fuse_views(views: Sequence[ContactView]) -> Mesh | None:
     import open3d
 
     o3d: Any = open3d
-    contacts = [view.contact_depth_mm for view in views]
-    views = [view for view, contact in zip(views, contacts, strict=True) if contact.any()]
-    contacts = [contact for contact in contacts if contact.any()]
+    views = [view for view in views if view.contact_depth_mm.any()]
     if not views:
         return None
-    depths = [contact[contact > 0] for contact in contacts]
-    typical = [
-        float(np.median(depth)) / view.camera.fx_px
-        for depth, view in zip(depths, views, strict=True)
-    ]
-    voxel_mm = max(_MIN_VOXEL_MM, _VOXEL_PX * max(typical))
+    voxel_mm = max(_MIN_VOXEL_MM, _VOXEL_PX * max(view.pixel_mm for view in views))
     core = o3d.core
     grid = o3d.t.geometry.VoxelBlockGrid(
         ("tsdf", "weight"),
-        (o3d.core.float32, o3d.core.float32),
+        (core.float32, core.float32),
         (1, 1),
         voxel_mm,
         _BLOCK_VOXELS,
         _N_BLOCKS,
     )
     n_fused = 0
-    for view, contact in zip(views, contacts, strict=True):
-        depth = o3d.t.geometry.Image(core.Tensor(contact[:, :, None].copy()))
+    for view in views:
+        depth = o3d.t.geometry.Image(core.Tensor(view.contact_depth_mm[:, :, None].copy()))
         camera = core.Tensor(view.camera.matrix)
         placed = core.Tensor(view.sensor_from_start)
         within = (depth, camera, placed, 1.0, _FARTHEST_MM, _TRUNCATION_VOXELS)
@@ -209,15 +208,11 @@ def fuse_views(views: Sequence[ContactView]) -> Mesh | None:
             grid.integrate(blocks, *within)
             n_fused += 1
     surface = _unless_empty(partial(grid.extract_triangle_mesh, 0.0)) if n_fused else None
-    triangles = (
-        np.zeros(0, np.int32)
-        if surface is None
-        else surface.triangle.indices.numpy().astype(np.int32)
-    )
-    if surface is None or not triangles.size:
+    if surface is None:
         return None
     vertices = surface.vertex.positions.numpy().astype(np.float64)
     share = _measure_contact_share(vertices, views, _TRUNCATION_VOXELS * voxel_mm)
+    triangles = surface.triangle.indices.numpy().astype(np.int32)
     triangles = triangles[(share >= _CONTACT_SHARE)[triangles].all(axis=1)]
     if not triangles.size:
         return None

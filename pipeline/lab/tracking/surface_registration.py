@@ -120,7 +120,20 @@ def make_surface(depth: DepthMap) -> MembraneSurface:
     typical_mm = float(np.median(depth.depth_mm[known])) if known.any() else 0.0
     filled: Floats = np.where(known, depth.depth_mm, np.float32(typical_mm))
     pixel_mm = typical_mm / depth.camera.fx_px
-    moved = _find_moved(indentation, depth.contact, RIM_MM / max(pixel_mm, 1e-9))
+    inside_px, outside_px = (
+        cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
+        for mask in (depth.contact, ~depth.contact)
+    )
+    moved = np.zeros(known.shape, np.bool_)
+    if depth.contact.any():
+        least_mm = _MOVED_SHARE * float(np.percentile(indentation[depth.contact], 90.0))
+        moved = (outside_px * np.float32(pixel_mm) <= RIM_MM) & (
+            indentation > max(_MOVED_MM, least_mm)
+        )
+    # signed distance to the contact's outline, smoothed over a pixel
+    apart = np.clip(
+        (outside_px - inside_px) * np.float32(pixel_mm), -OUTLINE_REACH_MM, OUTLINE_REACH_MM
+    )
     fine_px = _find_fine_px(pixel_mm)
     if not known.all():
         unknown_px = cv2.distanceTransform(known.astype(np.uint8), cv2.DIST_L2, 3)
@@ -130,7 +143,7 @@ def make_surface(depth: DepthMap) -> MembraneSurface:
         levels=smooth_levels(filled, pixel_mm),
         moved=moved.astype(np.float32),
         contact=depth.contact,
-        outline_mm=_measure_outline(depth.contact, pixel_mm),
+        outline_mm=np.asarray(cv2.GaussianBlur(apart, (0, 0), 1.0), np.float32),
         depth_mm=depth.depth_mm,
         pixels=choose_pixels(moved),
         error=depth.error or COMPUTED,
@@ -147,27 +160,6 @@ def choose_pixels(moved: Mask) -> Doubles:
         order = np.random.default_rng(0).permutation(n)
         pixels = pixels[order[np.linspace(0, n - 1, N_POINTS).astype(np.intp)]]
     return freeze(pixels)
-
-
-def _find_moved(indentation_mm: Floats, contact: Mask, rim_px: float) -> Mask:
-    import cv2
-
-    if not contact.any():
-        return np.zeros(contact.shape, np.bool_)
-    typical_mm = float(np.percentile(indentation_mm[contact], 90.0))
-    off_px = cv2.distanceTransform((~contact).astype(np.uint8), cv2.DIST_L2, 5)
-    return (off_px <= rim_px) & (indentation_mm > max(_MOVED_MM, _MOVED_SHARE * typical_mm))
-
-
-def _measure_outline(contact: Mask, pixel_mm: float) -> Floats:
-    """Signed distance (rows, cols) to the contact's outline, smoothed over a pixel."""
-    import cv2
-
-    inside, outside = (
-        cv2.distanceTransform(m.astype(np.uint8), cv2.DIST_L2, 5) for m in (contact, ~contact)
-    )
-    apart = np.clip((outside - inside) * np.float32(pixel_mm), -OUTLINE_REACH_MM, OUTLINE_REACH_MM)
-    return np.asarray(cv2.GaussianBlur(apart, (0, 0), 1.0), np.float32)
 
 
 def _find_fine_px(pixel_mm: float) -> float:
@@ -255,7 +247,8 @@ def average_surfaces(
     filled = np.where(
         np.isfinite(key.depth_mm), key.depth_mm, np.float32(np.nanmedian(key.depth_mm))
     )
-    points = key.camera.back_project(cv2.GaussianBlur(filled, (0, 0), 1.0))[rows, cols]
+    smooth = np.asarray(cv2.GaussianBlur(filled, (0, 0), 1.0), np.float32)
+    points = key.camera.back_project(smooth)[rows, cols]
     depth_sum, outline_sum, n_seen = (np.zeros(points.shape[:2]) for _ in range(3))
     for surface, motion in zip(surfaces, current_from_key, strict=True):
         depth_mm, outline_mm, seen = _warp(surface, motion, points)
@@ -373,7 +366,7 @@ def sample_key_points(key: MembraneSurface, level: int) -> KeyPoints:
 def find_inside(pixels: Doubles, surface: MembraneSurface, margin_px: float) -> Mask:
     """Which pixels (n, 2) x, y are at least `margin_px` inside the image."""
     far = np.array(surface.camera.shape[::-1]) - 1 - margin_px
-    return ((pixels >= margin_px) & (pixels <= far)).all(axis=1)
+    return np.asarray(((pixels >= margin_px) & (pixels <= far)).all(axis=1), np.bool_)
 
 
 def compute_residuals(

@@ -217,14 +217,13 @@ class Tracker:
         )
         self._last = now
         self._n_lost = 0
-        covariance = freeze(key.covariance + fit.covariance)
         return TrackedFrame(
             index=index,
             state="tracked",
             part=self._part,
             key=number,
             sensor_from_start=now,
-            covariance=covariance,
+            covariance=freeze(key.covariance + fit.covariance),
             centre_mm=fit.centre_mm,
             weak_directions=fit.weak_directions,
             overlap=fit.overlap,

@@ -35,6 +35,7 @@ from pipeline.sensors.spec import DepthCamera, SensorSpec, load_sensor
 from pipeline.stages.depth.bubble_depth import compute_displacement
 from pipeline.stages.depth.bubble_network_input import make_network_input
 from pipeline.stages.depth.bubble_network_output import BubbleOutputTensors, decode_tensors
+from pipeline.stages.metrics.stage_metrics import iou
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -166,7 +167,9 @@ def simulate_noisy_depth_pair(
     rest = sensor.rest_depth_mm.astype(np.float64)
     now = rest - press.indentation_mm
     if not plain:
-        texture = _sample_texture(rng, shape) if rng.random() < 0.4 else np.float32(0.0)
+        texture = np.float32(0.0)
+        if rng.random() < 0.4:  # a fixed pattern in every frame of an instance, mm
+            texture = rng.uniform(0.02, 0.3) * _sample_field(rng, shape, rng.uniform(1.5, 8.0))
         untouched = not press.contact.any()
         if untouched or rng.random() < 0.35:
             now = now - _sample_drift(rng, shape, 1.3 if untouched else 0.25)
@@ -175,10 +178,10 @@ def simulate_noisy_depth_pair(
         rest = rest + texture
         now = now + texture
     seeds = rng.integers(0, 1 << 62, 2)
-    cosines = (bubble.compute_rest_cosine(sensor), press.incidence_cosine)
+    states = ((rest, bubble.compute_rest_cosine(sensor)), (now, press.incidence_cosine))
     first, second = (
         np.array(bubble.simulate_depth_frame(sensor, depth, int(seed), cosine=cosine))
-        for depth, seed, cosine in zip((rest, now), seeds, cosines, strict=True)
+        for (depth, cosine), seed in zip(states, seeds, strict=True)
     )
     if not plain and rng.random() < 0.25:  # the mean of several reference frames
         first += np.float32(rng.uniform(0.2, 0.8)) * (rest - first).astype(np.float32)
@@ -221,11 +224,6 @@ def _sample_field(rng: np.random.Generator, shape: tuple[int, ...], length_px: f
     return (field - field.mean()) / max(float(field.std()), 1e-6)
 
 
-def _sample_texture(rng: np.random.Generator, shape: tuple[int, ...]) -> Floats:
-    """A fixed pattern in every frame of an instance, mm."""
-    return rng.uniform(0.02, 0.3) * _sample_field(rng, shape, rng.uniform(1.5, 8.0))
-
-
 def _sample_drift(rng: np.random.Generator, shape: tuple[int, ...], max_mm: float) -> Floats:
     """Change of the rest shape in mm: long waves, a lasting bump, more or less air."""
     wave = rng.uniform(0.0, 0.35) * _sample_field(rng, shape, rng.uniform(40.0, 90.0))
@@ -256,12 +254,9 @@ def _sample_blobs(rng: np.random.Generator, shape: tuple[int, ...]) -> Floats:
 def _sample_gaps(rng: np.random.Generator, shape: tuple[int, ...]) -> Mask:
     """Pixels (rows, cols) without a value: beyond a ragged border, and in holes."""
     rows, cols = (np.linspace(-1.0, 1.0, n) for n in shape)
-    radius = np.hypot(
-        rows[:, None] - rng.uniform(-0.2, 0.2), cols[None, :] - rng.uniform(-0.2, 0.2)
-    )
-    border = radius + 0.1 * _sample_field(rng, shape, rng.uniform(6.0, 20.0)) > rng.uniform(
-        0.9, 1.6
-    )
+    radius = np.hypot(rows[:, None] - rng.uniform(-0.2, 0.2), cols - rng.uniform(-0.2, 0.2))
+    ragged = radius + 0.1 * _sample_field(rng, shape, rng.uniform(6.0, 20.0))
+    border = ragged > rng.uniform(0.9, 1.6)
     holes = _sample_field(rng, shape, rng.uniform(3.0, 8.0)) > rng.uniform(2.0, 4.0)
     return np.asarray(border | holes, np.bool_)
 
@@ -371,7 +366,7 @@ class BubbleDepthTask(SimulatedPresses):
         """
         import torch
 
-        rows: list[Sequence[float]] = []
+        rows: list[dict[str, float]] = []
         for example in held_out:
             with torch.inference_mode():
                 image, smooth = (torch.tensor(example[k])[None] for k in ("image", "smooth"))
@@ -380,23 +375,17 @@ class BubbleDepthTask(SimulatedPresses):
             observed = gap < OBSERVED_GAP_MM
             error = np.abs(prediction.object_displacement_mm[0].numpy() - (displacement - gap))
             tip = observed & (example["tip_mm"][0] < 1.0)
+            membrane_error = np.abs(prediction.displacement_mm[0].numpy() - displacement)
             rows.append(
-                (
-                    float(error[observed].mean()),
-                    float(error[tip].mean()),
-                    float(np.abs(prediction.displacement_mm[0].numpy() - displacement).mean()),
-                    _compute_iou(prediction.contact[0].numpy() > 0, contact > 0),
-                    _compute_iou(prediction.object_in_view[0].numpy() > 0, observed),
-                )
+                {
+                    "object surface error, mm": error[observed].mean(),
+                    "object tip error, mm": error[tip].mean(),
+                    "membrane error, mm": membrane_error.mean(),
+                    "contact IoU": iou(prediction.contact[0].numpy() > 0, contact > 0),
+                    "observed object IoU": iou(prediction.object_in_view[0].numpy() > 0, observed),
+                }
             )
-        names = (
-            "object surface error, mm",
-            "object tip error, mm",
-            "membrane error, mm",
-            "contact IoU",
-            "observed object IoU",
-        )
-        return average_rows(names, rows)
+        return average_rows(rows)
 
 
 def _compute_touch_error(
@@ -418,10 +407,6 @@ def _compute_touch_error(
     share = torch.sigmoid(prediction.contact)
     error = (share * torch.abs(stated - true) + (1.0 - share) * true).sum((1, 2))
     return (error / ((true > 0).sum((1, 2)) + _SMALL_CONTACT_PX)).mean()
-
-
-def _compute_iou(a: Any, b: Any) -> float:
-    return np.count_nonzero(a & b) / max(np.count_nonzero(a | b), 1)
 
 
 def _make_example(press: BubblePress, rng: np.random.Generator, *, plain: bool) -> Example:

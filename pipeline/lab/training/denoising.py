@@ -20,7 +20,7 @@ import numpy as np
 
 from pipeline.core.arrays import Floats
 from pipeline.core.params import setting
-from pipeline.lab.training.distributed import unwrap_network
+from pipeline.lab.training.precision import unwrap_network
 from pipeline.lab.training.recorded_pairs import RecordedPair, derive_contact
 from pipeline.lab.training.simulated_touches import (
     BUBBLE,
@@ -43,6 +43,7 @@ from pipeline.lab.training.task import (
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth import photometric as depth
+from pipeline.stages.metrics.stage_metrics import iou
 from pipeline.stages.networks.samplers import make_sigma_schedule, sample
 from pipeline.stages.networks.touch_formats import get_touch_format
 from pipeline.stages.touch import t2t
@@ -118,7 +119,7 @@ class DenoisingTask(AugmentedPresses):
         levels = make_sigma_schedule(
             _N_SAMPLE_STEPS, sigma_max=net.sigma_max, sigma_min=net.sigma_min
         )
-        rows: list[list[float]] = []
+        rows: list[dict[str, float]] = []
         for k, example in enumerate(held_out):
             condition = torch.tensor(example["condition"])[None, : net.inputs]
             white = torch.randn(
@@ -131,23 +132,20 @@ class DenoisingTask(AugmentedPresses):
 
             with torch.inference_mode():
                 step = denoise(noise * net.sigma_max, net.sigma_max)
-                predictions = (step, sample(denoise, noise, levels).clean, 0.0 * step)
+                predictions = {"": step, "sample ": sample(denoise, noise, levels).clean}
             has_contact, baseline = example["contact"]
-            row: list[float] = []
-            for field, change in (prediction[0].numpy() for prediction in predictions):
+            row: dict[str, float] = {}
+            for which, prediction in {**predictions, "no-prediction ": 0.0 * step}.items():
+                field, change = prediction[0].numpy()
                 error = unit_mm * np.abs(field - example["residual"][0])
-                contact = baseline + change > 0.5
-                both = np.count_nonzero(contact & (has_contact > 0))
-                either = np.count_nonzero(contact | (has_contact > 0))
                 in_contact = (error * has_contact).sum() / max(has_contact.sum(), 1.0)
-                row += [in_contact, error.mean(), both / max(either, 1)]
+                row |= {
+                    f"{which}error in contact, mm": in_contact,
+                    f"{which}error over all, mm": error.mean(),
+                    f"{which}contact IoU": iou(baseline + change > 0.5, has_contact > 0),
+                }
             rows.append(row)
-        names = [
-            f"{which}{what}"
-            for which in ("", "sample ", "no-prediction ")
-            for what in ("error in contact, mm", "error over all, mm", "contact IoU")
-        ]
-        return average_rows(names, rows)
+        return average_rows(rows)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

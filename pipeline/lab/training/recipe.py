@@ -35,7 +35,7 @@ class TrainingSettings:
     """Top level of a recipe."""
 
     seed: int = setting(0, "Seed", low=0, high=2**31)
-    batch: int = setting(16, "Batch size", low=1, high=4096, help="of each process")
+    batch: int = setting(16, "Batch size", low=1, high=4096)
     steps: int = setting(10_000, "Steps", low=1, high=10**9, help="--minutes replaces them")
     n_cached_examples: int = setting(
         0,

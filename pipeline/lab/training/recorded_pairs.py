@@ -59,14 +59,6 @@ class ToolSplit:
     unseen: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HoldOut:
-    """The role of every grasp, and what was decided."""
-
-    roles: tuple[Role, ...]
-    notes: tuple[str, ...]
-
-
 def list_tool_splits() -> Mapping[str, ToolSplit]:
     """Published splits by name.
 
@@ -97,9 +89,11 @@ def list_tool_splits() -> Mapping[str, ToolSplit]:
     }
 
 
-def assign_roles(grasps: Sequence[Grasp], hold_out: str = "", share: float = 1.0) -> HoldOut:
-    """The role of every grasp; `hold_out` is as `HOLD_OUT_HELP` says. The same grasps give the same
-    roles.
+def assign_roles(
+    grasps: Sequence[Grasp], hold_out: str = "", share: float = 1.0
+) -> tuple[tuple[Role, ...], tuple[str, ...]]:
+    """The role of every grasp, and what was decided; `hold_out` is as `HOLD_OUT_HELP` says. The
+    same grasps give the same roles.
 
     Of the grasps to train on, `share` is used, at least one and more for a larger share; the others
     are left out.
@@ -128,7 +122,7 @@ def assign_roles(grasps: Sequence[Grasp], hold_out: str = "", share: float = 1.0
     notes = [_describe_roles(grasps, roles)]
     if share < 1.0:
         notes.append(f"of {len(trained)} grasps to train on a share of {share:g} is used")
-    return HoldOut(roles=tuple(roles), notes=tuple(notes))
+    return tuple(roles), tuple(notes)
 
 
 def _roles_by_split(grasps: Sequence[Grasp], splits: Sequence[str | None]) -> list[Role]:
@@ -148,7 +142,7 @@ def _roles_by_split(grasps: Sequence[Grasp], splits: Sequence[str | None]) -> li
             return "training"
         return "unseen_grasps" if grasp.tool in trained else "unseen_tools"
 
-    return list(map(find_role, grasps, splits))
+    return [find_role(grasp, split) for grasp, split in zip(grasps, splits, strict=True)]
 
 
 def _select_tools(tools: set[str], hold_out: str) -> ToolSplit:
@@ -194,8 +188,7 @@ def _describe_roles(grasps: Sequence[Grasp], roles: Sequence[Role]) -> str:
 
 
 def _shorten(names: Sequence[str]) -> str:
-    more = ", ..." if len(names) > _MAX_NAMES else ""
-    return escape_text(", ".join(names[:_MAX_NAMES])) + more
+    return escape_text(", ".join(names[:_MAX_NAMES])) + (", ..." if names[_MAX_NAMES:] else "")
 
 
 _MAX_UNTOUCHED = 1000  # pairs in a row that a task cannot use
@@ -296,14 +289,15 @@ def open_pairs(folder: PairFolder, source_name: str, target_name: str) -> PairSe
         notes |= dict.fromkeys(_describe_recording(recording, streams, wrong))
     if not found:
         raise FileProblem("both sensors are recorded at no moment", path)
-    hold_out = assign_roles([moment[0].grasp for moment in found], folder.hold_out, folder.share)
+    grasps = [moment[0].grasp for moment in found]
+    roles, decided = assign_roles(grasps, folder.hold_out, folder.share)
     places: dict[Role, list[PairPlace]] = {}
-    for moment, role in zip(found, hold_out.roles, strict=True):
+    for moment, role in zip(found, roles, strict=True):
         places.setdefault(role, []).extend(moment)
     return PairSet(
         source=source,
         target=target,
-        notes=(*hold_out.notes, *notes),
+        notes=(*decided, *notes),
         places={role: _shuffle(of_role) for role, of_role in places.items()},
     )
 

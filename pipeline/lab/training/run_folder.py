@@ -39,7 +39,7 @@ class TrainingState:
     recipe: str  # as JSON
     command: str = ""
     step: int = 0
-    n_examples: int = 0  # seen by all processes
+    n_examples: int = 0
     trained_s: float = 0.0  # over all parts of the run
     device: str = ""  # the GPU; "" = the processor
     n_skipped: int = 0  # steps with a loss or gradient that was not finite

@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.core.arrays import Floats
 from pipeline.core.errors import SettingProblem
 from pipeline.core.params import setting
-from pipeline.lab.training.distributed import unwrap_network
+from pipeline.lab.training.precision import unwrap_network
 from pipeline.lab.training.recorded_pairs import RecordedPair
 from pipeline.lab.training.simulated_touches import (
     BUBBLE,
@@ -293,7 +293,7 @@ class LatentTask(SquareTask):
         import torch
 
         kind = load_sensor(self.target).sensor_kind
-        rows: list[tuple[float, float]] = []
+        rows: list[dict[str, float]] = []
         for example in held_out:
             batch = {name: torch.tensor(array)[None] for name, array in example.items()}
             time = batch["time"][:, 0].long()
@@ -306,9 +306,9 @@ class LatentTask(SquareTask):
             )
             reconstruction = kind.full_change * float(np.abs(np.subtract(*images)).mean())
             noise = float((output.predicted_noise - output.true_noise).abs().mean())
-            rows.append((reconstruction, noise))
-        names = (f"reconstruction error, {kind.change_unit}", "noise error")
-        return average_rows(names, rows)
+            name = f"reconstruction error, {kind.change_unit}"
+            rows.append({name: reconstruction, "noise error": noise})
+        return average_rows(rows)
 
 
 def _encode(file: str, target: Floats) -> Floats:
@@ -367,14 +367,14 @@ class VqVaeTask(SquareTask):
         import torch
 
         kind = load_sensor(self.target).sensor_kind
-        rows: list[tuple[float, float]] = []
+        rows: list[dict[str, float]] = []
         for example in held_out:
             with torch.inference_mode():
                 generated = network(torch.tensor(example["source"])[None]).generated[0].numpy()
             truth = denormalise(example["target"], kind.key)
-            error = np.abs(denormalise(generated, kind.key) - truth)
+            error = kind.full_change * np.abs(denormalise(generated, kind.key) - truth)
             size = np.abs(truth)
-            touched = size > _TOUCHED_SHARE * size.max()
-            rows.append((float(error.mean()), float(error[touched].mean())))
-        names = (f"error, {kind.change_unit}", f"error where touched, {kind.change_unit}")
-        return average_rows(names, (kind.full_change * np.array(rows)).tolist())
+            touched = error[size > _TOUCHED_SHARE * size.max()].mean()
+            unit = kind.change_unit
+            rows.append({f"error, {unit}": error.mean(), f"error where touched, {unit}": touched})
+        return average_rows(rows)

@@ -72,9 +72,8 @@ class Task(Protocol):
     ) -> tuple[Tensor, dict[str, Any]]:
         """The loss, a mean over the examples, and its named terms (numbers or scalar tensors).
 
-        `network` is only called: it may be wrapped for several processes.
-        `distributed.unwrap_network` gives its configuration. Its output is float32 in any
-        precision.
+        `network` is only called: it may be wrapped for its precision.
+        `precision.unwrap_network` gives its configuration. Its output is float32.
         """
         ...
 
@@ -127,11 +126,9 @@ def weigh_terms(terms: Mapping[str, tuple[float, Tensor]]) -> tuple[Tensor, dict
     return loss, {name: term.detach() for name, (_, term) in terms.items()}
 
 
-def average_rows(names: Sequence[str], rows: Sequence[Sequence[float]]) -> dict[str, float]:
+def average_rows(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Name -> mean of its column; a row for each validation example."""
-    import numpy as np
-
-    return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
+    return {name: sum(float(row[name]) for row in rows) / len(rows) for name in rows[0]}
 
 
 def import_task_class(name: str) -> type[Any]:

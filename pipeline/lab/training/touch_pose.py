@@ -97,15 +97,12 @@ class TouchPoseTask(AugmentedPresses):
             raise SettingProblem(
                 "n_folds of the network must be 6 to predict the rotation of a hexagon"
             )
-        translation = (
-            functional.huber_loss(prediction.translation_mm, truth[:, :2], delta=_HUBER_MM)
-            / _HUBER_MM
-        )
+        error = functional.huber_loss(prediction.translation_mm, truth[:, :2], delta=_HUBER_MM)
         rotation = compute_rotation_loss(prediction.headings, truth[:, 2], truth[:, 3]).mean()
         name = functional.cross_entropy(prediction.object_logits, truth[:, 4].long())
         return weigh_terms(
             {
-                "translation": (1.0, translation),
+                "translation": (1.0, error / _HUBER_MM),
                 "rotation": (1.0, rotation),
                 "class": (self.name_weight, name),
             }
@@ -122,14 +119,15 @@ class TouchPoseTask(AugmentedPresses):
         with torch.inference_mode():
             prediction = network(*inputs)
         truth = np.stack([example["truth"] for example in held_out])
+        _, _, true_angle, folds, label, whole = truth.T
         translation = np.hypot(*(prediction.translation_mm.numpy() - truth[:, :2]).T)
-        fold = np.maximum(truth[:, 3], 1.0)
-        angle = _compute_angles(prediction.headings.numpy(), fold.astype(int)) - truth[:, 2]
+        fold = np.maximum(folds, 1.0)
+        angle = _compute_angles(prediction.headings.numpy(), fold.astype(int)) - true_angle
         rotation = np.degrees(np.abs(np.angle(np.exp(1j * fold * angle))) / fold)
-        correct = prediction.object_logits.numpy().argmax(1) == truth[:, 4]
+        correct = prediction.object_logits.numpy().argmax(1) == label
         metrics: dict[str, float] = {}
-        for prefix, those in (("", truth[:, 5] == 1.0), ("partial ", truth[:, 5] != 1.0)):
-            oriented = those & (truth[:, 3] > 0)
+        for prefix, those in (("", whole == 1.0), ("partial ", whole != 1.0)):
+            oriented = those & (folds > 0)
             if oriented.any():
                 metrics[f"{prefix}translation error, mm"] = float(translation[those].mean())
                 metrics[f"{prefix}rotation error, deg"] = float(rotation[oriented].mean())
@@ -185,21 +183,12 @@ def flip_touch(example: Example, which: int) -> Example:
     camera = load_working_sensor(BUBBLE).camera
     side = example["square"].shape[-1]
     # 1 along an axis that stays, -1 along one that is reversed
-    signs = np.array([1.0 - 2.0 * (which in (1, 3)), 1.0 - 2.0 * (which in (2, 3))])
-    middle = np.array(
-        [
-            (camera.cx_px + 0.5) * side / camera.cols - 0.5,
-            (camera.cy_px + 0.5) * side / camera.rows - 0.5,
-        ]
-    )
+    signs = np.array({1: (-1.0, 1.0), 2: (1.0, -1.0), 3: (-1.0, -1.0)}[which])
+    axis_px = np.array([camera.cx_px, camera.cy_px])
+    middle = (axis_px + 0.5) * side / np.array(camera.shape[::-1]) - 0.5
     matrix = np.column_stack([np.diag(signs), (1.0 - signs) * middle])
-    warped = cv2.warpAffine(
-        example["square"][0],
-        matrix,
-        (side, side),
-        flags=cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
+    square = example["square"][0]
+    warped = cv2.warpAffine(square, matrix, (side, side), borderMode=cv2.BORDER_REPLICATE)
     truth = (*(signs * (x, y)), angle, fold, label, whole)
     return {
         **example,

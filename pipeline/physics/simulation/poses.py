@@ -9,6 +9,7 @@ The lowest point of an object over the sensors, ignoring parts outside their vie
 """
 
 import math
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -23,30 +24,19 @@ _CORNERS = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
 _UPRIGHT = 1e-12
 
 
-def compute_lowest_mm(
-    vertices_mm: Doubles, triangles: Indices, half_mm: float = HALF_WINDOW_MM
-) -> float:
+def compute_lowest_mm(vertices_mm: Doubles, triangles: Indices) -> float:
     """The lowest z of a mesh over the square; of the whole mesh if none of it is there.
 
     A triangle's lowest point over a square is a vertex inside, an edge's crossing of the border, or
     a corner below it.
     """
-    inside = vertices_mm[(np.abs(vertices_mm[:, :2]) <= half_mm).all(axis=1), 2]
-    borders = [
-        _border_z(vertices_mm, triangles, axis, at_mm, half_mm)
-        for axis in (0, 1)
-        for at_mm in (-half_mm, half_mm)
-    ]
-    z = np.concatenate([inside, *borders, _corner_z(vertices_mm[triangles], half_mm)])
+    half_mm = HALF_WINDOW_MM
+    heights = [vertices_mm[(np.abs(vertices_mm[:, :2]) <= half_mm).all(axis=1), 2]]
+    for axis, at_mm in product((0, 1), (-half_mm, half_mm)):
+        points = cut_edges(vertices_mm, triangles, axis, at_mm)
+        heights.append(points[np.abs(points[:, 1 - axis]) <= half_mm, 2])
+    z = np.concatenate([*heights, _corner_z(vertices_mm[triangles])])
     return float(z.min() if z.size else vertices_mm[:, 2].min())
-
-
-def _border_z(
-    vertices_mm: Doubles, triangles: Indices, axis: int, at_mm: float, half_mm: float
-) -> Doubles:
-    """Heights where edges cross one side of the square."""
-    points = cut_edges(vertices_mm, triangles, axis, at_mm)
-    return points[np.abs(points[:, 1 - axis]) <= half_mm, 2]
 
 
 def cut_edges(vertices_mm: Doubles, triangles: Indices, axis: int, at_mm: float) -> Doubles:
@@ -58,7 +48,7 @@ def cut_edges(vertices_mm: Doubles, triangles: Indices, axis: int, at_mm: float)
     return a + ((at_mm - a[:, axis]) / along[:, axis])[:, None] * along
 
 
-def _corner_z(triangles_mm: Doubles, half_mm: float) -> Doubles:
+def _corner_z(triangles_mm: Doubles) -> Doubles:
     """Heights of the triangles (n, 3, 3) that lie over a corner of the square."""
     a, b, c = triangles_mm.transpose(1, 0, 2)
     sides = np.linalg.norm(b - a, axis=1) * np.linalg.norm(c - a, axis=1)
@@ -66,7 +56,7 @@ def _corner_z(triangles_mm: Doubles, half_mm: float) -> Doubles:
     level = np.abs(_cross(b - a, c - a)) > _UPRIGHT * sides
     a, ab, ac = a[level], (b - a)[level], (c - a)[level]
     heights: list[Doubles] = []
-    for corner in half_mm * _CORNERS:
+    for corner in HALF_WINDOW_MM * _CORNERS:
         u = _cross(corner - a[:, :2], ac) / _cross(ab, ac)
         v = _cross(ab, corner - a[:, :2]) / _cross(ab, ac)
         over = (u >= 0) & (v >= 0) & (u + v <= 1)

@@ -20,12 +20,7 @@ class AutoencoderKl(nn.Module):
     """Mean and log variance of latents from images (n, 3, side, side), and images from latents."""
 
     def __init__(
-        self,
-        *,
-        width: int = 128,
-        channel_multipliers: tuple[int, ...] = (1, 2, 4, 4),
-        blocks: int = 2,
-        groups: int = 32,
+        self, *, width: int, channel_multipliers: tuple[int, ...], blocks: int, groups: int
     ) -> None:
         super().__init__()
         self.encoder = _Encoder(width, channel_multipliers, blocks, groups)

@@ -13,13 +13,6 @@ from torch.nn import functional
 from pipeline.stages.networks.depth_anything_input import PATCH_PX, ImageContent
 from pipeline.stages.networks.dinov2 import ENCODER_SIZES, DinoV2Encoder
 
-DECODER_CHANNELS = {"vitt": 32, "vits": 64, "vitb": 128, "vitl": 256}
-PROJECTED_CHANNELS = {
-    "vitt": (24, 48, 96, 192),
-    "vits": (48, 96, 192, 384),
-    "vitb": (96, 192, 384, 768),
-    "vitl": (256, 512, 1024, 1024),
-}
 # ImageNet statistics of the encoder's training images
 MEAN = (0.485, 0.456, 0.406)
 STD = (0.229, 0.224, 0.225)
@@ -57,10 +50,10 @@ class DepthAnything(nn.Module):
         self.image_content = image_content
         self.largest_mm = float(largest_mm)
         self.side = int(side)
-        self.pretrained = DinoV2Encoder(ENCODER_SIZES[encoder])
-        width = ENCODER_SIZES[encoder].width
-        self.depth_head = _DepthHead(width, DECODER_CHANNELS[encoder], PROJECTED_CHANNELS[encoder])
-        self.mask_head = _MaskHead(DECODER_CHANNELS[encoder]) if contact else None
+        size = ENCODER_SIZES[encoder]
+        self.pretrained = DinoV2Encoder(size)
+        self.depth_head = _DepthHead(size.width, size.features, size.projected)
+        self.mask_head = _MaskHead(size.features) if contact else None
 
     def forward(
         self, image: Tensor, window: tuple[int, int, int, int] | None = None, answer: str = ""

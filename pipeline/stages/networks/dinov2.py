@@ -24,13 +24,25 @@ class EncoderSize:
     depth: int
     heads: int
     output_blocks: tuple[int, ...]  # blocks whose tokens the decoder reads
+    features: int  # channels of the decoder, and of the tokens that it projects
+    projected: tuple[int, ...]
 
 
 ENCODER_SIZES = {
-    "vitt": EncoderSize(width=192, depth=12, heads=3, output_blocks=(2, 5, 8, 11)),
-    "vits": EncoderSize(width=384, depth=12, heads=6, output_blocks=(2, 5, 8, 11)),
-    "vitb": EncoderSize(width=768, depth=12, heads=12, output_blocks=(2, 5, 8, 11)),
-    "vitl": EncoderSize(width=1024, depth=24, heads=16, output_blocks=(4, 11, 17, 23)),
+    name: EncoderSize(
+        width=width,
+        depth=blocks[-1] + 1,
+        heads=width // 64,
+        output_blocks=blocks,
+        features=features,
+        projected=projected,
+    )
+    for name, width, blocks, features, projected in (
+        ("vitt", 192, (2, 5, 8, 11), 32, (24, 48, 96, 192)),
+        ("vits", 384, (2, 5, 8, 11), 64, (48, 96, 192, 384)),
+        ("vitb", 768, (2, 5, 8, 11), 128, (96, 192, 384, 768)),
+        ("vitl", 1024, (4, 11, 17, 23), 256, (256, 512, 1024, 1024)),
+    )
 }
 
 

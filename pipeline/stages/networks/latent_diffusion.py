@@ -107,6 +107,7 @@ class LatentDiffusion(nn.Module):
             {
                 "diffusion_model": LatentUnet(
                     inputs=LATENT_CHANNELS + condition_channels,
+                    outputs=LATENT_CHANNELS,
                     width=width,
                     channel_multipliers=_parse_integers(channel_multipliers),
                     blocks=blocks,

@@ -25,14 +25,14 @@ class LatentUnet(nn.Module):
     def __init__(
         self,
         *,
-        inputs: int = 68,
-        outputs: int = 4,
-        width: int = 192,
-        channel_multipliers: tuple[int, ...] = (1, 2, 2, 4, 4),
-        blocks: int = 2,
-        attention: tuple[int, ...] = (1, 2, 4, 8),
-        heads: int = 8,
-        groups: int = 32,
+        inputs: int,
+        outputs: int,
+        width: int,
+        channel_multipliers: tuple[int, ...],
+        blocks: int,
+        attention: tuple[int, ...],
+        heads: int,
+        groups: int,
     ) -> None:
         super().__init__()
         self.width = width
@@ -42,37 +42,40 @@ class LatentUnet(nn.Module):
             nn.SiLU(),
             nn.Linear(embedding_width, embedding_width),
         )
-        layers = _LayerFactory(embedding_width, heads, groups)
+
+        def make_block(inputs: int, outputs: int, resampling: str = "") -> nn.Module:
+            return _Block(inputs, outputs, embedding_width, groups, resampling)
+
+        def make_steps(inputs: int, outputs: int, level: int) -> _Steps:
+            steps = _Steps(make_block(inputs, outputs))
+            if 2**level in attention:
+                steps.append(_Attention(outputs, heads, groups))
+            return steps
+
         self.input_blocks = nn.ModuleList([_Steps(nn.Conv2d(inputs, width, 3, padding=1))])
         channels = width
-        downsampling = 1
         skips = [width]
-        for level, factor in enumerate(channel_multipliers):
+        levels = list(enumerate(channel_multipliers))
+        for level, factor in levels:
             for _ in range(blocks):
-                self.input_blocks.append(
-                    layers.make_steps(channels, factor * width, attends=downsampling in attention)
-                )
+                self.input_blocks.append(make_steps(channels, factor * width, level))
                 channels = factor * width
                 skips.append(channels)
-            if level < len(channel_multipliers) - 1:
-                self.input_blocks.append(_Steps(layers.make_block(channels, channels, "halve")))
+            if level < len(levels) - 1:
+                self.input_blocks.append(_Steps(make_block(channels, channels, "halve")))
                 skips.append(channels)
-                downsampling *= 2
         self.middle_block = _Steps(
-            layers.make_block(channels, channels),
-            layers.make_attention(channels),
-            layers.make_block(channels, channels),
+            make_block(channels, channels),
+            _Attention(channels, heads, groups),
+            make_block(channels, channels),
         )
         self.output_blocks = nn.ModuleList()
-        for level, factor in reversed(list(enumerate(channel_multipliers))):
+        for level, factor in reversed(levels):
             for k in range(blocks + 1):
-                steps = layers.make_steps(
-                    channels + skips.pop(), factor * width, attends=downsampling in attention
-                )
+                steps = make_steps(channels + skips.pop(), factor * width, level)
                 channels = factor * width
                 if level and k == blocks:
-                    steps.append(layers.make_block(channels, channels, "double"))
-                    downsampling //= 2
+                    steps.append(make_block(channels, channels, "double"))
                 self.output_blocks.append(steps)
         self.out = nn.Sequential(
             nn.GroupNorm(groups, channels),
@@ -101,26 +104,6 @@ def embed_timesteps(time: Tensor, width: int) -> Tensor:
         -math.log(10_000.0) * torch.arange(half, device=time.device) / half
     )
     return torch.cat([torch.cos(angle), torch.sin(angle)], dim=1)
-
-
-class _LayerFactory:
-    """Makes blocks and attention layers with shared settings."""
-
-    def __init__(self, embedding_width: int, heads: int, groups: int) -> None:
-        self._embedding_width = embedding_width
-        self._heads = heads
-        self._groups = groups
-
-    def make_block(self, inputs: int, outputs: int, resampling: str = "") -> nn.Module:
-        return _Block(inputs, outputs, self._embedding_width, self._groups, resampling)
-
-    def make_attention(self, width: int) -> nn.Module:
-        return _Attention(width, self._heads, self._groups)
-
-    def make_steps(self, inputs: int, outputs: int, *, attends: bool) -> _Steps:
-        return _Steps(
-            self.make_block(inputs, outputs), *([self.make_attention(outputs)] if attends else [])
-        )
 
 
 class _Steps(nn.Sequential):
@@ -152,7 +135,10 @@ class _Block(nn.Module):
         self.skip_connection: nn.Module = (
             nn.Identity() if inputs == outputs else nn.Conv2d(inputs, outputs, 1)
         )
-        self._resampling = resampling
+        self._resample: nn.Module = {
+            "halve": nn.AvgPool2d(2),
+            "double": nn.Upsample(scale_factor=2.0, mode="nearest"),
+        }.get(resampling, nn.Identity())
 
     def forward(self, field: Tensor, embedding: Tensor) -> Tensor:
         inner = self._resample(self.in_layers[:-1](field))
@@ -161,13 +147,6 @@ class _Block(nn.Module):
         scale, shift = self.emb_layers(embedding)[:, :, None, None].chunk(2, dim=1)
         inner = self.out_layers[1:](self.out_layers[0](inner) * (1 + scale) + shift)
         return self.skip_connection(field) + inner
-
-    def _resample(self, field: Tensor) -> Tensor:
-        if self._resampling == "halve":
-            return functional.avg_pool2d(field, 2)
-        if self._resampling == "double":
-            return functional.interpolate(field, scale_factor=2.0, mode="nearest")
-        return field
 
 
 class _Attention(nn.Module):

@@ -130,7 +130,8 @@ def _inside(corner: Doubles, points: Doubles) -> Mask:
     """Which points lie in a counter-clockwise triangle, its border included."""
     edge = np.roll(corner, -1, axis=0) - corner
     to = points[:, None] - corner
-    return (edge[:, 0] * to[..., 1] - edge[:, 1] * to[..., 0] >= -_FLAT).all(axis=1)
+    left = edge[:, 0] * to[..., 1] - edge[:, 1] * to[..., 0]
+    return np.asarray((left >= -_FLAT).all(axis=1), np.bool_)
 
 
 SHOULDER_MM = 7.5  # radius of the lab's shoulders, and half the width of its tools' arms

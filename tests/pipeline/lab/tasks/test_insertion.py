@@ -58,7 +58,7 @@ def test_shares_of_a_failed_decision_add_up_and_the_truth_inserts(rollouts):
     decision = rollouts[1].decisions[0]
     assert sum(part.share_mm for part in decision.shares) == pytest.approx(decision.error_mm)
     assert decision.shares[-1].succeeds
-    assert "with the truth in place of pose estimation it succeeds" in rollouts[1].cause
+    assert "with the true pose estimation it succeeds" in rollouts[1].cause
 
 
 def test_the_source_itself_inserts_without_a_translation():
