@@ -10,7 +10,6 @@ from PyQt6.QtWidgets import (
     QCheckBox,
     QComboBox,
     QDoubleSpinBox,
-    QHBoxLayout,
     QLineEdit,
     QSizePolicy,
     QSlider,
@@ -20,7 +19,7 @@ from PyQt6.QtWidgets import (
 
 from pipeline.core.params import Setting, Value
 from widgets.style.base import ChoiceBox, NumberBox
-from widgets.style.styling import fill, set_spacing
+from widgets.style.styling import make_row
 
 _SLIDER_STEPS = 400
 _SLIDER_PX = 40
@@ -182,5 +181,5 @@ def _with_slider(
     place_slider(value)
     box.valueChanged.connect(place_slider)
     slider.valueChanged.connect(apply_dragged)
-    fill(set_spacing(QHBoxLayout(both), _GAP_PX), (slider, 1), box)
+    make_row(_GAP_PX, (slider, 1), box, on=both)
     return ParameterControl(widget=both, show=show)

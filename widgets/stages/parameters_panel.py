@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from functools import partial
 
 from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtWidgets import QFormLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QFormLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.core.params import Setting, Value, list_settings, replace_value
 from widgets.stages.parameter_controls import (
@@ -14,7 +14,14 @@ from widgets.stages.parameter_controls import (
     make_control,
 )
 from widgets.style.base import FixedSizeLabel, VerticalScrollArea
-from widgets.style.styling import fill, make_bold, make_icon_button, set_spacing
+from widgets.style.styling import (
+    fill,
+    make_bold,
+    make_column,
+    make_icon_button,
+    make_row,
+    set_spacing,
+)
 
 # width of all labels, which wrap: a form takes the room of wider ones from the values
 _LABEL_PX = 112
@@ -152,7 +159,7 @@ class ParametersPanel(VerticalScrollArea):
 
     def _group(self, key: str, title: str, tip: str) -> tuple[QWidget, QFormLayout]:
         group = QWidget()
-        outer = set_spacing(QVBoxLayout(group), 3, (0, 2, 0, 6))
+        outer = make_column(3, around_px=(0, 2, 0, 6), on=group)
         name = make_bold(FixedSizeLabel(title))
         self._heads[key] = name, f"{title}\n{tip}" if tip else title
         self.show_unused(key, "")
@@ -160,7 +167,7 @@ class ParametersPanel(VerticalScrollArea):
         button.setAccessibleName(f"reset {key}")
         button.clicked.connect(lambda: self.reset(key))
         form = set_spacing(QFormLayout(), 3, (4, 0, 0, 0))
-        fill(outer, fill(QHBoxLayout(), (name, 1), button), form)
+        fill(outer, make_row(6, (name, 1), button), form)
         form.setRowWrapPolicy(QFormLayout.RowWrapPolicy.DontWrapRows)
         form.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.AllNonFixedFieldsGrow)
         return group, form

@@ -247,7 +247,7 @@ class ChoiceBox(QComboBox):
             icon_px = 0 if option.currentIcon.isNull() else option.iconSize.width() + 4
             end = Qt.TextElideMode.ElideRight
             option.currentText = option.fontMetrics.elidedText(
-                option.currentText, end, room.width() - icon_px - 4
+                option.currentText, end, room.width() - icon_px - 2
             )
         painter.drawComplexControl(QStyle.ComplexControl.CC_ComboBox, option)
         painter.drawControl(QStyle.ControlElement.CE_ComboBoxLabel, option)

@@ -55,11 +55,6 @@ class Gizmo(QWidget):
         self.hide()
 
     @property
-    def is_dragging(self) -> bool:
-        """Whether a part is being dragged."""
-        return bool(self._held)
-
-    @property
     def geometry_px(self) -> GizmoGeometry | None:
         """Where its parts are now; None while it is hidden."""
         return (
