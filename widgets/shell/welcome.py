@@ -21,7 +21,7 @@ from widgets.style.styling import fill, make_bold, make_column, make_row, name_w
 
 _WIDTH_PX = 620
 _ROW_PX = 24
-_DASHED = "#drop { border: 1px dashed palette(placeholder-text); border-radius: 6px }"
+_DASHED = "#drop { border: 2px dashed palette(placeholder-text); border-radius: 6px }"
 _PURPOSE = (
     "Translate the touch of one tactile sensor into another's: every stage side by side, compared "
     "with the truth "

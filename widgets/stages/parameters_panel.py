@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from functools import partial
 
 from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtWidgets import QFormLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QFormLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from pipeline.core.params import Setting, Value, list_settings, replace_value
 from widgets.stages.parameter_controls import (
@@ -13,13 +13,14 @@ from widgets.stages.parameter_controls import (
     format_label,
     make_control,
 )
-from widgets.style.base import FixedSizeLabel, VerticalScrollArea
+from widgets.style.base import VerticalScrollArea
 from widgets.style.styling import (
     fill,
     make_bold,
     make_column,
     make_icon_button,
     make_row,
+    make_text,
     set_spacing,
 )
 
@@ -160,7 +161,9 @@ class ParametersPanel(VerticalScrollArea):
     def _group(self, key: str, title: str, tip: str) -> tuple[QWidget, QFormLayout]:
         group = QWidget()
         outer = make_column(3, around_px=(0, 2, 0, 6), on=group)
-        name = make_bold(FixedSizeLabel(title))
+        name = make_bold(make_text())
+        name.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        name.setText(title)
         self._heads[key] = name, f"{title}\n{tip}" if tip else title
         self.show_unused(key, "")
         button = make_icon_button("reset", f"reset_{key}", f"Reset {title.lower()} to its defaults")

@@ -183,9 +183,10 @@ class OffscreenRenderer:
             camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0)
         )
         seen = points_mm @ matrix[:, :3].T + matrix[:, 3]
-        w = np.where(seen[:, 3] > 0, seen[:, 3], np.nan)
+        w = np.where(seen[:, 3] > 0, seen[:, 3], np.inf)
         shares = np.stack([0.5 + 0.5 * seen[:, 0] / w, 0.5 - 0.5 * seen[:, 1] / w], axis=-1)
-        return np.nan_to_num(shares, nan=-9.0), np.nan_to_num(w / np.nanmin(w), nan=np.inf)
+        shares[np.isinf(w)] = -9.0
+        return shares, w / w.min(initial=1e12)
 
     def fit_cameras(self, bounds: Mapping[int, ViewBounds], linked: bool) -> None:
         """Set cameras on the sensor's side, so that indentation bulges toward the viewer."""
@@ -278,9 +279,10 @@ def _add_layer(renderer: Any, mesh: Any, layer: Layer) -> Any:
         actor.GetMapper().SetRelativeCoincidentTopologyPolygonOffsetParameters(*_BEHIND)
     look.SetPointSize(layer.point_px)
     look.SetLineWidth(_LINE_PX)
-    look.SetAmbient(0.3)
     if layer.normals is None:  # has its own colour from all sides
         look.LightingOff()
+    else:
+        look.SetAmbient(0.3)
     if layer.segments is None and layer.triangles is None:
         look.SetRepresentationToPoints()
     return actor
