@@ -39,19 +39,6 @@ class ParameterControl:
     widget: QWidget
     show: Callable[[Value], None]
 
-    @property
-    def sliders(self) -> list[QSlider]:
-        """Its sliders, none or one."""
-        return self.widget.findChildren(QSlider)
-
-    def set_names(self, object_name: str, text: str) -> None:
-        """Set the name that finds it, and the one that a screen reader says for each of its
-        parts.
-        """
-        self.widget.setObjectName(object_name)
-        for part in (self.widget, *self.widget.findChildren(QWidget)):
-            part.setAccessibleName(text)
-
 
 def make_control(
     value: Value, setting: Setting, edited: Callable[[Value], None]
@@ -77,11 +64,8 @@ def describe_setting(setting: Setting) -> str:
 
 def format_label(setting: Setting) -> str:
     """Return the label with its unit."""
-    return (
-        f"{setting.label}, {setting.unit}"
-        if setting.unit and setting.unit not in setting.label.lower()
-        else setting.label
-    )
+    is_named = not setting.unit or setting.unit in setting.label.lower()
+    return setting.label if is_named else f"{setting.label}, {setting.unit}"
 
 
 def _range(setting: Setting) -> str:
