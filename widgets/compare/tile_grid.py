@@ -10,12 +10,11 @@ from PyQt6.QtWidgets import (
     QFrame,
     QGridLayout,
     QLabel,
-    QSizePolicy,
     QWidget,
 )
 
 from pipeline.views.preview import Preview, Tile
-from widgets.style.base import EventListener
+from widgets.style.base import FIXED, GROWS, YIELDS, EventListener
 from widgets.style.styling import fill, make_bold, make_column, make_text, set_spacing
 from widgets.views.preview_view import SIDE_TEXT_PX, PreviewView
 
@@ -43,7 +42,7 @@ class TileView(QFrame):
         self._subtitle = make_text()
         self.view = PreviewView()
         for label in (self._title, self._subtitle):
-            label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+            label.setSizePolicy(YIELDS, FIXED)
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self._subtitle.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self.view.caption.set_lines(1)
@@ -115,7 +114,7 @@ class TileGrid(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
+        self.setSizePolicy(GROWS, GROWS)
         self._grid = set_spacing(QGridLayout(self), 4)
         self._views: list[TileView] = []
         self._versus = ""

@@ -11,14 +11,13 @@ from PyQt6.QtWidgets import (
     QComboBox,
     QDoubleSpinBox,
     QLineEdit,
-    QSizePolicy,
     QSlider,
     QSpinBox,
     QWidget,
 )
 
 from pipeline.core.params import Setting, Value
-from widgets.style.base import ChoiceBox, NumberBox
+from widgets.style.base import FIXED, PREFERS, ChoiceBox, NumberBox
 from widgets.style.styling import make_row
 
 _SLIDER_STEPS = 400
@@ -101,7 +100,7 @@ def _choice(value: str, setting: Setting, edited: Callable[[Value], None]) -> Pa
     )
     box.setCurrentText(value)
     box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContentsOnFirstShow)
-    box.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
+    box.setSizePolicy(PREFERS, FIXED)
     box.currentTextChanged.connect(edited)
     return _quiet(box, box.setCurrentText)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtWidgets import QFormLayout, QLabel, QSizePolicy, QSlider, QWidget
+from PyQt6.QtWidgets import QFormLayout, QLabel, QSlider, QWidget
 
 from pipeline.core.params import Setting, Value, list_settings, replace_value
 from widgets.stages.parameter_controls import (
@@ -14,7 +14,7 @@ from widgets.stages.parameter_controls import (
     format_label,
     make_control,
 )
-from widgets.style.base import VerticalScrollArea
+from widgets.style.base import PREFERS, YIELDS, VerticalScrollArea
 from widgets.style.styling import (
     make_bold,
     make_column,
@@ -169,7 +169,7 @@ class ParametersPanel(VerticalScrollArea):
 
     def _make_group(self, key: str, title: str, params: object, tip: str) -> _Group:
         head = make_bold(make_text())
-        head.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        head.setSizePolicy(YIELDS, PREFERS)
         head.setText(title)
         button = make_icon_button("reset", f"reset_{key}", f"Reset {title.lower()} to its defaults")
         button.setAccessibleName(f"reset {key}")

@@ -9,13 +9,12 @@ from PyQt6.QtWidgets import (
     QBoxLayout,
     QFrame,
     QLabel,
-    QSizePolicy,
     QWidget,
 )
 
 from pipeline.core.errors import name_options
 from pipeline.stages.stage import TRUTH
-from widgets.style.base import ChoiceBox
+from widgets.style.base import FIXED, GROWS, YIELDS, ChoiceBox
 from widgets.style.icons import PENDING, StateIcon, is_trouble
 from widgets.style.styling import fill, format_time, make_bold, make_button, make_column, make_row
 from widgets.style.theme import get_theme_colours, to_hex
@@ -54,7 +53,7 @@ class StageColumn(QFrame):
         self._unpin.clicked.connect(lambda: self.method_chosen.emit(name, ""))
         self._unpin.hide()
         self.head = QWidget()  # a pane shows it over image and 3D view
-        self._method.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self._method.setSizePolicy(YIELDS, FIXED)
         self._method.setMinimumWidth(_METHOD_PX)
         self._line = QFrame()  # while the stage is computed again
         self._line.setFixedHeight(_LINE_PX)
@@ -63,7 +62,7 @@ class StageColumn(QFrame):
         fill(row, self._title, (self._method, 1), self._unpin, self._sign)
         make_column(0, (row, 1), self._line, on=self.head)
         make_column(0, self.head, (self.view, 1), on=self)
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
+        self.setSizePolicy(YIELDS, GROWS)
         self.state = ""
         self.warnings = tuple[str, ...]()
         self.view.pixel_hovered.connect(partial(self.pixel_hovered.emit, name))

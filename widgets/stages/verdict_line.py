@@ -6,8 +6,9 @@ from functools import partial
 from html import escape
 
 from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtWidgets import QFrame, QMenu, QPushButton, QSizePolicy
+from PyQt6.QtWidgets import QFrame, QMenu, QPushButton
 
+from widgets.style.base import GROWS, PREFERS
 from widgets.style.icons import StateIcon
 from widgets.style.notification_bar import Choice, replace_buttons
 from widgets.style.styling import fill, make_button, make_row, make_text, name_widget
@@ -37,7 +38,7 @@ class VerdictLine(QFrame):
         self.findings: tuple[Finding, ...] = ()
         self._sign = StateIcon()
         self._sentence = make_text(rich=True)
-        self._sentence.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
+        self._sentence.setSizePolicy(GROWS, PREFERS)
         self.list_button = make_button("", "findings", "Everything that is wrong with this frame")
         self._menu = QMenu(self.list_button)
         self.list_button.setMenu(self._menu)

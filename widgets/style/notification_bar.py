@@ -8,12 +8,12 @@ from PyQt6.QtWidgets import (
     QHBoxLayout,
     QMenu,
     QPushButton,
-    QSizePolicy,
     QToolButton,
     QVBoxLayout,
 )
 
 from pipeline.core.errors import escape_text
+from widgets.style.base import PREFERS, YIELDS
 from widgets.style.run_bar import RunBar
 from widgets.style.styling import (
     fill,
@@ -92,7 +92,7 @@ class NotificationBar(QFrame):
         self.run_bar = RunBar(name)
         self._away = name_widget(QToolButton(), "", "Dismiss", "Dismiss")
         self._text.setTextFormat(Qt.TextFormat.PlainText)  # file names are no markup
-        self._text.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        self._text.setSizePolicy(YIELDS, PREFERS)
         self._away.setText("\N{MULTIPLICATION SIGN}")
         self._away.setAutoRaise(True)
         self._away.clicked.connect(self.hide)

@@ -11,13 +11,12 @@ from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, QSizeF, Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QColor, QGuiApplication, QPainter, QPalette, QPen, QPixmap
 from PyQt6.QtWidgets import (
     QAbstractButton,
-    QSizePolicy,
     QToolButton,
     QWidget,
 )
 
 from pipeline.views.preview import Preview
-from widgets.style.base import EventListener
+from widgets.style.base import FIXED, GROWS, EventListener
 from widgets.style.icons import PENDING, is_trouble, paint_state
 from widgets.style.styling import fill, make_column, make_command_button, make_row, name_widget
 from widgets.style.theme import get_theme_colours, to_qcolor
@@ -41,7 +40,7 @@ class Thumbnail(QAbstractButton):
         super().__init__()
         self.setText(title)
         self.setAccessibleName(title)
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        self.setSizePolicy(GROWS, FIXED)
         self.state = "waiting"
         self.method = ""
         self.share: tuple[float, str] | None = None  # of the error (0 to 1), and its value
@@ -87,8 +86,8 @@ class Thumbnail(QAbstractButton):
         if self.remedy is not None:
             self.is_feedable = feedable
             self.remedy.setVisible(feedable and not self.is_collapsed)
-            across = QSizePolicy.Policy.Fixed if feedable else QSizePolicy.Policy.Expanding
-            self.setSizePolicy(across, QSizePolicy.Policy.Fixed)
+            across = FIXED if feedable else GROWS
+            self.setSizePolicy(across, FIXED)
 
     def set_collapsed(self, folded: bool) -> None:
         """Show sign and title only."""

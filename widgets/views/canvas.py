@@ -8,12 +8,13 @@ from typing import Any
 
 from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QPainter, QPalette, QPen, QPixmap
-from PyQt6.QtWidgets import QSizePolicy, QWidget
+from PyQt6.QtWidgets import QWidget
 
 from pipeline.core.arrays import Image
 from pipeline.views.colours import Rgb
 from pipeline.views.drawing import CASING_COLOUR
 from pipeline.views.preview import Preview
+from widgets.style.base import GROWS, YIELDS
 from widgets.style.theme import (
     CROSSHAIR_COLOUR,
     SECTION_COLOUR,
@@ -46,7 +47,7 @@ class Canvas(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self.setMinimumSize(60, 60)
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
+        self.setSizePolicy(YIELDS, GROWS)
         self.setMouseTracking(True)
         self._plate = PreviewRenderer()
         self._plate.set_theme(get_theme_colours(self.palette()))

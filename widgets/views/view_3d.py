@@ -7,9 +7,9 @@ from typing import Any
 
 from PyQt6.QtCore import QEvent, QPoint, QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QImage, QKeyEvent, QPainter, QPen
-from PyQt6.QtWidgets import QSizePolicy, QWidget
+from PyQt6.QtWidgets import QWidget
 
-from widgets.style.base import EventListener
+from widgets.style.base import YIELDS, EventListener
 from widgets.style.theme import CROSSHAIR_COLOUR, get_backdrop, to_qcolor
 
 _DOT_PX = 5.0
@@ -31,9 +31,7 @@ class View3D(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self.setMinimumSize(60, 60)
-        self.setSizePolicy(
-            QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored
-        )  # the image follows the widget's size
+        self.setSizePolicy(YIELDS, YIELDS)  # the image follows the widget's size
         self.image: QImage | None = None
         self.notice = ""  # shown in place of an image
         self.marker: QPointF | None = None

@@ -6,12 +6,11 @@ from PyQt6.QtWidgets import (
     QGridLayout,
     QLabel,
     QMenu,
-    QSizePolicy,
     QToolButton,
     QWidget,
 )
 
-from widgets.style.base import EventListener, FixedSizeLabel
+from widgets.style.base import FIXED, YIELDS, EventListener, FixedSizeLabel
 from widgets.style.styling import fill, make_command_button, make_icon_button, make_row, set_spacing
 from widgets.views.view_3d import View3D
 
@@ -62,7 +61,7 @@ class FittingLabel(QLabel):
     def __init__(self, side: Qt.AlignmentFlag = Qt.AlignmentFlag.AlignRight) -> None:
         super().__init__()
         self.setTextFormat(Qt.TextFormat.RichText)
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self.setSizePolicy(YIELDS, FIXED)
         self.setAlignment(side | Qt.AlignmentFlag.AlignVCenter)
         self._tellings: tuple[str, ...] = ()
         self._widths: list[int] = []
