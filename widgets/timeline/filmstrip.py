@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, QSizeF, Qt, pyqtSignal
-from PyQt6.QtGui import QAction, QColor, QGuiApplication, QPainter, QPalette, QPen, QPixmap
+from PyQt6.QtGui import QAction, QGuiApplication, QPainter, QPalette, QPen, QPixmap
 from PyQt6.QtWidgets import (
     QAbstractButton,
     QToolButton,
@@ -20,6 +20,7 @@ from widgets.style.base import FIXED, GROWS, EventListener
 from widgets.style.icons import PENDING, is_trouble, paint_state
 from widgets.style.styling import fill, make_column, make_command_button, make_row, name_widget
 from widgets.style.theme import get_theme_colours, to_qcolor
+from widgets.views.canvas import draw_tag, measure_tag
 from widgets.views.preview_renderer import MAX_ZOOM, PreviewRenderer
 
 _PICTURE_PX = QSize(132, 82)
@@ -152,22 +153,16 @@ class Thumbnail(QAbstractButton):
                 )
             painter.drawPixmap(_EDGE_PX, _EDGE_PX + line, self._pixmap)
         if self.method and not has_room:
-            self._paint_label(painter, self.method, 2 * _EDGE_PX + line)
+            box = measure_tag(painter, self.method)
+            draw_tag(painter, box, QPointF(_EDGE_PX, 2 * _EDGE_PX + line), self.method)
         if self.share is not None:  # as a bar along the lower edge, and its value over it
             share, text = self.share
             wide = max(2, round(min(1.0, abs(share)) * (self.width() - 2 * _EDGE_PX)))
             colour = to_qcolor(ink.worse if share > 0.5 else ink.accent)
             painter.fillRect(_EDGE_PX, self.height() - 2 * _EDGE_PX, wide, _EDGE_PX, colour)
-            top = self.height() - 2.5 * _EDGE_PX - metrics.height()
-            self._paint_label(painter, text, top)
-
-    def _paint_label(self, painter: QPainter, text: str, top: float) -> None:
-        """Paint a text over the image."""
-        metrics = self.fontMetrics()
-        box = QRectF(_EDGE_PX, top, metrics.horizontalAdvance(text) + 8, metrics.height())
-        painter.fillRect(box, QColor(20, 24, 30, 190))
-        painter.setPen(QColor(255, 255, 255))
-        painter.drawText(box, Qt.AlignmentFlag.AlignCenter, text)
+            box = measure_tag(painter, text)
+            top = self.height() - 2.5 * _EDGE_PX - box.height()
+            draw_tag(painter, box, QPointF(_EDGE_PX, top), text)
 
     def _drop_pixmap(self) -> None:
         self._pixmap = None

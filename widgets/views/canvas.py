@@ -186,9 +186,9 @@ class Canvas(QWidget):
             painter.setPen(QPen(to_qcolor(CROSSHAIR_COLOUR), 2))
             painter.drawLine(QPointF(x, 0), QPointF(x, self.height()))
             left, right = self.handle_words
-            box = _measure_tag(painter, left)
-            _draw_tag(painter, box, QPointF(x - 2 - box.width(), 2), left)
-            _draw_tag(painter, _measure_tag(painter, right), QPointF(x + 2, 2), right)
+            box = measure_tag(painter, left)
+            draw_tag(painter, box, QPointF(x - 2 - box.width(), 2), left)
+            draw_tag(painter, measure_tag(painter, right), QPointF(x + 2, 2), right)
         if self.crosshair is not None:
             self._draw_cross(painter, *self.crosshair)
         if self.hasFocus():
@@ -226,11 +226,11 @@ class Canvas(QWidget):
         if not self.crosshair_text:
             return
         painter.setFont(self.font())
-        box = _measure_tag(painter, self.crosshair_text)
+        box = measure_tag(painter, self.crosshair_text)
         left = at.x() + 6 if at.x() + 8 + box.width() < self.width() else at.x() - 6 - box.width()
         top = at.y() + 5 if at.y() + 8 + box.height() < self.height() else at.y() - 5 - box.height()
         place = QPointF(max(1.0, min(left, self.width() - box.width() - 1)), max(1.0, top))
-        _draw_tag(painter, box, place, self.crosshair_text)
+        draw_tag(painter, box, place, self.crosshair_text)
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
         """Record where a click or drag begins."""
@@ -305,12 +305,13 @@ class Canvas(QWidget):
         return self.to_screen(QPointF(wide, 0.0)).x()
 
 
-def _measure_tag(painter: QPainter, text: str) -> QRectF:
+def measure_tag(painter: QPainter, text: str) -> QRectF:
+    """Return the box of a text over an image."""
     return QRectF(painter.fontMetrics().boundingRect(text)).adjusted(-4, -1, 4, 2)
 
 
-def _draw_tag(painter: QPainter, box: QRectF, at: QPointF, text: str) -> None:
-    """Draw a text on a dark ground."""
+def draw_tag(painter: QPainter, box: QRectF, at: QPointF, text: str) -> None:
+    """Draw a text over an image in its box, moved to a position."""
     box.moveTopLeft(at)
     painter.setPen(Qt.PenStyle.NoPen)
     painter.setBrush(QColor(20, 24, 30, 205))
