@@ -6,18 +6,18 @@ The rendered image is cached, so that moving the crosshair costs one copy and tw
 import math
 from typing import Any
 
-from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QEvent, QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QPainter, QPalette, QPen, QPixmap
-from PyQt6.QtWidgets import QWidget
 
 from pipeline.core.arrays import Image
 from pipeline.views.colours import Rgb
 from pipeline.views.drawing import CASING_COLOUR
 from pipeline.views.preview import Preview
-from widgets.style.base import GROWS, YIELDS
+from widgets.style.base import YIELDS, PaintedWidget
 from widgets.style.theme import (
     CROSSHAIR_COLOUR,
     SECTION_COLOUR,
+    ThemeColours,
     get_backdrop,
     get_probe_colour,
     get_theme_colours,
@@ -35,7 +35,7 @@ _MARK_PX = (6.5, 8.0)
 _MARK_SHARE = 0.05
 
 
-class Canvas(QWidget):
+class Canvas(PaintedWidget):
     """Draws one `Preview`; emits the position of the mouse, clicks, and changes of the view."""
 
     mouse_moved = pyqtSignal(QPointF)
@@ -45,9 +45,8 @@ class Canvas(QWidget):
     handle_dragged = pyqtSignal(float)  # to this share of the width
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__(across=YIELDS)
         self.setMinimumSize(60, 60)
-        self.setSizePolicy(YIELDS, GROWS)
         self.setMouseTracking(True)
         self._plate = PreviewRenderer()
         self._plate.set_theme(get_theme_colours(self.palette()))
@@ -65,10 +64,6 @@ class Canvas(QWidget):
         self._dragged: QPointF | None = None
         self._drags_handle = False
         self.n_renders = 0  # number of times the image was rendered
-
-    def sizeHint(self) -> QSize:  # noqa: N802
-        """Return a column's share of a laptop screen."""
-        return QSize(200, 160)
 
     def show_preview(self, picture: Preview | None) -> None:
         """Show another image, None for no image; an image of the same size keeps the view."""
@@ -173,12 +168,10 @@ class Canvas(QWidget):
             self._plate.set_theme(get_theme_colours(self.palette()))
             self.invalidate()
 
-    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint the cached rendering and the handle, crosshair, line and marks over it."""
-        del a0
-        kept = self._put_together()
-        painter = QPainter(self)
-        painter.drawPixmap(0, 0, kept)
+        del ink
+        painter.drawPixmap(0, 0, self._put_together())
         if self._plate.image is None:
             return
         if self.handle_share is not None:
