@@ -4,7 +4,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QPainter
 
 from pipeline.core.arrays import Doubles, Floats
@@ -73,6 +73,8 @@ class ColourBar(PaintedWidget):
 
     def __init__(self) -> None:
         super().__init__("levels", across=YIELDS, down=FIXED)
+        # room for the bars, the strip and one line of numbers
+        self.preferred_px = 120, _BARS_PX + _STRIP_PX + self.fontMetrics().height() + 3
         self._scale: ColourScale | None = None
         self._values: Floats | None = None
         self._spread: ValueHistogram | None = None
@@ -81,10 +83,6 @@ class ColourBar(PaintedWidget):
         self._wanted = math.nan
         self._soon = make_single_shot_timer(self, _THROTTLE_MS, self._tell)
         self.setMouseTracking(True)
-
-    def sizeHint(self) -> QSize:  # noqa: N802
-        """Return room for the bars, the strip and one line of numbers."""
-        return QSize(120, _BARS_PX + _STRIP_PX + self.fontMetrics().height() + 3)
 
     def show_scale(self, scale: ColourScale | None, values: Floats | None = None) -> None:
         """Show the colours and limits of `scale` and the histogram of `values`.

@@ -114,7 +114,7 @@ class Gizmo(PaintedWidget):
         if shape is None:
             return
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        colours = dict(zip(AXES, map(to_qcolor, ink.axes * 2), strict=True))
+        colours: dict[str, QColor] = dict(zip(AXES, map(to_qcolor, ink.axes * 2), strict=True))
         for part, line in {**shape.rings_px, **shape.arrows_px}.items():
             for side, wide in (_CASING, 5.0), (colours[part], 4.0 if self._is_lit(part) else 2.0):
                 painter.setPen(QPen(side, wide))
