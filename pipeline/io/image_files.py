@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.core.arrays import Image, Stored, describe_size, freeze
 from pipeline.core.errors import FileProblem

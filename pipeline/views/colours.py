@@ -27,19 +27,39 @@ MEMBRANE_COLOUR: Rgb = (150, 160, 175)
 # Every 16th colour of the perceptually uniform map D1 (Kovesi, "Good colour maps",
 # arXiv:1509.03700).
 _DIVERGING = (
-    (33, 81, 219), (82, 98, 222), (112, 117, 226),
-    (138, 136, 229), (160, 156, 232), (182, 177, 234),
-    (202, 197, 237), (221, 219, 239), (238, 231, 233),
-    (242, 215, 208), (240, 190, 178), (237, 165, 148),
-    (231, 140, 119), (224, 115, 91), (215, 88, 63), (204, 57, 36), (192, 2, 6),
-)  # fmt: skip
+    "2151db",
+    "5262de",
+    "7075e2",
+    "8a88e5",
+    "a09ce8",
+    "b6b1ea",
+    "cac5ed",
+    "dddbef",
+    "eee7e9",
+    "f2d7d0",
+    "f0beb2",
+    "eda594",
+    "e78c77",
+    "e0735b",
+    "d7583f",
+    "cc3924",
+    "c00206",
+)
 # The same around a dark centre, for dark windows: lightness falls in equal steps from 77 to 12 and
 # rises again.
 _DIVERGING_DARK = (
-    (150, 190, 255), (104, 156, 250), (68, 118, 226),
-    (48, 84, 172), (36, 56, 108), (30, 31, 36), (92, 34, 52),
-    (146, 48, 76), (196, 72, 104), (236, 116, 142), (255, 172, 186),
-)  # fmt: skip
+    "96beff",
+    "689cfa",
+    "4476e2",
+    "3054ac",
+    "24386c",
+    "1e1f24",
+    "5c2234",
+    "92304c",
+    "c44868",
+    "ec748e",
+    "ffacba",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +87,7 @@ def get_colour_table(name: ColourMapName) -> Image:
         return freeze(np.ascontiguousarray(drawn[:, 0, ::-1]))
     colours = _DIVERGING if name == "diverging" else _DIVERGING_DARK
     at = np.linspace(0.0, 255.0, len(colours))
-    anchors = np.array(colours, np.float64)
+    anchors = np.frombuffer(bytes.fromhex("".join(colours)), np.uint8).reshape(-1, 3)
     mixed = np.stack([np.interp(levels, at, anchors[:, k]) for k in range(3)], axis=-1)
     return freeze(np.rint(mixed).astype(np.uint8))
 

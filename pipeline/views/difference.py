@@ -39,8 +39,6 @@ def compute_difference(
         or ours.quantity != theirs.quantity
     ):
         return None
-    if computed.values.shape != truth.values.shape:
-        return None
     limit = _SHARE * (ours.high if ours.colour_map == "diverging" else ours.high - ours.low)
     gap = (computed.values - truth.values).astype(np.float32)
     return _make_preview(computed, truth, gap, limit, ours.unit, label)
@@ -51,19 +49,16 @@ def _make_preview(
 ) -> Preview:
     scale = ColourScale(colour_map="diverging", low=-limit, high=limit, unit=unit, quantity=words)
     known = gap[np.isfinite(gap)]
-    mean = float(np.abs(known).mean()) if known.size else 0.0
-    caption = (
-        f"{words}: mean {mean:.3g} {unit}"
-        if known.size
-        else "no pixel has both a value and a truth"
-    )
+    caption = "no pixel has both a value and a truth"
+    if known.size:
+        caption = f"{words}: mean {float(np.abs(known).mean()):.3g} {unit}"
+        if true.outline_px is not None:
+            caption += "; white: the other's contact"
     return replace(
         made,
         pixels=apply_colour_map(gap, scale),
         values=freeze(gap),
         scale=scale,
         observed_outline_px=true.outline_px,
-        caption=f"{caption}; white: the other's contact"
-        if true.outline_px is not None and known.size
-        else caption,
+        caption=caption,
     )

@@ -20,6 +20,7 @@ from pipeline.views.layers import (
 )
 from pipeline.views.preview import (
     INDENTATION_LABEL,
+    PixelPositions,
     Preview,
     compute_rest_depth_mm,
     make_frame_preview,
@@ -75,16 +76,18 @@ def _make_probe_point(stage: str, depth: DepthMap, index: int) -> ProbePoint:
     """Position and value of one pixel on the membrane."""
     row, col = divmod(index, depth.camera.cols)
     value = float(depth.indentation_mm[row, col])
-    z = float(depth.depth_mm[row, col])
-    ray_x, ray_y = depth.camera.rays()
+    text = f"{value:.3f} mm{'' if depth.contact[row, col] else ', not in contact'}"
     if not np.isfinite(value):
         text = "no depth measured here"
-    elif not depth.contact[row, col]:
-        text = f"{value:.3f} mm, not in contact"
-    else:
-        text = f"{value:.3f} mm"
-    point = (float(ray_x[col]) * z, float(ray_y[row]) * z, z) if np.isfinite(z) else None
-    return ProbePoint(stage=stage, index=index, row=row, col=col, point_mm=point, text=text)
+    point = PixelPositions(depth.camera, depth.depth_mm).compute_point_mm(row, col)
+    return ProbePoint(
+        stage=stage,
+        index=index,
+        row=row,
+        col=col,
+        point_mm=point if np.isfinite(point).all() else None,
+        text=text,
+    )
 
 
 def _draw_target_depth(depth: TargetDepth, context: PreviewContext) -> Preview:
@@ -217,11 +220,8 @@ def _summarise_steps(touch: GeneratedTouch) -> StepHistory | None:
     changes = [heights[0] * 0, *(b - a for a, b in pairwise(heights))]
     last_mm = tuple(_rms_mm(h - heights[-1]) for h in heights)
     span_mm = max(float(np.ptp(heights[-1])), 1e-9)
-    settled = next(
-        k
-        for k, h in enumerate(heights)
-        if np.percentile(np.abs(h - heights[-1]), 99.0) <= span_mm / 255
-    )
+    far_mm = [np.percentile(np.abs(h - heights[-1]), 99.0) for h in heights]
+    settled = next(k for k, mm in enumerate(far_mm) if mm <= span_mm / 255)
     return StepHistory(
         curves=(
             StepCurve(name="changed", unit="mm", values=tuple(_rms_mm(o) for o in changes)),

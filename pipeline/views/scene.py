@@ -203,12 +203,9 @@ def _measure_reach_mm(sensor: SensorSpec) -> float:
 def _find_corners(sensor: SensorSpec) -> Doubles:
     """Return the camera and the corners of what it sees of the rest surface (5, 3), mm."""
     rows, cols = sensor.camera.shape
-    z = _measure_reach_mm(sensor)
-    x_px, y_px = (
-        np.array([-0.5, cols - 0.5, cols - 0.5, -0.5]),
-        np.array([-0.5, -0.5, rows - 0.5, rows - 0.5]),
-    )
-    ends = sensor.camera.back_project_at(x_px, y_px, np.full(4, z))
+    x_px = np.array([0, cols, cols, 0]) - 0.5
+    y_px = np.array([0, 0, rows, rows]) - 0.5
+    ends = sensor.camera.back_project_at(x_px, y_px, np.full(4, _measure_reach_mm(sensor)))
     return np.concatenate([np.zeros((1, 3)), ends])
 
 

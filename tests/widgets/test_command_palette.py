@@ -21,7 +21,7 @@ def make_table(qtbot):
 
 
 def test_a_command_is_found_by_name_key_and_description(qtbot):
-    palette = CommandPalette()
+    palette = CommandPalette(None)
     qtbot.addWidget(palette)
     commands = [QAction("&Open recording…"), QAction("Save session")]
     commands[0].setToolTip("Open a recording (Ctrl+O)")

@@ -155,7 +155,7 @@ def test_what_says_nothing_of_the_sensor_on_screen_is_left_out(panel, kind, seen
     assert panel.findChild(QWidget, "picky.any_mm").isVisible()
 
 
-def test_no_value_is_cut_off_at_the_least_width_and_long_titles_elide(qtbot):
+def test_no_value_is_cut_off_at_the_least_width_and_long_titles_wrap(qtbot):
     """The panel is never narrower than its values, and a title asks for no width."""
     panel = ParametersPanel()
     methods = [m for stage in BUILT_IN.stages for m in stage.methods]
@@ -180,3 +180,8 @@ def test_no_value_is_cut_off_at_the_least_width_and_long_titles_elide(qtbot):
             if w.width() < w.minimumSizeHint().width()
         ]
         assert cut == []
+        titles = [
+            w for w in panel.findChildren(QLabel) if "very long" in w.text() and w.isVisible()
+        ]
+        assert titles
+        assert all(w.wordWrap() and w.height() >= w.heightForWidth(w.width()) for w in titles)

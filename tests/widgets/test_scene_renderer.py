@@ -208,8 +208,11 @@ def test_the_traced_dot_lies_where_its_point_is_drawn_and_costs_no_drawing(scene
     assert (view.marker.x(), view.marker.y()) == pytest.approx(middle, abs=1e-3)
     scene.mark_point(0, (1.0, 0.0, 10.0))
     assert view.marker.x() != pytest.approx(middle[0], abs=0.05 * view.width())
+    scene.mark_point(0, (0.0, 0.0, -1000.0))
+    assert view.marker is None, "behind the camera"
+    scene.mark_point(0, (0.0, 0.0, 10.0))
     scene.mark_point(0, None)
-    assert scene.views[0].marker is None
+    assert view.marker is None
     scene.draw_pending()
     assert scene.n_renders == before
 

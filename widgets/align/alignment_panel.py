@@ -17,10 +17,11 @@ from widgets.style.base import VerticalScrollArea
 from widgets.style.gauge import Gauge, GaugeScale
 from widgets.style.styling import (
     ThemedLabel,
-    fill,
     make_bold,
+    make_column,
     make_command_button,
     make_icon_button,
+    make_row,
     make_single_shot_timer,
     make_text,
     name_widget,
@@ -100,8 +101,8 @@ class AlignmentPanel(VerticalScrollArea):
             for column, widget in enumerate((row.label, row.slider, row.box)):
                 grid.addWidget(widget, n, column)
         self.no_score_reason.setWordWrap(True)
-        fill(
-            set_spacing(QVBoxLayout(body), 5, (8, 6, 8, 6)),
+        make_column(
+            5,
             self._head(),
             self._handles,
             self._foot(),
@@ -113,6 +114,8 @@ class AlignmentPanel(VerticalScrollArea):
             _title("Refine"),
             self.refine,
             1,
+            around_px=(8, 6, 8, 6),
+            on=body,
         )
         self.setWidget(body)
         self.show_empty()
@@ -121,12 +124,8 @@ class AlignmentPanel(VerticalScrollArea):
         self.original = make_icon_button(
             "reset", "alignment_original", "Return to the alignment of the recording"
         )
-        self._files = set_spacing(QHBoxLayout(), 1)
-        return fill(
-            set_spacing(QVBoxLayout(), 2),
-            fill(QHBoxLayout(), (self.origin, 1), self.original),
-            self._files,
-        )
+        self._files = make_row(1)
+        return make_column(2, make_row(6, (self.origin, 1), self.original), self._files)
 
     def _foot(self) -> QHBoxLayout:
         self.here = make_icon_button(
@@ -135,7 +134,7 @@ class AlignmentPanel(VerticalScrollArea):
             "Express the same motion about the centre of this frame's contact",
         )
         self.reset = make_icon_button("reset", "alignment_reset", "Reset all six offsets to zero")
-        return fill(QHBoxLayout(), (self._pivot, 1), self.here, self.reset)
+        return make_row(6, (self._pivot, 1), self.here, self.reset)
 
     def add_command(self, action: QAction) -> None:
         """Add a button for a command at the top."""

@@ -5,14 +5,14 @@ from collections.abc import Callable
 from html import escape
 
 from PyQt6.QtCore import QEvent
-from PyQt6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QWidget
 
 from pipeline.core.arrays import Doubles
 from pipeline.translation.alignment.refine import AlignmentFit, Refinement
 from pipeline.views.colours import Rgb
 from widgets.style.base import EventListener
 from widgets.style.run_bar import StartBar
-from widgets.style.styling import fill, make_button, make_text, set_spacing
+from widgets.style.styling import make_button, make_column, make_row, make_text
 from widgets.style.theme import ThemeColours, get_theme_colours, to_hex
 
 _IDLE = "least squares over all frames with contact on both sensors; a quarter is held out"
@@ -30,8 +30,8 @@ class RefineBox(QWidget):
         )
         self.discard = make_button("Discard", "refine_discard", "Keep the alignment as it is")
         self.run_bar.start_button.setToolTip(_IDLE[0].upper() + _IDLE[1:])
-        choice = fill(QHBoxLayout(), self.accept, self.discard)
-        fill(set_spacing(QVBoxLayout(self), 4), self.run_bar, self.text, choice)
+        choice = make_row(6, self.accept, self.discard)
+        make_column(4, self.run_bar, self.text, choice, on=self)
         EventListener(self, lambda: self._say(self._format_mm), QEvent.Type.PaletteChange)
         self.show_message()
 
@@ -60,24 +60,23 @@ def _in(colour: Rgb, text: str) -> str:
 
 
 def _table(answer: Refinement, ink: ThemeColours) -> str:
-    rows = [
-        f"<tr><td></td><td align='right'>{_in(ink.secondary_text, 'surface mm')}</td>"
-        f"<td align='right'>{_in(ink.secondary_text, 'outline mm')}</td></tr>"
-    ]
+    heads = "".join(
+        f"<td align='right'>{_in(ink.secondary_text, head)}</td>"
+        for head in ("surface mm", "outline mm")
+    )
+    rows = [f"<tr><td></td>{heads}</tr>"]
     for name, pair in (("used", answer.used_fit), ("held out", answer.held_out_fit)):
-        if pair is None:
-            continue
-        before, after = pair
-        rows.append(
-            f"<tr><td>{before.n_touches} "
-            f"{name}&nbsp;</td>{_cell(before.surface_mm, after.surface_mm)}"
-            f"{_cell(before.outline_mm, after.outline_mm)}</tr>"
-        )
+        if pair is not None:
+            cells = "".join(
+                f"<td align='right'>{_format_mm(before)} → <b>{_format_mm(after)}</b></td>"
+                for before, after in zip(*map(_list_errors_mm, pair), strict=True)
+            )
+            rows.append(f"<tr><td>{pair[0].n_touches} {name}&nbsp;</td>{cells}</tr>")
     return f"<table width='100%' cellspacing='2'>{''.join(rows)}</table>"
 
 
-def _cell(before: float, after: float) -> str:
-    return f"<td align='right'>{_format_mm(before)} → <b>{_format_mm(after)}</b></td>"
+def _list_errors_mm(fit: AlignmentFit) -> tuple[float, float]:
+    return fit.surface_mm, fit.outline_mm
 
 
 def _format_mm(value: float) -> str:
@@ -85,40 +84,30 @@ def _format_mm(value: float) -> str:
 
 
 def _words(answer: Refinement, target: str, ink: ThemeColours) -> str:
-    turn = answer.std[:3]
-    shift = answer.std[3:]
-    lines = [
-        f"predicted standard deviation of observable directions, {escape(target)} frame: "
-        f"{_format_axes(('x', 'y', 'z'), shift, 3)} mm; "
-        f"{_format_axes(('rx', 'ry', 'rz'), turn, 2)}°",
-        *(
-            _in(ink.warning_text, f"not observable: {words}; unchanged")
-            for words in answer.weak_directions
-        ),
-        *(_in(ink.warning_text, note) for note in answer.notes),
-    ]
-    worse = _worse(answer.held_out_fit)
-    if worse:
-        lines.append(_in(ink.warning_text, worse))
-    return "<br>".join(lines)
+    spread = (
+        "predicted standard deviation of observable directions, "
+        f"{escape(target)} frame: {_format_axes(answer.std[3:], '{} {:.3f}')} mm; "
+        f"{_format_axes(answer.std[:3], 'r{} {:.2f}')}°"
+    )
+    warnings = (
+        *(f"not observable: {words}; unchanged" for words in answer.weak_directions),
+        *answer.notes,
+        _worse(answer.held_out_fit),
+    )
+    return "<br>".join((spread, *(_in(ink.warning_text, words) for words in warnings if words)))
 
 
 def _worse(held_out: tuple[AlignmentFit, AlignmentFit] | None) -> str:
     """Return a warning where held-out touches fit worse than before."""
     if held_out is None:
         return "no touch was left to hold out"
-    before, after = held_out
-    worse = [
-        n
-        for n in ("surface_mm", "outline_mm")
-        if getattr(after, n) > 1.1 * getattr(before, n) + 0.01
-    ]
-    return (
-        f"held-out touches fit worse than before ({worse[0].removesuffix('_mm')})" if worse else ""
-    )
+    for name, before, after in zip(
+        ("surface", "outline"), *map(_list_errors_mm, held_out), strict=True
+    ):
+        if after > 1.1 * before + 0.01:
+            return f"held-out touches fit worse than before ({name})"
+    return ""
 
 
-def _format_axes(names: tuple[str, str, str], values: Doubles, digits: int) -> str:
-    return ", ".join(
-        f"{name} {value:.{digits}f}" for name, value in zip(names, values, strict=True)
-    )
+def _format_axes(values: Doubles, form: str) -> str:
+    return ", ".join(form.format(*pair) for pair in zip("xyz", values, strict=True))

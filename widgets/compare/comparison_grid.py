@@ -18,7 +18,7 @@ from PyQt6.QtWidgets import (
 
 from pipeline.lab.evaluation.grid_comparison import GridCell
 from widgets.style.base import EventListener
-from widgets.style.styling import name_widget
+from widgets.style.styling import format_time, name_widget
 from widgets.views.preview_renderer import make_themed_qimage
 
 CellIndex = tuple[int, int]  # row, col
@@ -30,13 +30,7 @@ def describe_cell(cell: GridCell, unit: str) -> str:
     if cell.problem:
         return cell.problem
     error = f"{cell.error:.3g} {unit}".strip() if math.isfinite(cell.error) else "no error known"
-    return f"{error}, {_format_time(cell.ms)}"
-
-
-def _format_time(ms: float) -> str:
-    if not math.isfinite(ms):
-        return "no time"
-    return f"{ms:.0f} ms" if ms < 10_000 else f"{ms / 1e3:.1f} s"
+    return f"{error}, {format_time(cell.ms) if math.isfinite(cell.ms) else 'no time'}"
 
 
 def find_pareto_front(cells: Iterable[GridCell]) -> list[GridCell]:
@@ -106,8 +100,8 @@ class CellGrid(QTableWidget):
             item.setIcon(QIcon(QPixmap.fromImage(image.scaled(self.iconSize(), fit, smooth))))
         self.setItem(cell.row, cell.col, item)
         front = find_pareto_front(self.cells.values())
-        for (row, col), known in self.cells.items():
-            if (shown := self.item(row, col)) is not None:
+        for place, known in self.cells.items():
+            if (shown := self.item(*place)) is not None:
                 font = self.font()
                 font.setBold(known in front)
                 shown.setFont(font)

@@ -5,12 +5,12 @@ from typing import get_args
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QLabel, QTabWidget, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QLabel, QTabWidget, QWidget
 
 from pipeline.lab.evaluation.method_comparison import SortOrder
 from widgets.compare.comparison_tab import ComparisonTab, GridTab, TileTab
 from widgets.style.base import ChoiceBox
-from widgets.style.styling import fill, make_command_button, name_widget, set_spacing
+from widgets.style.styling import make_column, make_command_button, name_widget
 
 ALL_STAGES = "all stages"
 
@@ -40,7 +40,7 @@ class ComparisonPage(QWidget):
         self._tab_bar.setDocumentMode(True)
         for tab, title in zip(self.tabs.values(), ("Methods", "Two settings", "Grid"), strict=True):
             self._tab_bar.addTab(tab, title)
-        fill(set_spacing(QVBoxLayout(self), 0), self._tab_bar)
+        make_column(0, self._tab_bar, on=self)
         self._tab_bar.currentChanged.connect(self._emit_choice)
 
     @property
@@ -71,7 +71,7 @@ class ComparisonPage(QWidget):
     def show_choices(self, tab: str, order: str, stage: str) -> None:
         """Show the current choices, the last stage for one that is not offered; emits no signal."""
         index = self.stage_box.findData(stage)
-        self.order_box.setCurrentText(order)
+        self.order_box.choose(order)
         self.stage_box.setCurrentIndex(index if index >= 0 else self.stage_box.count() - 1)
         with QSignalBlocker(self._tab_bar):
             self.show_tab(tab)

@@ -7,12 +7,10 @@ from functools import partial
 
 from PyQt6.QtWidgets import (
     QGridLayout,
-    QHBoxLayout,
     QLabel,
     QLayout,
     QLineEdit,
     QSizePolicy,
-    QVBoxLayout,
     QWidget,
 )
 
@@ -22,7 +20,14 @@ from widgets.compare.comparison_grid import CellGrid
 from widgets.compare.tile_grid import TileGrid
 from widgets.style.base import ChoiceBox
 from widgets.style.run_bar import RunBar
-from widgets.style.styling import fill, make_button, make_line, make_text, set_spacing
+from widgets.style.styling import (
+    make_button,
+    make_column,
+    make_line,
+    make_row,
+    make_text,
+    set_spacing,
+)
 
 
 class ComparisonTab(QWidget):
@@ -34,12 +39,14 @@ class ComparisonTab(QWidget):
         self.run_bar = RunBar("compare", keeps_room=True)
         self.message.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Minimum)
         parts = [(controls, 1)] if isinstance(controls, QLayout) else [*controls, 1]
-        self.head = fill(set_spacing(QHBoxLayout(), 6), *parts)
-        fill(
-            set_spacing(QVBoxLayout(self), 4, (4, 4, 4, 2)),
+        self.head = make_row(6, *parts)
+        make_column(
+            4,
             self.head,
-            fill(set_spacing(QHBoxLayout(), 6), (self.message, 1), self.run_bar),
+            make_row(6, (self.message, 1), self.run_bar),
             (results, 3),
+            around_px=(4, 4, 4, 2),
+            on=self,
         )
 
     def show_comparison(self, comparison: Comparison) -> None:
@@ -109,10 +116,10 @@ class GridTab(ComparisonTab):
         """
         first = (*offers, "", "")[:2]
         self._offers = offers
-        for box, line, default, none in zip(
-            self.axes, self.values, first, ({}, {"": "one row"}), strict=True
+        columns = {name: labels.get(name, name) for name in offers}
+        for box, line, default, titles in zip(
+            self.axes, self.values, first, (columns, {"": "one row", **columns}), strict=True
         ):
-            titles = {**none, **{name: labels.get(name, name) for name in offers}}
             keeps = box.count() > 0 and box.choice in titles
             box.offer(titles, box.choice if keeps else default)
             if not keeps:
@@ -123,17 +130,15 @@ class GridTab(ComparisonTab):
     def axis_texts(self) -> tuple[str, str]:
         """Columns and rows as `stage.name=value,value`; "" for one row."""
         across, down = (
-            f"{box.choice}={line.text()}" for box, line in zip(self.axes, self.values, strict=True)
+            f"{box.choice}={line.text()}" if box.choice else ""
+            for box, line in zip(self.axes, self.values, strict=True)
         )
-        return across, down if self.axes[1].choice else ""
+        return across, down
 
     def show_plan(self, plan: GridPlan | None, unit: str = "") -> None:
         """Show an empty grid, or none."""
-        values = (
-            []
-            if plan is None
-            else [[format_value(value) for value in axis.values] for axis in plan.axes]
-        )
+        axes = () if plan is None else plan.axes
+        values = [[format_value(value) for value in axis.values] for axis in axes]
         across, down = (*values, [""] if values else [], list[str]())[:2]
         self.grid.show_axes(across, down, unit)
 

@@ -1,23 +1,21 @@
 """Tiles of previews that share pan, zoom and crosshair, in millimetres."""
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
 from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, pyqtSignal
 from PyQt6.QtWidgets import (
-    QBoxLayout,
     QFrame,
     QGridLayout,
     QLabel,
-    QSizePolicy,
-    QVBoxLayout,
     QWidget,
 )
 
-from pipeline.views.preview import Tile
-from widgets.style.base import EventListener
-from widgets.style.styling import fill, make_bold, make_text, set_spacing
+from pipeline.views.preview import Preview, Tile
+from widgets.style.base import FIXED, GROWS, YIELDS, EventListener
+from widgets.style.styling import fill, make_bold, make_column, make_text, set_spacing
 from widgets.views.preview_view import SIDE_TEXT_PX, PreviewView
 
 _MOST_COLUMNS = 8
@@ -44,14 +42,14 @@ class TileView(QFrame):
         self._subtitle = make_text()
         self.view = PreviewView()
         for label in (self._title, self._subtitle):
-            label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+            label.setSizePolicy(YIELDS, FIXED)
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self._subtitle.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self.view.caption.set_lines(1)
         self._text_at_side = False
         self._lines = _LINES
         EventListener(self, self._fit_words, QEvent.Type.Resize)  # a narrow tile wraps its metrics
-        self._around = set_spacing(QVBoxLayout(self), 2, (3, 3, 3, 2))
+        self._around = make_column(2, around_px=(3, 3, 3, 2), on=self)
         fill(self._around, self._title, self._subtitle, (self.view, 1))
 
     def place_text(self, *, at_side: bool) -> None:
@@ -59,8 +57,7 @@ class TileView(QFrame):
         if at_side == self._text_at_side:
             return
         self._text_at_side = at_side
-        text_layout = self.view.text_area.layout()
-        room = text_layout if at_side and isinstance(text_layout, QBoxLayout) else self._around
+        room = self.view.text_layout if at_side else self._around
         for at, label in enumerate((self._title, self._subtitle)):
             room.insertWidget(at, label)
         self._title.setWordWrap(at_side)
@@ -69,22 +66,21 @@ class TileView(QFrame):
         self._fit_words()
 
     def _fit_words(self) -> None:
-        line = self._subtitle.fontMetrics().lineSpacing()
+        line = self._line_px
         lines = 2 if self.width() < _NARROW_PX else 1
         if self._text_at_side:
             lines = min(max(2, (self.height() - _SIDE_PX) // line), self._lines)
         self._subtitle.setFixedHeight(lines * line + 2)
-        self._title.setFixedHeight(
-            (2 if self._text_at_side else 1) * self._title.fontMetrics().lineSpacing() + 2
-        )
+        self._title.setFixedHeight((1 + self._text_at_side) * line + 2)
+
+    @property
+    def _line_px(self) -> int:
+        return self._title.fontMetrics().lineSpacing()
 
     @property
     def needed_lines(self) -> int:
         """Number of lines that the metrics fill at the side of the image."""
-        return -(
-            -self._subtitle.heightForWidth(SIDE_TEXT_PX)
-            // self._subtitle.fontMetrics().lineSpacing()
-        )
+        return math.ceil(self._subtitle.heightForWidth(SIDE_TEXT_PX) / self._line_px)
 
     def reserve_lines(self, lines: int) -> None:
         """Reserve this number of lines, the same in all tiles: images stay aligned."""
@@ -98,9 +94,8 @@ class TileView(QFrame):
         for label, text in ((self._title, tile.title), (self._subtitle, tile.subtitle)):
             label.setText(text)
             label.setToolTip(text)
-        versus = (
-            versus if versus in ("wipe", "blink") or not tile.default_mode else tile.default_mode
-        )
+        if tile.default_mode and versus not in ("wipe", "blink"):
+            versus = tile.default_mode
         if tile.preview is not None:
             self.view.show_compared(tile.preview, tile.truth, tile.difference, versus)
         self.view.canvas.setVisible(tile.preview is not None or bool(tile.problem))
@@ -119,7 +114,7 @@ class TileGrid(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
+        self.setSizePolicy(GROWS, GROWS)
         self._grid = set_spacing(QGridLayout(self), 4)
         self._views: list[TileView] = []
         self._versus = ""
@@ -237,19 +232,15 @@ class TileGrid(QWidget):
 
     def _sync_views(self, at: TileView) -> None:
         """Show the same region at the same scale in all tiles."""
-        own = at.view.preview
-        if own is None or not own.pixel_mm > 0:
-            return
-        canvas, (rows, cols) = at.view.canvas, own.pixels.shape[:2]
-        x_mm = (canvas.centre.x() - 0.5 * cols) * own.pixel_mm
-        y_mm = (canvas.centre.y() - 0.5 * rows) * own.pixel_mm
+        own, canvas = at.view.preview, at.view.canvas
         for other in self.views:
             there = other.view.preview
-            if other is at or there is None or not there.pixel_mm > 0:
+            if own is None or there is None or other is at:
                 continue
-            high, wide = there.pixels.shape[:2]
-            centre = QPointF(0.5 * wide + x_mm / there.pixel_mm, 0.5 * high + y_mm / there.pixel_mm)
-            other.view.canvas.set_view(centre, canvas.scale / own.pixel_mm * there.pixel_mm)
+            finer = own.pixel_mm / there.pixel_mm
+            if finer > 0:
+                centre = _find_middle(there) + (canvas.centre - _find_middle(own)) * finer
+                other.view.canvas.set_view(centre, canvas.scale / finer)
 
     def _point(self, at: TileView, row: int, col: int) -> None:
         """Show the crosshair at the same position of all tiles, with their values."""
@@ -259,27 +250,29 @@ class TileGrid(QWidget):
                 view.view.canvas.show_crosshair(None)
             self.readout_changed.emit("")
             return
-        shape = own.pixels.shape
         for view in self.views:
             there = view.view.preview
-            same = there is not None and there.pixels.shape == shape
-            view.view.canvas.show_crosshair(
-                (row, col) if same else None, there.format_value(row, col) if same and there else ""
-            )
+            if there is not None and there.pixels.shape == own.pixels.shape:
+                view.view.canvas.show_crosshair((row, col), there.format_value(row, col))
+            else:
+                view.view.canvas.show_crosshair(None)
         self.readout_changed.emit(f"{at.tile.title} {own.describe_pixel(row, col)}")
+
+
+def _find_middle(preview: Preview) -> QPointF:
+    rows, cols = preview.pixels.shape[:2]
+    return QPointF(0.5 * cols, 0.5 * rows)
 
 
 def _places(apart: Sequence[bool], columns: int) -> tuple[tuple[int, int], ...]:
     """Return (row, col) of each tile: `columns` per row, or as many as lie between tiles that
     start a row.
     """
-    rows_given = any(apart)
     places: list[tuple[int, int]] = []
     row = col = 0
     for begins in apart:
-        if places and (begins if rows_given else col == columns):
-            row = row + 1
-            col = 0
+        if places and (begins if any(apart) else col == columns):
+            row, col = row + 1, 0
         places.append((row, col))
         col += 1
     return tuple(places)

@@ -7,13 +7,12 @@ from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtWidgets import (
     QDialog,
     QFormLayout,
-    QHBoxLayout,
     QPushButton,
     QWidget,
 )
 
 from widgets.style.base import ChoiceBox
-from widgets.style.styling import fill, make_line, make_text, name_widget
+from widgets.style.styling import make_line, make_row, make_text, name_widget
 
 FORMATS = (  # suffix, title, content it can hold
     (".png", "image, PNG", "every"),
@@ -39,7 +38,7 @@ class ExportDialog(QDialog):
     export_requested = pyqtSignal(str, str, str, str, object)
     command_requested = pyqtSignal(str, str, str, str, object)
 
-    def __init__(self, parent: QWidget | None = None) -> None:
+    def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self.setWindowTitle("Export")
         name_widget(self, "export_dialog")
@@ -70,7 +69,7 @@ class ExportDialog(QDialog):
         self.copy = QPushButton("Copy as command")
         self.write = QPushButton("Export…")
         self.write.setDefault(True)
-        form.addRow(fill(QHBoxLayout(), 1, self.copy, self.write))
+        form.addRow(make_row(6, 1, self.copy, self.write))
         self.copy.clicked.connect(lambda: self.command_requested.emit(*self.selection))
         self.write.clicked.connect(self._export)
         self.size_line.textChanged.connect(self._fit)

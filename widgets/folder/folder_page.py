@@ -6,13 +6,19 @@ from pathlib import Path
 
 from PyQt6.QtCore import QModelIndex, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QIcon, QPixmap, QStandardItem
-from PyQt6.QtWidgets import QHBoxLayout, QHeaderView, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QHeaderView, QWidget
 
 from pipeline.core.errors import escape_text, name_options
 from pipeline.translation.reports.folder_overview import THUMBNAIL_PX, RecordingRow, WorstFrame
 from widgets.style.icons import make_state_icon
 from widgets.style.run_bar import StartBar
-from widgets.style.styling import fill, make_bold, make_command_button, make_text, set_spacing
+from widgets.style.styling import (
+    make_bold,
+    make_column,
+    make_command_button,
+    make_row,
+    make_text,
+)
 from widgets.style.tables import FilteredTable, Terms, make_cells, make_titled_model
 from widgets.views.preview_renderer import make_qimage
 
@@ -94,9 +100,10 @@ class FolderPage(QWidget):
         self.table.activated.connect(self._choose)  # Enter, or a double click
         opener = make_command_button(open_command)
         opener.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
-        head = fill(set_spacing(QHBoxLayout(), 8), (self.sentence, 1), self.run_bar, opener)
-        layout = set_spacing(QVBoxLayout(self), 4, (8, 4, 8, 4))
-        fill(layout, head, self.table.filter_line, (self.table, 1))
+        head = make_row(8, (self.sentence, 1), self.run_bar, opener)
+        make_column(
+            4, head, self.table.filter_line, (self.table, 1), around_px=(8, 4, 8, 4), on=self
+        )
         self.show_count(None)
 
     def show_paths(self, folder: Path, paths: Sequence[Path]) -> None:

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 from PyQt6.QtCore import QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QMouseEvent, QPainter
-from PyQt6.QtWidgets import QSizePolicy, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from pipeline.lab.tasks.task import Decision
 from widgets.style.base import ChoiceBox, PaintedWidget
 from widgets.style.run_bar import StartBar
-from widgets.style.styling import fill, make_bold, make_text, set_spacing
+from widgets.style.styling import make_bold, make_column, make_text
 from widgets.style.theme import ThemeColours, to_qcolor
 
 _BAR_PX = 8
@@ -106,7 +106,7 @@ class WaterfallPanel(QWidget):
         super().__init__()
         self.sentence = make_bold(make_text())
         self.waterfall = Waterfall()
-        fill(set_spacing(QVBoxLayout(self), 4), self.sentence, control, (self.waterfall, 1))
+        make_column(4, self.sentence, control, (self.waterfall, 1), on=self)
 
 
 class ErrorAttributionPanel(WaterfallPanel):
@@ -125,6 +125,7 @@ class ErrorAttributionPanel(WaterfallPanel):
             "click computes the frame with the truth of that stage, or without it again"
         )
         self.waterfall.row_clicked.connect(self._click_row)
+        self.offer_metrics({}, "")
         self.show_empty("")
 
     def _click_row(self, row: int) -> None:
@@ -132,7 +133,7 @@ class ErrorAttributionPanel(WaterfallPanel):
             self.share_clicked.emit(row - 1)  # the first row is the whole error
 
     def offer_metrics(self, names: Mapping[str, str], chosen: str) -> None:
-        """Offer the metrics (name -> text) that this frame has; emits no signal."""
+        """Offer the metrics (name -> text) that this frame has, if any; emits no signal."""
         self.metric_box.offer(names, chosen)
         self.metric_box.setVisible(bool(names))
 

@@ -40,7 +40,10 @@ class FramesModel(QAbstractTableModel):
     def __init__(self, parent: QObject) -> None:
         super().__init__(parent)
         self.n_rows = 0
-        self._headings = {_Role.DisplayRole: [*_TITLES], _Role.ToolTipRole: [*_TIPS]}
+        self._headings: dict[int, list[str]] = {
+            _Role.DisplayRole: [*_TITLES],
+            _Role.ToolTipRole: [*_TIPS],
+        }
         self._figure = ""  # of the metric's column
         self._known: dict[int, FrameSummary] = {}
         # measured on request, also of frames without summary
@@ -86,11 +89,8 @@ class FramesModel(QAbstractTableModel):
         if completely:
             waiting = [i for i, known in self._known.items() if not known.is_complete]
         else:
-            known = (
-                {i for i, values in self._quantities.items() if quantity in values}
-                if quantity
-                else self._known
-            )
+            measured = {i for i, values in self._quantities.items() if quantity in values}
+            known = measured if quantity else self._known.keys()
             waiting = [i for i in range(self.n_rows) if i not in known]
         return min(waiting, key=lambda i: (abs(i - frame), -i), default=-1)
 
@@ -101,19 +101,14 @@ class FramesModel(QAbstractTableModel):
             warnings = [
                 set(known.warnings) for known in self._known.values() if known.contact_area_mm2 > 0
             ]
-            self._common = (
-                frozenset[str]() if len(warnings) < 2 else frozenset(set.intersection(*warnings))
-            )
+            shared = set[str]() if len(warnings) < 2 else set.intersection(*warnings)
+            self._common = frozenset(shared)
         return self._common
 
     def get_specific_warnings(self, frame: int) -> tuple[str, ...]:
         """Return the warnings of a frame that are not common to all frames."""
-        known = self._known.get(frame)
-        return (
-            ()
-            if known is None
-            else tuple(warning for warning in known.warnings if warning not in self.common_warnings)
-        )
+        known = self._known.get(frame, FrameSummary())
+        return tuple(one for one in known.warnings if one not in self.common_warnings)
 
     def get_values(self, figure: str) -> tuple[float, ...]:
         """Return a metric of every frame, NaN where unknown."""
@@ -125,11 +120,9 @@ class FramesModel(QAbstractTableModel):
         known = self._known.get(frame)
         if known is None or known.problem:
             return math.nan
-        return (
-            float(len(self.get_specific_warnings(frame)))
-            if figure == _N_WARNINGS
-            else known.get_metric(figure)
-        )
+        if figure == _N_WARNINGS:
+            return float(len(self.get_specific_warnings(frame)))
+        return known.get_metric(figure)
 
     @property
     def thumbnails(self) -> dict[int, QPixmap]:
@@ -156,11 +149,8 @@ class FramesModel(QAbstractTableModel):
 
     def clear_summaries(self) -> None:
         """Clear all summaries and quantities, because the settings changed."""
-        if self._known or self._quantities:
-            self._known = {}
-            self._quantities = {}
-            self._common = None
-            self._emit_changed(0, self.n_rows - 1)
+        self._known, self._quantities, self._common = {}, {}, None
+        self._emit_changed(0, self.n_rows - 1)
 
     def show_metric(self, name: str, title: str, tip: str = "") -> None:
         """Set the metric, title and tooltip of the metric's column."""
@@ -215,10 +205,10 @@ class FramesModel(QAbstractTableModel):
         self, index: QModelIndex, value: object, role: int = Qt.ItemDataRole.EditRole
     ) -> bool:
         """Emit an edited note; its owner stores and shows it."""
-        if not index.isValid() or index.column() != NOTE or role != Qt.ItemDataRole.EditRole:
-            return False
-        self.note_edited.emit(index.row(), str(value).strip())
-        return True
+        is_edit = index.isValid() and index.column() == NOTE and role == _Role.EditRole
+        if is_edit:
+            self.note_edited.emit(index.row(), str(value).strip())
+        return is_edit
 
     def data(self, index: QModelIndex, role: int = _Role.DisplayRole) -> object:
         """Return what Qt asks of a cell; numbers are sorted as such and stand at the right."""
@@ -258,16 +248,16 @@ class FramesModel(QAbstractTableModel):
     def get_number(self, row: int, column: int) -> float | None:
         """Return the number of a cell, NaN if unknown; None for a column of texts."""
         figures = {
+            CONTACT: "",
             METRIC: self._figure,
             DEPTH: "frame.max_indentation_mm",
             WARNINGS: _N_WARNINGS,
         }
         if column == FRAME:
             return float(row)
-        if column == CONTACT:
-            summary = self._known.get(row)
-            unknown = summary is None or summary.problem
-            return math.nan if unknown else summary.contact_area_mm2
+        summary = self._known.get(row)
+        if column == CONTACT and summary is not None and not summary.problem:
+            return summary.contact_area_mm2
         return self._get_metric(row, figures[column]) if column in figures else None
 
     def format_cell(self, row: int, column: int) -> str:

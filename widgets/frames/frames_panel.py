@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 
 from PyQt6.QtCore import QModelIndex, QSize, Qt, pyqtSignal
-from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QLabel, QWidget
 
 from widgets.frames.frame_summary import FrameSummary
 from widgets.frames.frames_model import (
@@ -18,7 +18,7 @@ from widgets.frames.frames_model import (
     FramesModel,
 )
 from widgets.style.base import ChoiceBox
-from widgets.style.styling import fill, set_spacing
+from widgets.style.styling import make_column
 from widgets.style.tables import SORT_ROLE, FilteredTable, Terms
 
 _FILTER = (
@@ -42,8 +42,15 @@ class FramesPanel(QWidget):
         self.metric_box = ChoiceBox("frames_figure", "metric of the frames", is_narrow=True)
         self._told = QLabel()
         self._prepare_table()
-        layout = set_spacing(QVBoxLayout(self), 3, (2, 2, 2, 2))
-        fill(layout, self.metric_box, self.table.filter_line, self.table, self._told)
+        make_column(
+            3,
+            self.metric_box,
+            self.table.filter_line,
+            self.table,
+            self._told,
+            around_px=(2, 2, 2, 2),
+            on=self,
+        )
         self.table.filter_line.textChanged.connect(self._tell_filtered)
         for chosen in (self.table.clicked, self.table.activated):  # a double click edits the note
             chosen.connect(self._choose_picked)

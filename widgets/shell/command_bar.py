@@ -22,7 +22,7 @@ class CommandBar(QToolBar):
     The tab key reaches every button.
     """
 
-    def __init__(self, title: str, parent: QWidget | None = None) -> None:
+    def __init__(self, title: str, parent: QWidget) -> None:
         super().__init__(title, parent)
         name_extension(self)
         self._ordered: tuple[QToolButton, ...] = ()
@@ -46,20 +46,17 @@ class CommandBar(QToolBar):
         around = layout.contentsMargins()
         items = [self.widgetForAction(action) for action in self.actions() if action.isVisible()]
         used = around.left() + around.right() + _SPARE_PX
-        for item in items:
-            if isinstance(item, QToolButton) and item in self._ordered:
-                used += spacing + _measure(item, _Style.ToolButtonIconOnly)
-            elif item is not None:
-                used += spacing + item.sizeHint().width()
         for button in self._ordered:
-            more = _measure(button, _Style.ToolButtonTextBesideIcon) - _measure(
-                button, _Style.ToolButtonIconOnly
-            )
-            fits = used + more <= self.width()
-            used += more if fits else 0
-            style = _Style.ToolButtonTextBesideIcon if fits else _Style.ToolButtonIconOnly
-            if button.toolButtonStyle() != style:
-                button.setToolButtonStyle(style)
+            button.setToolButtonStyle(_Style.ToolButtonIconOnly)
+        used += sum(spacing + item.sizeHint().width() for item in items if item is not None)
+        for button in self._ordered:
+            icon_px = button.sizeHint().width()
+            button.setToolButtonStyle(_Style.ToolButtonTextBesideIcon)
+            more = button.sizeHint().width() - icon_px
+            if used + more <= self.width():
+                used += more
+            else:
+                button.setToolButtonStyle(_Style.ToolButtonIconOnly)
         layout.invalidate()  # a button without room is hidden, and does not ask for it
         layout.activate()
 
@@ -85,15 +82,6 @@ def name_extension(bar: QWidget) -> None:
     for button in bar.findChildren(QToolButton):
         if button.objectName().endswith("_ext_button"):
             button.setAccessibleName("more commands")
-
-
-def _measure(button: QToolButton, style: Qt.ToolButtonStyle) -> int:
-    """Return the width of a button in a style."""
-    now = button.toolButtonStyle()
-    button.setToolButtonStyle(style)
-    width_px = button.sizeHint().width()
-    button.setToolButtonStyle(now)
-    return width_px
 
 
 class ActionTabs(QTabBar):

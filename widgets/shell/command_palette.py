@@ -8,11 +8,10 @@ from PyQt6.QtWidgets import (
     QDialog,
     QListWidget,
     QListWidgetItem,
-    QVBoxLayout,
     QWidget,
 )
 
-from widgets.style.styling import fill, make_line, make_text, name_widget, set_spacing
+from widgets.style.styling import make_column, make_line, make_text, name_widget
 
 _WIDTH_PX = 560
 _KEYS = (Qt.Key.Key_Up, Qt.Key.Key_Down, Qt.Key.Key_PageUp, Qt.Key.Key_PageDown)
@@ -22,7 +21,7 @@ _FAR = 10_000  # rank of a command that is found by its description, after those
 class CommandPalette(QDialog):
     """Type to filter, select with the arrows, Enter runs, Esc closes."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
+    def __init__(self, parent: QWidget | None) -> None:
         super().__init__(parent)
         self.setWindowTitle("Commands")
         name_widget(self, "palette")
@@ -31,8 +30,7 @@ class CommandPalette(QDialog):
         self.line = make_line("", "command", placeholder)
         self.results = name_widget(QListWidget(), "palette_found", "commands that match")
         self._tip = make_text()
-        layout = set_spacing(QVBoxLayout(self), 4, (8, 8, 8, 8))
-        fill(layout, self.line, self.results, self._tip)
+        make_column(4, self.line, self.results, self._tip, around_px=(8, 8, 8, 8), on=self)
         self.resize(_WIDTH_PX, 380)
         self.line.installEventFilter(self)
         self.line.textChanged.connect(self._filter)
@@ -96,22 +94,19 @@ def _rank(text: str, action: QAction) -> int:
     """Return the place of a command among those that match: by name, else by the words of its
     tooltip, which ends in its key; -1 if it does not.
     """
-    score = _score(text, get_command_name(action))
+    text = text.lower()
+    score = _score(text, get_command_name(action).lower())
     tip = action.toolTip().lower()
-    return _FAR if score < 0 and all(word in tip for word in text.lower().split()) else score
+    return _FAR if score < 0 and all(word in tip for word in text.split()) else score
 
 
 def _score(text: str, name: str) -> int:
     """Return how far apart the letters of `text` lie in `name`, in order; -1 if one is missing."""
+    if text in name:
+        return name.index(text)
     at = -1
-    score = 0
-    low = name.lower()
-    if text.lower() in low:
-        return low.index(text.lower())
-    for letter in text.lower().replace(" ", ""):
-        found = low.find(letter, at + 1)
-        if found < 0:
+    for letter in text.replace(" ", ""):
+        at = name.find(letter, at + 1)
+        if at < 0:
             return -1
-        score += found - at
-        at = found
-    return score + len(name)
+    return at + 1 + len(name)

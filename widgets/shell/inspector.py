@@ -5,12 +5,18 @@ from.
 from collections.abc import Sequence
 
 from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QFormLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QFormLayout, QLabel, QWidget
 
 from widgets.frames.error_attribution_panel import ErrorAttributionPanel
 from widgets.stages.parameters_panel import ALL_STAGES, ParametersPanel
 from widgets.style.base import enlarge_font
-from widgets.style.styling import fill, make_bold, make_button, name_widget, set_spacing
+from widgets.style.styling import (
+    make_bold,
+    make_button,
+    make_column,
+    name_widget,
+    set_spacing,
+)
 
 _WIDTH_PX = 260
 _FIGURE_PT = 2.0  # by which figures are larger than text
@@ -33,8 +39,16 @@ class Inspector(QWidget):
         self._title = make_bold(QLabel("This frame"))
         self._figures = set_spacing(QFormLayout(), 2)
         self._figures.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.AllNonFixedFieldsGrow)
-        layout = set_spacing(QVBoxLayout(self), 8, (4, 4, 4, 4))
-        fill(layout, (parameters, 1), self.all_button, self._title, self._figures, attribution)
+        make_column(
+            8,
+            (parameters, 1),
+            self.all_button,
+            self._title,
+            self._figures,
+            attribution,
+            around_px=(4, 4, 4, 4),
+            on=self,
+        )
 
     def show_stage(self, stage: str) -> None:
         """Show the parameters of a stage."""

@@ -5,15 +5,13 @@ from collections import deque
 
 from PyQt6.QtWidgets import (
     QComboBox,
-    QHBoxLayout,
     QLabel,
     QPlainTextEdit,
     QPushButton,
-    QVBoxLayout,
     QWidget,
 )
 
-from widgets.style.styling import fill, name_widget, set_spacing
+from widgets.style.styling import make_column, make_row, name_widget
 
 _KEPT = 5000
 _LEVELS = {
@@ -40,8 +38,8 @@ class LogPanel(QWidget):
         self._text.setReadOnly(True)
         self._text.setMaximumBlockCount(_KEPT)
         self._text.setLineWrapMode(QPlainTextEdit.LineWrapMode.NoWrap)
-        row = fill(QHBoxLayout(), QLabel("show"), self._level, 1, clear)
-        fill(set_spacing(QVBoxLayout(self), 2, (4, 2, 4, 2)), row, self._text)
+        row = make_row(6, QLabel("show"), self._level, 1, clear)
+        make_column(2, row, self._text, around_px=(4, 2, 4, 2), on=self)
 
     @property
     def text(self) -> str:

@@ -7,17 +7,21 @@ from PyQt6.QtCore import QEvent, QObject, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QPalette
 from PyQt6.QtWidgets import (
     QFrame,
-    QHBoxLayout,
     QLabel,
     QSplitter,
     QToolButton,
-    QVBoxLayout,
     QWidget,
 )
 
 from widgets.stages.stage_column import StageColumn
 from widgets.style.base import EventListener
-from widgets.style.styling import fill, make_bold, make_single_shot_timer, name_widget, set_spacing
+from widgets.style.styling import (
+    make_bold,
+    make_column,
+    make_row,
+    make_single_shot_timer,
+    name_widget,
+)
 from widgets.timeline.filmstrip import Filmstrip
 from widgets.views.view_3d_panel import View3DPanel
 
@@ -54,7 +58,7 @@ class PaneSplitter(QSplitter):
         self.setChildrenCollapsible(False)
         self._is_user_sized = False
         self._held: tuple[StageColumn, View3DPanel] | None = None
-        self._soon = make_single_shot_timer(self, 0, self._fit_sizes)
+        self._soon = make_single_shot_timer(self, 0, self.fit_sizes)
         self.splitterMoved.connect(self._keep_sizes)
         EventListener(self, self._soon.start, QEvent.Type.Resize)
 
@@ -76,43 +80,37 @@ class PaneSplitter(QSplitter):
             self._held[0].view.shape_changed.disconnect(self._soon.start)
         self._held = None
 
-    def _fit_sizes(self) -> None:
+    def fit_sizes(self) -> None:
+        """Choose the sizes that make the image largest, unless the user set them."""
         if self._held is None or self._is_user_sized:
             return
         column, cell = self._held
         if not (self._shows(column) and self._shows(cell)):
             return
         around = column.size() - column.view.canvas.size()
-        room = self.size() - QSize(self.handleWidth(), self.handleWidth())
-        under, at_side = _wide(room, around, _USUAL_TALL)
         stands = self.orientation() == _WAY.Vertical
+        stacked, beside = self._choose_sizes(around, _USUAL_TALL)
+        under, at_side = (stacked - around.height()) / _USUAL_TALL, beside - around.width()
         if at_side > _WORTH * under if stands else at_side < _STILL * under:
-            self.setOrientation(_WAY.Horizontal if stands else _WAY.Vertical)
             stands = not stands
-        tall = column.view.height_over_width
-        under, at_side = _wide(room, around, tall)
-        if stands:
-            whole = room.height()
-            first = round(around.height() + tall * under)
-        else:
-            whole = room.width()
-            first = round(max(_LEAST_WIDE * room.width(), around.width() + at_side))
+            self.setOrientation(_WAY.Vertical if stands else _WAY.Horizontal)
+        stacked, beside = self._choose_sizes(around, column.view.height_over_width)
+        first = round(stacked if stands else max(_LEAST_WIDE * self.width(), beside))
         if abs(self.sizes()[0] - first) > 1:
-            self.setSizes([first, whole - first])
+            whole = self.height() if stands else self.width()
+            self.setSizes([first, whole - self.handleWidth() - first])
+
+    def _choose_sizes(self, around: QSize, tall: float) -> tuple[float, float]:
+        """Return height and width of the column stacked over the 3D view and next to it, from its
+        size without the image, and rows over columns of that.
+        """
+        room = self.size() - QSize(self.handleWidth(), self.handleWidth())
+        stacked = around.height() + tall * (room.width() - around.width())
+        beside = around.width() + (room.height() - around.height()) / tall
+        return min(stacked, _MOST_HIGH * room.height()), min(beside, _MOST_WIDE * room.width())
 
     def _shows(self, widget: QWidget) -> bool:
         return widget.parentWidget() is self and widget.isVisibleTo(self)
-
-
-def _wide(room: QSize, around: QSize, tall: float) -> tuple[float, float]:
-    """Return the image width stacked over the 3D view, and next to it."""
-    under = min(
-        room.width() - around.width(), (_MOST_HIGH * room.height() - around.height()) / tall
-    )
-    at_side = min(
-        _MOST_WIDE * room.width() - around.width(), (room.height() - around.height()) / tall
-    )
-    return under, at_side
 
 
 class Pane(QFrame):
@@ -142,8 +140,8 @@ class Pane(QFrame):
         self._both.setObjectName(f"split_pane_{number}")
         self._title = make_bold(QLabel(_SCENE_TITLE))
         self._title.setIndent(4)
-        self._head = fill(set_spacing(QHBoxLayout(), 0), (self._title, 1), *self._buttons.values())
-        fill(set_spacing(QVBoxLayout(self), 0), self._rim, self._head, (self._both, 1))
+        self._head = make_row(0, (self._title, 1), *self._buttons.values())
+        make_column(0, self._rim, self._head, (self._both, 1), on=self)
         self._held: tuple[StageColumn, View3DPanel] | None = None
         self._dims = ""
         self._own_title = ""
@@ -221,8 +219,8 @@ class LookPage(QWidget):
         self.active_pane = 1
         self._stages: tuple[str, ...] = ()
         self._has_scene: list[bool] = []  # in place of the stage, by pane
-        row = fill(set_spacing(QHBoxLayout(), 4), *((pane, 1) for pane in self.panes), inspector)
-        fill(set_spacing(QVBoxLayout(self), 4), self.filmstrip, (row, 1))
+        row = make_row(4, *((pane, 1) for pane in self.panes), inspector)
+        make_column(4, self.filmstrip, (row, 1), on=self)
         for number, pane in enumerate(self.panes):
             pane.activated.connect(partial(self.activate_pane, number))
             pane.dims_chosen.connect(partial(self.dims_chosen.emit, number))
@@ -237,11 +235,10 @@ class LookPage(QWidget):
 
     def choose_stage(self, stage: str) -> None:
         """Activate the pane that shows a stage, else ask for it in the active one."""
-        pane = self._stages.index(stage) if stage in self._stages else -1
-        if pane >= 0:
-            self.activate_pane(pane)
-        if pane < 0 or self._has_scene[pane]:
-            self.stage_chosen.emit(self.active_pane, stage)
+        pane = self._stages.index(stage) if stage in self._stages else self.active_pane
+        self.activate_pane(pane)
+        if self.active_stage != stage or self._has_scene[pane]:
+            self.stage_chosen.emit(pane, stage)
 
     def activate_pane(self, number: int) -> None:
         """Make this pane the one that a click on a card fills."""
@@ -253,12 +250,12 @@ class LookPage(QWidget):
 
     def show_panes(self, held: Sequence[tuple[str, StageColumn, View3DPanel, str]]) -> None:
         """Show (stage, column, cell, dims) in one pane each."""
-        shown = {stage: dims for stage, _, _, dims in held}
-        has_scene = [dims == "scene" for dims in shown.values()]
-        if tuple(shown) != self._stages or has_scene != self._has_scene:
+        stages = tuple(stage for stage, *_ in held)
+        has_scene = [dims == "scene" for *_, dims in held]
+        if (stages, has_scene) != (self._stages, self._has_scene):
             for pane in self.panes:
                 pane.release_contents()
-        self._stages, self._has_scene = tuple(shown), has_scene
+        self._stages, self._has_scene = stages, has_scene
         for number, pane in enumerate(self.panes):
             pane.setVisible(number < len(held))
             if number < len(held):

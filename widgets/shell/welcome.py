@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from PyQt6.QtCore import QEvent, QPoint, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QAction, QPainter, QPaintEvent, QPen
+from PyQt6.QtCore import QEvent, QPoint, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import (
     QHBoxLayout,
     QLabel,
@@ -17,29 +17,16 @@ from PyQt6.QtWidgets import (
 
 from pipeline.core.errors import escape_text
 from widgets.style.base import EventListener, enlarge_font
-from widgets.style.styling import fill, make_bold, name_widget, set_spacing
-from widgets.style.theme import get_theme_colours, to_qcolor
+from widgets.style.styling import fill, make_bold, make_column, make_row, name_widget
 
 _WIDTH_PX = 620
 _ROW_PX = 24
+_DASHED = "#drop { border: 2px dashed palette(placeholder-text); border-radius: 6px }"
 _PURPOSE = (
     "Translate the touch of one tactile sensor into another's: every stage side by side, compared "
     "with the truth "
     "where it is recorded."
 )
-
-
-class DropArea(QLabel):
-    """Text in a dashed frame that is visible in every theme."""
-
-    def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
-        """Paint the text, then the frame."""
-        super().paintEvent(a0)
-        painter = QPainter(self)
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        colour = to_qcolor(get_theme_colours(self.palette()).secondary_text)
-        painter.setPen(QPen(colour, 1.5, Qt.PenStyle.DashLine))
-        painter.drawRoundedRect(QRectF(self.rect()).adjusted(1, 1, -1, -1), 6, 6)
 
 
 class WelcomePage(QWidget):
@@ -60,8 +47,8 @@ class WelcomePage(QWidget):
         self.setAutoFillBackground(True)
         title = make_bold(QLabel("Tactoscope"))
         purpose = QLabel(_PURPOSE)
-        drop = DropArea("Drop a recording here, or a folder of recordings")
-        drop.setToolTip(formats)
+        drop = QLabel("Drop a recording here, or a folder of recordings")
+        name_widget(drop, "drop", tip=formats).setStyleSheet(_DASHED)
         enlarge_font(title, 9.0)
         purpose.setWordWrap(True)
         drop.setAlignment(Qt.AlignmentFlag.AlignCenter)
@@ -74,9 +61,8 @@ class WelcomePage(QWidget):
             chosen.connect(self._open_recent)
         self._sheet = QWidget()
         self._sheet.setMaximumWidth(_WIDTH_PX)
-        row = fill(set_spacing(QHBoxLayout(), 8), *self.buttons, 1)
-        column = set_spacing(QVBoxLayout(self._sheet), 12)
-        fill(column, title, purpose, row, drop, self._told, self.recent)
+        row = make_row(8, *self.buttons, 1)
+        make_column(12, title, purpose, row, drop, self._told, self.recent, on=self._sheet)
         fill(QHBoxLayout(self), 1, (fill(QVBoxLayout(), 1, self._sheet, 2), 10), 1)
         for widget in (over, first):
             EventListener(widget, self._cover, QEvent.Type.Resize, QEvent.Type.Move)

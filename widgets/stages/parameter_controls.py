@@ -10,17 +10,15 @@ from PyQt6.QtWidgets import (
     QCheckBox,
     QComboBox,
     QDoubleSpinBox,
-    QHBoxLayout,
     QLineEdit,
-    QSizePolicy,
     QSlider,
     QSpinBox,
     QWidget,
 )
 
 from pipeline.core.params import Setting, Value
-from widgets.style.base import ChoiceBox, NumberBox
-from widgets.style.styling import fill, set_spacing
+from widgets.style.base import FIXED, PREFERS, ChoiceBox, NumberBox
+from widgets.style.styling import make_row
 
 _SLIDER_STEPS = 400
 _SLIDER_PX = 40
@@ -39,19 +37,6 @@ class ParameterControl:
 
     widget: QWidget
     show: Callable[[Value], None]
-
-    @property
-    def sliders(self) -> list[QSlider]:
-        """Its sliders, none or one."""
-        return self.widget.findChildren(QSlider)
-
-    def set_names(self, object_name: str, text: str) -> None:
-        """Set the name that finds it, and the one that a screen reader says for each of its
-        parts.
-        """
-        self.widget.setObjectName(object_name)
-        for part in (self.widget, *self.widget.findChildren(QWidget)):
-            part.setAccessibleName(text)
 
 
 def make_control(
@@ -78,11 +63,8 @@ def describe_setting(setting: Setting) -> str:
 
 def format_label(setting: Setting) -> str:
     """Return the label with its unit."""
-    return (
-        f"{setting.label}, {setting.unit}"
-        if setting.unit and setting.unit not in setting.label.lower()
-        else setting.label
-    )
+    is_named = not setting.unit or setting.unit in setting.label.lower()
+    return setting.label if is_named else f"{setting.label}, {setting.unit}"
 
 
 def _range(setting: Setting) -> str:
@@ -118,7 +100,7 @@ def _choice(value: str, setting: Setting, edited: Callable[[Value], None]) -> Pa
     )
     box.setCurrentText(value)
     box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContentsOnFirstShow)
-    box.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
+    box.setSizePolicy(PREFERS, FIXED)
     box.currentTextChanged.connect(edited)
     return _quiet(box, box.setCurrentText)
 
@@ -182,5 +164,5 @@ def _with_slider(
     place_slider(value)
     box.valueChanged.connect(place_slider)
     slider.valueChanged.connect(apply_dragged)
-    fill(set_spacing(QHBoxLayout(both), _GAP_PX), (slider, 1), box)
+    make_row(_GAP_PX, (slider, 1), box, on=both)
     return ParameterControl(widget=both, show=show)

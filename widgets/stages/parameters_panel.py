@@ -1,10 +1,11 @@
 """Labelled controls for the parameters of all methods, derived from the parameter types."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import partial
 
 from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtWidgets import QFormLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QFormLayout, QLabel, QSlider, QWidget
 
 from pipeline.core.params import Setting, Value, list_settings, replace_value
 from widgets.stages.parameter_controls import (
@@ -13,12 +14,34 @@ from widgets.stages.parameter_controls import (
     format_label,
     make_control,
 )
-from widgets.style.base import FixedSizeLabel, VerticalScrollArea
-from widgets.style.styling import fill, make_bold, make_icon_button, set_spacing
+from widgets.style.base import PREFERS, YIELDS, VerticalScrollArea
+from widgets.style.styling import (
+    make_bold,
+    make_column,
+    make_icon_button,
+    make_row,
+    make_text,
+    set_spacing,
+)
 
 # width of all labels, which wrap: a form takes the room of wider ones from the values
 _LABEL_PX = 112
 ALL_STAGES = "*"
+
+
+@dataclass(slots=True, kw_only=True)
+class _Group:
+    """The controls of one method, and what they show."""
+
+    title: str
+    params: object
+    widget: QWidget
+    head: QLabel
+    tip: str  # of the head
+    form: QFormLayout
+    rows: dict[str, tuple[ParameterControl, Setting]] = field(
+        default_factory=dict[str, tuple[ParameterControl, Setting]]
+    )
 
 
 class ParametersPanel(VerticalScrollArea):
@@ -36,50 +59,41 @@ class ParametersPanel(VerticalScrollArea):
         super().__init__()
         self.setAccessibleName("parameters")
         body = QWidget()
-        self._layout = fill(QVBoxLayout(body), 1)
-        self._layout.setContentsMargins(6, 4, 6, 4)
+        self._layout = make_column(6, 1, around_px=(6, 4, 6, 4), on=body)
         self.setWidget(body)
-        self._params: dict[str, object] = {}
-        self._controls: dict[str, dict[str, ParameterControl]] = {}
-        self._groups: dict[str, QWidget] = {}
-        self._titles: dict[str, str] = {}
-        self._heads: dict[str, tuple[QWidget, str]] = {}  # with its tooltip
-        self._rows: list[tuple[str, QFormLayout, QWidget, Setting]] = []
+        self._groups: dict[str, _Group] = {}
         self._kinds: Mapping[str, str] = {}  # method key -> kind of its sensor, of the route
         self._stage = ALL_STAGES
 
     def add_group(self, key: str, title: str, params: object, tip: str = "") -> None:
         """Add the controls of a method with a tooltip; nothing for a method without parameters."""
-        self._params[key] = params
-        self._titles[key] = title
-        group, form = self._group(key, title, tip)
-        self._controls[key] = {}
+        group = self._groups[key] = self._make_group(key, title, params, tip)
         for name, (value, setting) in list_settings(params).items():
             control = make_control(value, setting, partial(self._emit_edited, key, name))
-            self._controls[key][name] = control
-            label = QLabel(format_label(setting))
-            label.setWordWrap(True)
+            group.rows[name] = control, setting
+            label = make_text()
+            label.setText(format_label(setting))
             label.setFixedWidth(_LABEL_PX)
-            tip = describe_setting(setting)
-            label.setToolTip(tip)
-            control.widget.setToolTip(tip)
-            for slider in control.sliders:
+            for widget in (label, control.widget):
+                widget.setToolTip(describe_setting(setting))
+            control.widget.setObjectName(f"{key}.{name}")
+            for part in (control.widget, *control.widget.findChildren(QWidget)):
+                part.setAccessibleName(format_label(setting))
+            for slider in control.widget.findChildren(QSlider):
                 slider.sliderPressed.connect(partial(self.slider_held.emit, key))
                 slider.sliderReleased.connect(partial(self.slider_held.emit, ""))
-            control.set_names(f"{key}.{name}", format_label(setting))
-            form.addRow(label, control.widget)
-            self._rows.append((key, form, control.widget, setting))
-        group.setVisible(bool(self._controls[key]))
-        self._groups[key] = group
-        self._layout.insertWidget(self._layout.count() - 1, group)
+            group.form.addRow(label, control.widget)
+        group.widget.setVisible(bool(group.rows))
+        self.show_unused(key, "")
+        self._layout.insertWidget(self._layout.count() - 1, group.widget)
 
     def show_params(self, key: str, params: object) -> None:
         """Show these values without emitting a signal."""
-        if key not in self._controls or params == self._params.get(key):
-            return
-        self._params[key] = params
-        for name, (value, _) in list_settings(params).items():
-            self._controls[key][name].show(value)
+        group = self._groups.get(key)
+        if group is not None and params != group.params:
+            group.params = params
+            for name, (value, _) in list_settings(params).items():
+                group.rows[name][0].show(value)
 
     def show_groups(self, kinds: Mapping[str, str]) -> None:
         """Offer the groups of the methods of the route only.
@@ -98,14 +112,15 @@ class ParametersPanel(VerticalScrollArea):
             self._arrange()
 
     def _arrange(self) -> None:
-        shown: set[str] = set()
-        for key, form, control, setting in self._rows:
-            is_chosen = self._stage in (ALL_STAGES, key.partition("/")[0])
-            is_shown = (is_chosen or bool(setting.pinned)) and self._applies(key, setting)
-            form.setRowVisible(control, is_shown)
-            shown |= {key} if is_shown else set()
         for key, group in self._groups.items():
-            group.setVisible(key in shown)
+            is_chosen = self._stage in (ALL_STAGES, key.partition("/")[0])
+            shown = [
+                (is_chosen or bool(setting.pinned)) and self._applies(key, setting)
+                for _, setting in group.rows.values()
+            ]
+            for (control, _), is_shown in zip(group.rows.values(), shown, strict=True):
+                group.form.setRowVisible(control.widget, is_shown)
+            group.widget.setVisible(any(shown))
         self.updateGeometry()
 
     def _applies(self, key: str, setting: Setting) -> bool:
@@ -113,60 +128,63 @@ class ParametersPanel(VerticalScrollArea):
 
     def show_unavailable(self, key: str, reasons: Mapping[str, str]) -> None:
         """Grey out the parameters of a method that cannot act; `reasons` is name -> why."""
-        for name, control in self._controls.get(key, {}).items():
+        rows = self._groups[key].rows if key in self._groups else {}
+        for name, (control, setting) in rows.items():
             reason = reasons.get(name, "")
-            _, setting = list_settings(self._params[key])[name]
             control.widget.setEnabled(not reason)
             control.widget.setToolTip(reason or describe_setting(setting))
 
     def show_unused(self, key: str, reason: str) -> None:
         """Strike out the title of a method that did not answer, with the reason; "" = it did."""
-        if key in self._heads:
-            head, tip = self._heads[key]
-            font = head.font()
+        group = self._groups.get(key)
+        if group is not None:
+            font = group.head.font()
             font.setStrikeOut(bool(reason))
-            head.setFont(font)
-            head.setToolTip(f"without effect on this frame: {reason}" if reason else tip)
+            group.head.setFont(font)
+            words = f"without effect on this frame: {reason}"
+            group.head.setToolTip(words if reason else group.tip)
 
     def list_offered(self) -> list[tuple[str, Setting, QWidget]]:
         """List (group title, setting, control) of every parameter of the route."""
         return [
-            (self._titles[key], setting, control)
-            for key, _, control, setting in self._rows
+            (group.title, setting, control.widget)
+            for key, group in self._groups.items()
+            for control, setting in group.rows.values()
             if self._applies(key, setting)
         ]
 
     def reveal(self, control: QWidget) -> None:
         """Show a control, with the parameters of its stage."""
-        if control.isHidden() or not control.isVisible():
-            key = next(key for key, _, other, _ in self._rows if other is control)
+        if not control.isVisible():
+            key, _, _ = control.objectName().partition(".")
             self.show_stage(key.partition("/")[0])
         self.ensureWidgetVisible(control)
 
     def reset(self, key: str) -> None:
         """Reset a method to its defaults."""
-        params = type(self._params[key])()
-        if params != self._params[key]:
+        params = type(self._groups[key].params)()
+        if params != self._groups[key].params:
             self.show_params(key, params)
             self.params_edited.emit(key, params)
 
-    def _group(self, key: str, title: str, tip: str) -> tuple[QWidget, QFormLayout]:
-        group = QWidget()
-        outer = set_spacing(QVBoxLayout(group), 3, (0, 2, 0, 6))
-        name = make_bold(FixedSizeLabel(title))
-        self._heads[key] = name, f"{title}\n{tip}" if tip else title
-        self.show_unused(key, "")
+    def _make_group(self, key: str, title: str, params: object, tip: str) -> _Group:
+        head = make_bold(make_text())
+        head.setSizePolicy(YIELDS, PREFERS)
+        head.setText(title)
         button = make_icon_button("reset", f"reset_{key}", f"Reset {title.lower()} to its defaults")
         button.setAccessibleName(f"reset {key}")
         button.clicked.connect(lambda: self.reset(key))
         form = set_spacing(QFormLayout(), 3, (4, 0, 0, 0))
-        fill(outer, fill(QHBoxLayout(), (name, 1), button), form)
         form.setRowWrapPolicy(QFormLayout.RowWrapPolicy.DontWrapRows)
         form.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.AllNonFixedFieldsGrow)
-        return group, form
+        widget = QWidget()
+        make_column(3, make_row(6, (head, 1), button), form, around_px=(0, 2, 0, 6), on=widget)
+        tip = f"{title}\n{tip}" if tip else title
+        return _Group(title=title, params=params, widget=widget, head=head, tip=tip, form=form)
 
     def _emit_edited(self, key: str, name: str, value: Value) -> None:
-        params = replace_value(self._params[key], name, value)
-        if params != self._params[key]:
-            self._params[key] = params
+        group = self._groups[key]
+        params = replace_value(group.params, name, value)
+        if params != group.params:
+            group.params = params
             self.params_edited.emit(key, params)

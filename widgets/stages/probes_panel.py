@@ -8,19 +8,17 @@ from PyQt6.QtCore import QEvent, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QIcon, QPixmap
 from PyQt6.QtWidgets import (
     QFrame,
-    QHBoxLayout,
     QHeaderView,
     QLabel,
     QPushButton,
     QScrollArea,
     QTableWidget,
     QTableWidgetItem,
-    QVBoxLayout,
     QWidget,
 )
 
 from widgets.style.base import EventListener
-from widgets.style.styling import fill, make_text, name_widget, set_spacing
+from widgets.style.styling import make_column, make_row, make_text, name_widget
 from widgets.style.tables import prepare_table
 from widgets.style.theme import get_probe_colour, get_theme_colours, to_hex, to_qcolor
 
@@ -108,8 +106,8 @@ class ProbesPanel(QWidget):
         self.table.cellClicked.connect(self._choose)
         self._numbers: tuple[int, ...] = ()
         self.clear_button.setEnabled(False)
-        head = fill(set_spacing(QHBoxLayout(), 8), (QLabel(_HINT), 1), self.clear_button)
-        fill(set_spacing(QVBoxLayout(self), 3, (6, 3, 6, 2)), head, (self.table, 1))
+        head = make_row(8, (QLabel(_HINT), 1), self.clear_button)
+        make_column(3, head, (self.table, 1), around_px=(6, 3, 6, 2), on=self)
 
     def _choose(self, row: int, _: int) -> None:
         self.probe_chosen.emit(self._numbers[row])

@@ -2,7 +2,7 @@
 
 from PyQt6.QtCore import QEvent, QObject, QPointF, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QKeyEvent, QMouseEvent
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QLabel, QWidget
 
 from pipeline.translation.cross_section import CrossSection, SectionLine, format_csv
 from widgets.stages.section_plot import SectionPlot
@@ -11,9 +11,10 @@ from widgets.style.styling import (
     copy_text,
     fill,
     make_button,
+    make_column,
     make_command_button,
+    make_row,
     name_widget,
-    set_spacing,
 )
 from widgets.views.canvas import Canvas
 from widgets.views.preview_key_filter import get_arrow_step_px
@@ -41,11 +42,14 @@ class SectionPanel(QWidget):
         self.plot = SectionPlot()
         self.message = FixedSizeLabel(_OFF)
         self.line: SectionLine | None = None
-        tip = "Copy the curves as a table: mm along the line, and mm of indentation for every stage"
-        self.copy = make_button("Copy CSV", "section_copy", tip)
+        self.copy = make_button(
+            "Copy CSV",
+            "section_copy",
+            "Copy the curves as a table: mm along the line, and mm of indentation for every stage",
+        )
         tip = "Copy the command line that writes this table"
         self.command = make_button("Copy command", "section_command", tip)
-        self._head = set_spacing(QHBoxLayout(), 5)
+        self._head = make_row(5)
         self.ends: list[NumberBox] = []
         for k, (name, tip) in enumerate(zip(_NAMES, _TIPS, strict=True)):
             end, axis = "AB"[k // 2], "xy"[k % 2]
@@ -63,7 +67,7 @@ class SectionPanel(QWidget):
         self.sensor_box.setToolTip("Sensor of the curves; a gel is indented less than a bubble")
         self.sensor_box.chosen.connect(self.plot.show_sensor_role)
         fill(self._head, self.sensor_box, (self.message, 1), self.copy, self.command)
-        fill(set_spacing(QVBoxLayout(self), 2, (6, 4, 6, 2)), self._head, (self.plot, 1))
+        make_column(2, self._head, (self.plot, 1), around_px=(6, 4, 6, 2), on=self)
         self.copy.clicked.connect(self._copy)
         self.show_line(None)
 
@@ -111,20 +115,17 @@ class SectionLineTool(QObject):
 
     def show_line(self, ends: _Ends | None) -> None:
         """Show the line, in image pixels; None removes it."""
-        if (ends is None) != (self._canvas.line is None):
-            if ends is None:
-                self._canvas.removeEventFilter(self)
-                self._fixed = None
-            else:
-                self._canvas.installEventFilter(self)
+        if ends is None:
+            self._canvas.removeEventFilter(self)
+            self._fixed = None
+        elif self._canvas.line is None:
+            self._canvas.installEventFilter(self)
         self._canvas.show_line(ends)
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
         """Handle drags and arrow keys of the line before those of the canvas."""
         taken = False
-        if self._canvas.line is None:
-            pass
-        elif isinstance(a1, QMouseEvent):
+        if isinstance(a1, QMouseEvent):
             taken = self._drag(a1)
         elif isinstance(a1, QKeyEvent) and a1.type() == QEvent.Type.KeyPress:
             taken = self._step(a1)
@@ -132,13 +133,15 @@ class SectionLineTool(QObject):
 
     def _drag(self, event: QMouseEvent) -> bool:
         kind = event.type()
-        at = event.position()
+        there = self._canvas.to_image(event.position())
         if kind == QEvent.Type.MouseButtonPress and event.button() == Qt.MouseButton.LeftButton:
-            return self._take(at, anew=bool(event.modifiers() & _Modifier.ShiftModifier))
+            if event.modifiers() & _Modifier.ShiftModifier:
+                self._fixed, self._begins = there, False
+                return True
+            return self._take(event.position())
         if self._fixed is None:
             return False
         if kind == QEvent.Type.MouseMove:
-            there = self._canvas.to_image(at)
             self.line_moved.emit(*((there, self._fixed) if self._begins else (self._fixed, there)))
         elif kind == QEvent.Type.MouseButtonRelease:
             self._fixed = None
@@ -148,25 +151,21 @@ class SectionLineTool(QObject):
 
     def _step(self, key: QKeyEvent) -> bool:
         step = QPointF(*get_arrow_step_px(key))
-        how = key.modifiers()
         if step.isNull() or self._canvas.line is None:
             return False
         begin, end = self._canvas.line
-        only_a, only_b = (
-            bool(how & one) for one in (_Modifier.ControlModifier, _Modifier.AltModifier)
-        )
-        self.line_moved.emit(begin if only_b else begin + step, end if only_a else end + step)
+        if not key.modifiers() & _Modifier.AltModifier:
+            begin = begin + step
+        if not key.modifiers() & _Modifier.ControlModifier:
+            end = end + step
+        self.line_moved.emit(begin, end)
         return True
 
-    def _take(self, at: QPointF, *, anew: bool) -> bool:
+    def _take(self, at: QPointF) -> bool:
+        """Take the end at a position on the screen, B before A."""
         begin, end = self._canvas.line or (QPointF(), QPointF())
-        if anew:
-            self._fixed = self._canvas.to_image(at)
-            self._begins = False
-            return True
-        for first, own, other in ((False, end, begin), (True, begin, end)):
+        for own, other in ((end, begin), (begin, end)):
             if (self._canvas.to_screen(own) - at).manhattanLength() < _NEAR_PX:
-                self._fixed = QPointF(other)
-                self._begins = first
+                self._fixed, self._begins = QPointF(other), own is begin
                 return True
         return False

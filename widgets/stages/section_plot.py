@@ -4,7 +4,7 @@ from typing import Any, Literal
 
 import numpy as np
 from PyQt6.QtCore import Qt
-from PyQt6.QtGui import QBrush, QPalette
+from PyQt6.QtGui import QBrush
 
 from pipeline.translation.cross_section import CrossSection, HeightProfile
 from pipeline.views.colours import Rgb
@@ -77,7 +77,7 @@ class SectionPlot(Plot):
     def draw(self, pyqtgraph: Any, ink: ThemeColours) -> None:
         """Draw curves, contact edges and legend."""
         axes = self.prepare_axes(pyqtgraph, 0, "along the line A to B, mm", "indentation, mm")
-        text = self.palette().color(QPalette.ColorRole.WindowText)
+        text = self.palette().windowText().color()
         if self._legend is None:
             self._legend = pyqtgraph.LegendItem(verSpacing=-8)
             self._view.addItem(self._legend, row=0, col=2)
@@ -102,13 +102,11 @@ class SectionPlot(Plot):
         if section is None or not profiles or not self.isVisible():
             return
         low = min(0.0, *(float(np.nanmin(profile.heights_mm)) for profile in profiles))
-        marks: list[tuple[float, QBrush]] = []
+        places: list[float] = []
+        brushes: list[QBrush] = []
         for profile in profiles:
             curve = self._curves[profile.name]
             curve.setData(section.along_mm, profile.heights_mm)
-            marks += [
-                (edge, QBrush(curve.opts["pen"].color())) for edge in profile.contact_edges_mm
-            ]
-        places = [place for place, _ in marks]
-        brushes = [brush for _, brush in marks]
-        self._edges.setData(places, [low] * len(marks), symbolBrush=brushes)
+            places += profile.contact_edges_mm
+            brushes += [QBrush(curve.opts["pen"].color())] * len(profile.contact_edges_mm)
+        self._edges.setData(places, [low] * len(places), symbolBrush=brushes)

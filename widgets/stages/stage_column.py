@@ -8,18 +8,15 @@ from PyQt6.QtGui import QPalette, QStandardItemModel
 from PyQt6.QtWidgets import (
     QBoxLayout,
     QFrame,
-    QHBoxLayout,
     QLabel,
-    QSizePolicy,
-    QVBoxLayout,
     QWidget,
 )
 
 from pipeline.core.errors import name_options
 from pipeline.stages.stage import TRUTH
-from widgets.style.base import ChoiceBox
+from widgets.style.base import FIXED, GROWS, YIELDS, ChoiceBox
 from widgets.style.icons import PENDING, StateIcon, is_trouble
-from widgets.style.styling import fill, make_bold, make_button, set_spacing
+from widgets.style.styling import fill, format_time, make_bold, make_button, make_column, make_row
 from widgets.style.theme import get_theme_colours, to_hex
 from widgets.views.preview_view import PreviewView
 
@@ -56,16 +53,16 @@ class StageColumn(QFrame):
         self._unpin.clicked.connect(lambda: self.method_chosen.emit(name, ""))
         self._unpin.hide()
         self.head = QWidget()  # a pane shows it over image and 3D view
-        self._method.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self._method.setSizePolicy(YIELDS, FIXED)
         self._method.setMinimumWidth(_METHOD_PX)
         self._line = QFrame()  # while the stage is computed again
         self._line.setFixedHeight(_LINE_PX)
         self._line.setBackgroundRole(QPalette.ColorRole.Link)
-        row = set_spacing(QHBoxLayout(), 8, (4, 0, 0, 0))
+        row = make_row(4, around_px=(4, 0, 0, 0))
         fill(row, self._title, (self._method, 1), self._unpin, self._sign)
-        fill(set_spacing(QVBoxLayout(self.head), 0), (row, 1), self._line)
-        fill(set_spacing(QVBoxLayout(self), 0), self.head, (self.view, 1))
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
+        make_column(0, (row, 1), self._line, on=self.head)
+        make_column(0, self.head, (self.view, 1), on=self)
+        self.setSizePolicy(YIELDS, GROWS)
         self.state = ""
         self.warnings = tuple[str, ...]()
         self.view.pixel_hovered.connect(partial(self.pixel_hovered.emit, name))
@@ -92,19 +89,18 @@ class StageColumn(QFrame):
     def enable_method(self, name: str, enabled: bool) -> None:
         """Let a method be chosen, or not."""
         model = self._method.model()
-        index = self._method.findData(name)
-        item = model.item(index) if isinstance(model, QStandardItemModel) and index >= 0 else None
-        if item is not None:
-            item.setEnabled(enabled)
+        if isinstance(model, QStandardItemModel):
+            item = model.item(self._method.findData(name))
+            if item is not None:
+                item.setEnabled(enabled)
 
     def show_method(self, name: str) -> None:
         """Show the selected method without emitting a signal."""
         index = self._method.findData(name)
         with QSignalBlocker(self._method):
             self._method.setCurrentIndex(index)
-        self._method.setToolTip(
-            str(self._method.itemData(index, Qt.ItemDataRole.ToolTipRole) or "")
-        )
+        tip = self._method.itemData(index, Qt.ItemDataRole.ToolTipRole) or ""
+        self._method.setToolTip(f"{self.method_title}\n{tip}".strip())  # a long title is cut
         is_pinned = name == TRUTH
         if is_pinned == self._unpin.isHidden():
             self._unpin.setVisible(is_pinned)
@@ -122,9 +118,10 @@ class StageColumn(QFrame):
         """
         self.state = state
         notes = tuple(name_options(note) for note in notes)
-        self._sign.show_state(state if is_trouble(state) else "")
-        time = [] if ms is None else [_format_time(ms)]
-        tip = "\n".join((", ".join((self.title, state, *time)), *notes))
+        self._sign.show_state(state)
+        self._sign.setVisible(is_trouble(state))
+        known = filter(None, (self.title, state, "" if ms is None else format_time(ms)))
+        tip = "\n".join((", ".join(known), *notes))
         for label in (self._title, self._sign, self.view.remark):
             label.setToolTip(tip)
         if state not in PENDING:
@@ -155,14 +152,5 @@ class StageColumn(QFrame):
     def _explain_empty(self, state: str, notes: tuple[str, ...]) -> str:
         if state in PENDING and self.view.preview is None:
             return "working…"
-        if state == "skipped":
-            return notes[0] if notes else "not needed for this frame"
-        if state == "failed":
-            return notes[0] if notes else "failed"
-        return ""
-
-
-def _format_time(ms: float) -> str:
-    if ms < 10:
-        return f"{ms:.2f} ms"
-    return f"{ms:.0f} ms" if ms < 10_000 else f"{ms / 1e3:.1f} s"
+        whys = {"skipped": "not needed for this frame", "failed": "failed"}
+        return (*notes, whys[state])[0] if state in whys else ""

@@ -3,12 +3,12 @@
 from collections.abc import Mapping, Sequence
 
 from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QLabel, QWidget
 
 from pipeline.views.view import StepCurve, StepHistory
 from widgets.style.base import ChoiceBox
 from widgets.style.plots import Strip, StripPlot
-from widgets.style.styling import fill, make_button, make_text, set_spacing
+from widgets.style.styling import make_button, make_column, make_row, make_text
 
 _NOTHING = "Step through keeps the steps and shows them one by one; the result stays the same"
 KEEP_STEPS = "Step through"
@@ -42,10 +42,8 @@ class StepsPanel(QWidget):
         self._way: StepHistory | None = None
         self._kept = False
         self.message.setText(_NOTHING)
-        head = fill(
-            set_spacing(QHBoxLayout(), 8), self.stage_box, self.keep_button, (self.message, 1)
-        )
-        fill(set_spacing(QVBoxLayout(self), 2, (6, 4, 6, 4)), head, (self.plot, 1), self.step_text)
+        head = make_row(8, self.stage_box, self.keep_button, (self.message, 1))
+        make_column(2, head, (self.plot, 1), self.step_text, around_px=(6, 4, 6, 4), on=self)
         self.keep_button.clicked.connect(
             lambda: self.keep_steps_requested.emit(self.stage_box.choice, not self._kept)
         )

@@ -6,11 +6,12 @@ from functools import partial
 from html import escape
 
 from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QMenu, QPushButton, QSizePolicy
+from PyQt6.QtWidgets import QFrame, QMenu, QPushButton
 
+from widgets.style.base import GROWS, PREFERS
 from widgets.style.icons import StateIcon
-from widgets.style.notification_bar import Choice, make_choice_button
-from widgets.style.styling import fill, make_button, make_text, name_widget, set_spacing
+from widgets.style.notification_bar import Choice, replace_buttons
+from widgets.style.styling import fill, make_button, make_row, make_text, name_widget
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,11 +38,11 @@ class VerdictLine(QFrame):
         self.findings: tuple[Finding, ...] = ()
         self._sign = StateIcon()
         self._sentence = make_text(rich=True)
-        self._sentence.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
+        self._sentence.setSizePolicy(GROWS, PREFERS)
         self.list_button = make_button("", "findings", "Everything that is wrong with this frame")
         self._menu = QMenu(self.list_button)
         self.list_button.setMenu(self._menu)
-        self._row = set_spacing(QHBoxLayout(self), 8, (8, 2, 2, 2))
+        self._row = make_row(8, around_px=(8, 2, 2, 2), on=self)
         fill(self._row, self._sign, (self._sentence, 1), self.list_button)
         self.buttons: list[QPushButton] = []  # that mend what is wrong, or show where
         self.hide()
@@ -72,13 +73,7 @@ class VerdictLine(QFrame):
             action.triggered.connect(partial(self._choose, finding.stage))
         self.list_button.setText("1 finding" if len(findings) == 1 else f"{len(findings)} findings")
         self.list_button.setVisible(bool(findings))
-        for button in self.buttons:
-            self._row.removeWidget(button)
-            button.hide()  # it lies over what takes its place until it is deleted
-            button.deleteLater()
-        self.buttons = [make_choice_button(choice, lambda: None) for choice in choices]
-        for place, button in enumerate(self.buttons, start=2):
-            self._row.insertWidget(place, button)
+        self.buttons = replace_buttons(self._row, 2, self.buttons, choices, lambda: None)
 
     def _choose(self, stage: str, _checked: bool) -> None:
         self.finding_chosen.emit(stage)

@@ -1,19 +1,16 @@
 """One axis of an alignment: a slider and a spin box."""
 
 from PyQt6.QtCore import QObject, QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtWidgets import QSizePolicy, QSlider
+from PyQt6.QtWidgets import QSlider
 
 from pipeline.sensors.alignment import Axis
 from pipeline.translation.alignment.nudge import axis_unit
-from widgets.style.base import NumberBox
+from widgets.style.base import FIXED, YIELDS, NumberBox
 from widgets.style.styling import ThemedLabel, make_bold, name_widget
 
-_PER_UNIT = {"mm": 20, "deg": 10}  # slider steps per unit: 0.05 mm, 0.1 deg
-_REACH = {"mm": 5, "deg": 10}  # range of the slider to either side
-_FARTHEST = {"mm": 200.0, "deg": 179.0}  # range of the spin box
-_STEP = {"mm": 0.05, "deg": 0.1}
-_DIGITS = {"mm": 3, "deg": 2}
-_SIGN = {"mm": " mm", "deg": "°"}
+# slider steps per unit; range of the slider to either side, and of the spin box; its step and
+# digits; sign of the unit
+_UNITS = {"mm": (20, 5, 200.0, 0.05, 3, " mm"), "deg": (10, 10, 179.0, 0.1, 2, "°")}
 
 
 class AxisRow(QObject):
@@ -25,14 +22,14 @@ class AxisRow(QObject):
         super().__init__(parent)
         self.axis: Axis = axis
         unit = axis_unit(axis)
-        self._per_unit = _PER_UNIT[unit]
+        self._per_unit, reach, farthest, self._step, digits, self._sign = _UNITS[unit]
         self.label = make_bold(ThemedLabel(lambda inks: inks.axes["xyz".index(axis[-1])], axis))
         self.slider = QSlider(Qt.Orientation.Horizontal)
-        self.slider.setRange(-_REACH[unit] * self._per_unit, _REACH[unit] * self._per_unit)
+        self.slider.setRange(-reach * self._per_unit, reach * self._per_unit)
         self.slider.setPageStep(self._per_unit)
-        self.slider.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        self.box = NumberBox(-_FARTHEST[unit], _FARTHEST[unit], _STEP[unit], _DIGITS[unit])
-        self.box.setSuffix(_SIGN[unit])
+        self.slider.setSizePolicy(YIELDS, FIXED)
+        self.box = NumberBox(-farthest, farthest, self._step, digits)
+        self.box.setSuffix(self._sign)
         self.box.setAlignment(Qt.AlignmentFlag.AlignRight)
         way = "translation along" if unit == "mm" else "rotation about"
         what = f"{way} {axis[-1]}, {'millimetres' if unit == 'mm' else 'degrees'}"
@@ -44,15 +41,14 @@ class AxisRow(QObject):
 
     def show_frame_name(self, frame: str) -> None:
         """Show the name of the frame that the axes belong to."""
-        unit = axis_unit(self.axis)
         tip = f"Translate the touch along {self.axis[-1]} of the {frame} frame, mm"
-        if unit != "mm":
+        if axis_unit(self.axis) != "mm":
             tip = (
                 f"Rotate the touch about {self.axis[-1]} of the {frame} frame, degrees, about the "
                 "centre of the contact; the three form a rotation vector"
             )
         tip += "; offset from the open alignment. Wheel and arrow keys: steps of "
-        tip += f"{_STEP[unit]:g}{_SIGN[unit]}"
+        tip += f"{self._step:g}{self._sign}"
         for widget in (self.label, self.slider, self.box):
             widget.setToolTip(tip)
 

@@ -28,6 +28,7 @@ _Policy = QSizePolicy.Policy
 GROWS = _Policy.Expanding
 FIXED = _Policy.Fixed
 YIELDS = _Policy.Ignored
+PREFERS = _Policy.Preferred
 _UNDER_PX = 2
 
 
@@ -126,7 +127,7 @@ class FixedSizeLabel(QLabel):
         super().__init__()
         self._said = text
         self._lines = 1
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self.setSizePolicy(YIELDS, FIXED)
         self.setTextFormat(Qt.TextFormat.PlainText)
 
     def text(self) -> str:
@@ -144,8 +145,8 @@ class FixedSizeLabel(QLabel):
         if lines != self._lines:
             self._lines = lines
             self.setWordWrap(lines > 1)
-            policy = QSizePolicy.Policy.Maximum if lines > 1 else QSizePolicy.Policy.Fixed
-            self.setSizePolicy(QSizePolicy.Policy.Ignored, policy)
+            policy = _Policy.Maximum if lines > 1 else FIXED
+            self.setSizePolicy(YIELDS, policy)
             self.updateGeometry()
 
     def sizeHint(self) -> QSize:  # noqa: N802
@@ -247,7 +248,7 @@ class ChoiceBox(QComboBox):
             icon_px = 0 if option.currentIcon.isNull() else option.iconSize.width() + 4
             end = Qt.TextElideMode.ElideRight
             option.currentText = option.fontMetrics.elidedText(
-                option.currentText, end, room.width() - icon_px - 4
+                option.currentText, end, room.width() - icon_px - 2
             )
         painter.drawComplexControl(QStyle.ComplexControl.CC_ComboBox, option)
         painter.drawControl(QStyle.ControlElement.CE_ComboBoxLabel, option)

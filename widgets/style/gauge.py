@@ -49,22 +49,19 @@ class Gauge(PaintedWidget):
 
     def show_value(self, value: float | None) -> None:
         """Show a value; None for none."""
-        if value != self.value:
-            self.value = value
-            self.setAccessibleDescription(self.text)
-            self.update()
+        self.value = value
+        self.setAccessibleDescription(self.text)
+        self.update()
 
     def show_scale(self, scale: GaugeScale) -> None:
         """Change the limits."""
-        if scale != self._scale:
-            self._scale = scale
-            self.update()
+        self._scale = scale
+        self.update()
 
     def mark_ghost(self, value: float | None) -> None:
         """Set the ghost tick; None removes it."""
-        if value != self.ghost:
-            self.ghost = value
-            self.update()
+        self.ghost = value
+        self.update()
 
     def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint name, bar, tick and number."""

@@ -8,10 +8,10 @@ from pathlib import Path
 from PyQt6.QtCore import QByteArray, QRect, QRectF, QSize, Qt
 from PyQt6.QtGui import QGuiApplication, QIcon, QIconEngine, QPainter, QPalette, QPixmap
 from PyQt6.QtSvg import QSvgRenderer
-from PyQt6.QtWidgets import QWidget
 
 from pipeline.views.colours import Rgb
-from widgets.style.theme import get_theme_colours, to_hex
+from widgets.style.base import PaintedWidget
+from widgets.style.theme import ThemeColours, get_theme_colours, to_hex
 
 # one SVG per icon, in currentColor; `state_*` are signs of states
 DRAWINGS = Path(__file__).with_name("drawings")
@@ -39,7 +39,7 @@ def is_trouble(state: str) -> bool:
     return state in ("warning", "failed")
 
 
-class StateIcon(QWidget):
+class StateIcon(PaintedWidget):
     """The sign of a state; keeps its room while there is none."""
 
     def __init__(self, size_px: int = 16) -> None:
@@ -54,11 +54,11 @@ class StateIcon(QWidget):
             self.setAccessibleName(state)
             self.update()
 
-    def paintEvent(self, a0: object) -> None:  # noqa: N802
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint the sign."""
-        del a0
+        del ink
         if self.state:
-            paint_state(QPainter(self), QRectF(self.rect()), self.state, self.palette())
+            paint_state(painter, QRectF(self.rect()), self.state, self.palette())
 
 
 class _Engine(QIconEngine):

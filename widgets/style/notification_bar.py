@@ -8,14 +8,21 @@ from PyQt6.QtWidgets import (
     QHBoxLayout,
     QMenu,
     QPushButton,
-    QSizePolicy,
     QToolButton,
     QVBoxLayout,
 )
 
 from pipeline.core.errors import escape_text
+from widgets.style.base import PREFERS, YIELDS
 from widgets.style.run_bar import RunBar
-from widgets.style.styling import fill, make_button, make_single_shot_timer, make_text, name_widget
+from widgets.style.styling import (
+    fill,
+    make_button,
+    make_row,
+    make_single_shot_timer,
+    make_text,
+    name_widget,
+)
 
 Act = Callable[[], object]
 # label, and what it does or the entries of its menu
@@ -49,6 +56,20 @@ def make_choice_button(choice: Choice, then: Act) -> QPushButton:
     return button
 
 
+def replace_buttons(
+    row: QHBoxLayout, at: int, old: Sequence[QPushButton], choices: Sequence[Choice], then: Act
+) -> list[QPushButton]:
+    """Put a button for each of the choices into a row in place of the `old` ones; returns them."""
+    for button in old:
+        row.removeWidget(button)
+        button.hide()  # it lies over what takes its place until it is deleted
+        button.deleteLater()
+    buttons = [make_choice_button(choice, then) for choice in choices]
+    for place, button in enumerate(buttons, start=at):
+        row.insertWidget(place, button)
+    return buttons
+
+
 _READ_MS = 5000  # until a sentence without buttons leaves
 
 
@@ -71,12 +92,12 @@ class NotificationBar(QFrame):
         self.run_bar = RunBar(name)
         self._away = name_widget(QToolButton(), "", "Dismiss", "Dismiss")
         self._text.setTextFormat(Qt.TextFormat.PlainText)  # file names are no markup
-        self._text.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        self._text.setSizePolicy(YIELDS, PREFERS)
         self._away.setText("\N{MULTIPLICATION SIGN}")
         self._away.setAutoRaise(True)
         self._away.clicked.connect(self.hide)
         self._choices = QHBoxLayout()
-        self._row = fill(QHBoxLayout(), (self._text, 1), self.run_bar)
+        self._row = make_row(6, (self._text, 1), self.run_bar)
         self._column = fill(QVBoxLayout(self), self._row)
         self._column.setContentsMargins(8, 3, 8, 3)
         fill(self._column if choices_below else self._row, fill(self._choices, int(choices_below)))
@@ -102,11 +123,7 @@ class NotificationBar(QFrame):
 
         With one, or if it `stays`, it does not leave by itself.
         """
-        for button in self.buttons:
-            self._choices.removeWidget(button)
-            button.deleteLater()
-        self.buttons = [make_choice_button(choice, self.hide) for choice in choices]
-        fill(self._choices, *self.buttons)
+        self.buttons = replace_buttons(self._choices, 1, self.buttons, choices, self.hide)
         self._text.setText(sentence[:1].upper() + sentence[1:])
         self.message_shown.emit(self.text)
         self.show()

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QWidget
 
 from widgets.style.base import EventListener
-from widgets.style.styling import fill, name_widget, set_spacing
+from widgets.style.styling import fill, make_column, name_widget
 from widgets.style.theme import ThemeColours, get_theme_colours, to_hex, to_qcolor
 
 _LABEL_PX = 52  # width of the numbers at the left: axes above each other begin at the same place
@@ -43,7 +43,7 @@ class Plot(QWidget):
         name_widget(self, name, description)
         self._view: Any = None
         self._axes: list[Axes] = []
-        self._layout = set_spacing(QVBoxLayout(self), 0)
+        self._layout = make_column(0, on=self)
         EventListener(self, self.redraw, QEvent.Type.Show, QEvent.Type.PaletteChange)
         self.setContextMenuPolicy(Qt.ContextMenuPolicy.ActionsContextMenu)
         for text, act in (("View all", self._view_all), ("Export…", self._export)):

@@ -2,9 +2,9 @@
 
 import math
 
-from PyQt6.QtWidgets import QHBoxLayout, QProgressBar, QPushButton, QWidget
+from PyQt6.QtWidgets import QProgressBar, QPushButton, QWidget
 
-from widgets.style.styling import set_spacing
+from widgets.style.styling import make_row
 
 _BAR_PX = 140
 
@@ -23,7 +23,7 @@ class RunBar(QWidget):
         self.bar.setRange(0, 1000)
         self.bar.setTextVisible(False)
         self.bar.setFixedWidth(_BAR_PX)
-        self.row = set_spacing(QHBoxLayout(self), 6)
+        self.row = make_row(6, on=self)
         for widget in (self.bar, self.cancel_button):
             self.row.addWidget(widget)
             policy = widget.sizePolicy()

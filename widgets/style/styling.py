@@ -7,12 +7,14 @@ from PyQt6.QtCore import QEvent, QObject, Qt, QTimer
 from PyQt6.QtGui import QAction, QGuiApplication, QPalette
 from PyQt6.QtWidgets import (
     QBoxLayout,
+    QHBoxLayout,
     QLabel,
     QLayout,
     QLineEdit,
     QPushButton,
     QSplitter,
     QToolButton,
+    QVBoxLayout,
     QWidget,
 )
 
@@ -21,14 +23,15 @@ from widgets.style.base import EventListener
 from widgets.style.icons import make_command_icon
 from widgets.style.theme import ThemeColours, get_theme_colours, to_qcolor
 
+Margins = tuple[int, int, int, int]  # left, top, right, bottom
+# an item of a layout, alone or with its shares of the spare room, or empty shares
+Item = QWidget | QLayout | int | tuple[QWidget | QLayout, int]
 _Layout = TypeVar("_Layout", bound=QLayout)
 _Box = TypeVar("_Box", bound=QBoxLayout)
 _Widget = TypeVar("_Widget", bound=QWidget)
 
 
-def set_spacing(
-    layout: _Layout, between_px: int, around_px: tuple[int, int, int, int] = (0, 0, 0, 0)
-) -> _Layout:
+def set_spacing(layout: _Layout, between_px: int, around_px: Margins = (0, 0, 0, 0)) -> _Layout:
     """Return the layout with this spacing between its items and margins (left, top, right,
     bottom).
     """
@@ -37,7 +40,7 @@ def set_spacing(
     return layout
 
 
-def fill(layout: _Box, *items: QWidget | QLayout | int | tuple[QWidget | QLayout, int]) -> _Box:
+def fill(layout: _Box, *items: Item) -> _Box:
     """Add widgets and layouts in order.
 
     (item, n) takes n shares of the spare room, a bare n leaves n shares empty.
@@ -51,6 +54,22 @@ def fill(layout: _Box, *items: QWidget | QLayout | int | tuple[QWidget | QLayout
         else:
             layout.addLayout(part, share)
     return layout
+
+
+def make_row(
+    gap_px: int, *items: Item, around_px: Margins = (0, 0, 0, 0), on: QWidget | None = None
+) -> QHBoxLayout:
+    """Return the layout of items beside each other, as `fill` takes them, of a widget or within
+    another layout.
+    """
+    return fill(set_spacing(QHBoxLayout(on), gap_px, around_px), *items)
+
+
+def make_column(
+    gap_px: int, *items: Item, around_px: Margins = (0, 0, 0, 0), on: QWidget | None = None
+) -> QVBoxLayout:
+    """Return the layout of items under each other."""
+    return fill(set_spacing(QVBoxLayout(on), gap_px, around_px), *items)
 
 
 def make_splitter(way: Qt.Orientation, *items: tuple[QWidget, int]) -> QSplitter:
@@ -151,3 +170,10 @@ class ThemedLabel(QLabel):
             for group in (QPalette.ColorGroup.Active, QPalette.ColorGroup.Inactive):
                 own.setColor(group, QPalette.ColorRole.WindowText, colour)
             self.setPalette(own)
+
+
+def format_time(ms: float) -> str:
+    """Return a computing time in words."""
+    if ms < 10:
+        return f"{ms:.2f} ms"
+    return f"{ms:.0f} ms" if ms < 10_000 else f"{ms / 1e3:.1f} s"

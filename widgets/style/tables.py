@@ -213,24 +213,17 @@ def format_table(table: QTableView, *, only_selected: bool = False) -> str:
     if model is None:
         return ""
     columns = [column for column in range(model.columnCount()) if not table.isColumnHidden(column)]
-    rows = list(range(model.rowCount()))
-    if (
-        only_selected
-        and selection is not None
-        and (chosen := {index.row() for index in selection.selectedIndexes()})
-    ):
-        rows = sorted(chosen)
-    titles = [
-        model.headerData(column, Qt.Orientation.Horizontal, _Role.DisplayRole) for column in columns
+    chosen = set[int]()
+    if only_selected and selection is not None:
+        chosen = {index.row() for index in selection.selectedIndexes()}
+    across = Qt.Orientation.Horizontal
+    lines = [[model.headerData(column, across) for column in columns]]
+    for row in sorted(chosen or range(model.rowCount())):
+        lines.append([model.index(row, column).data() for column in columns])
+    texts = [
+        ["" if value is None else " ".join(str(value).split()) for value in line] for line in lines
     ]
-    lines = [
-        titles,
-        *([model.index(row, column).data(_Role.DisplayRole) for column in columns] for row in rows),
-    ]
-    return "".join(
-        "\t".join(("" if value is None else " ".join(str(value).split())) for value in line) + "\n"
-        for line in lines
-    )
+    return "".join("\t".join(line) + "\n" for line in texts)
 
 
 def _show_menu(table: QTableView, at: QPoint) -> None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from PyQt6.QtGui import QColor, QPalette
 from PyQt6.QtWidgets import QApplication, QToolTip
 
-from pipeline.views.colours import NO_VALUE_COLOUR, ColourMapName, ColourScale, Rgb
+from pipeline.views.colours import ColourMapName, ColourScale, Rgb
 
 CROSSHAIR_COLOUR: Rgb = (230, 0, 115)  # crosshair of the probe
 SECTION_COLOUR: Rgb = (240, 228, 66)  # the section line, with a dark casing
@@ -42,7 +42,7 @@ class ThemeColours:
     """Colours on one background."""
 
     backdrop: Rgb  # behind images and 3D views
-    no_value: Rgb  # pixels without a value
+    no_value: Rgb  # pixels without a value; in a light window `NO_VALUE_COLOUR`
     # signed values: the centre is as bright as the window, so that images do not glare
     diverging: ColourMapName
     icon: Rgb
@@ -60,68 +60,54 @@ class ThemeColours:
     states: Mapping[str, Rgb]
 
 
-LIGHT_COLOURS = ThemeColours(
-    backdrop=(250, 250, 252),
-    no_value=NO_VALUE_COLOUR,
-    diverging="diverging",
-    icon=(60, 66, 76),
-    secondary_text=(92, 98, 110),
-    warning_text=(150, 64, 31),
-    warning_mark=(160, 82, 0),
-    neutral=(100, 108, 120),
-    accent=(0, 114, 178),
-    worse=(205, 85, 0),
-    gauge=(70, 125, 180),
-    gauge_background=(226, 229, 234),
-    ghost=(40, 44, 52),
-    sensitivity=(240, 190, 120),
-    axes=((190, 45, 45), (28, 118, 48), (50, 90, 200)),
-    states={
-        "computed": (0, 115, 86),
-        "read": (0, 115, 86),
-        "cached": (40, 105, 180),
-        "unchanged": (40, 105, 180),
-        "warning": (160, 82, 0),
-        "skipped": (96, 101, 111),
-        "running": (146, 90, 0),
-        "preview": (146, 90, 0),
-        "draft": (146, 90, 0),
-        "failed": (190, 40, 40),
-        "stale": (125, 90, 20),
-        "waiting": (96, 102, 110),
-    },
+# of a light and of a dark window
+_COLOURS = {
+    "backdrop": ("#fafafc", "#181a1e"),
+    "no_value": ("#e0e2e6", "#3a3d44"),
+    "icon": ("#3c424c", "#cdd2da"),
+    "secondary_text": ("#5c626e", "#a0a8b4"),
+    "warning_text": ("#96401f", "#f5a578"),
+    "warning_mark": ("#a05200", "#f5af50"),
+    "neutral": ("#646c78", "#969eaa"),
+    "accent": ("#0072b2", "#56b4e9"),
+    "worse": ("#cd5500", "#f08c46"),
+    "gauge": ("#467db4", "#6ea5d7"),
+    "gauge_background": ("#e2e5ea", "#3e424a"),
+    "ghost": ("#282c34", "#e1e4e8"),
+    "sensitivity": ("#f0be78", "#96692d"),
+}
+_AXES = (
+    ("#be2d2d", "#f87d76"),
+    ("#1c7630", "#73d082"),
+    ("#325ac8", "#87aaff"),
 )
-DARK_COLOURS = ThemeColours(
-    backdrop=(24, 26, 30),
-    no_value=(58, 61, 68),
-    diverging="diverging_dark",
-    icon=(205, 210, 218),
-    secondary_text=(160, 168, 180),
-    warning_text=(245, 165, 120),
-    warning_mark=(245, 175, 80),
-    neutral=(150, 158, 170),
-    accent=(86, 180, 233),
-    worse=(240, 140, 70),
-    gauge=(110, 165, 215),
-    gauge_background=(62, 66, 74),
-    ghost=(225, 228, 232),
-    sensitivity=(150, 105, 45),
-    axes=((248, 125, 118), (115, 208, 130), (135, 170, 255)),
-    states={
-        "computed": (85, 203, 165),
-        "read": (85, 203, 165),
-        "cached": (125, 182, 245),
-        "unchanged": (125, 182, 245),
-        "warning": (245, 175, 80),
-        "skipped": (165, 170, 180),
-        "running": (240, 195, 95),
-        "preview": (240, 195, 95),
-        "draft": (240, 195, 95),
-        "failed": (255, 138, 128),
-        "stale": (216, 188, 115),
-        "waiting": (162, 168, 177),
-    },
-)
+_STATES = {
+    ("computed", "read"): ("#007356", "#55cba5"),
+    ("cached", "unchanged"): ("#2869b4", "#7db6f5"),
+    ("warning",): ("#a05200", "#f5af50"),
+    ("skipped",): ("#60656f", "#a5aab4"),
+    ("running", "preview", "draft"): ("#925a00", "#f0c35f"),
+    ("failed",): ("#be2828", "#ff8a80"),
+    ("stale",): ("#7d5a14", "#d8bc73"),
+    ("waiting",): ("#60666e", "#a2a8b1"),
+}
+
+
+def _make_colours(theme: int) -> ThemeColours:
+    def pick(pair: tuple[str, str]) -> Rgb:
+        red, green, blue = bytes.fromhex(pair[theme][1:])
+        return red, green, blue
+
+    x, y, z = map(pick, _AXES)
+    return ThemeColours(
+        diverging="diverging_dark" if theme else "diverging",
+        axes=(x, y, z),
+        states={name: pick(pair) for names, pair in _STATES.items() for name in names},
+        **{name: pick(pair) for name, pair in _COLOURS.items()},
+    )
+
+
+LIGHT_COLOURS, DARK_COLOURS = map(_make_colours, (0, 1))
 
 
 def get_probe_colour(number: int) -> Rgb:

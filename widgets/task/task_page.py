@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QWidget
 
 from pipeline.views.colours import Rgb
 from pipeline.views.view import StepCurve
@@ -17,11 +17,12 @@ from widgets.style.plots import StripPlot
 from widgets.style.styling import (
     fill,
     make_bold,
+    make_column,
     make_command_button,
+    make_row,
     make_splitter,
     make_text,
     name_widget,
-    set_spacing,
 )
 from widgets.style.theme import to_hex
 from widgets.task.trials_panel import TrialsPanel
@@ -64,24 +65,23 @@ class TaskPage(QWidget):
         self.split.setSizes([_TABLE_SIZE, 1000 - _TABLE_SIZE])
         self._empty = QWidget()
         self._head = fill(QHBoxLayout(self._empty), (self.message, 1))
-        layout = set_spacing(QVBoxLayout(self), 2, (2, 2, 2, 2))
-        fill(layout, self._empty, (self.split, 1), 0)
+        make_column(2, self._empty, (self.split, 1), 0, around_px=(2, 2, 2, 2), on=self)
         self.show_message("")
         self.clear()
 
     def _build_touches(self) -> QWidget:
         panel = QWidget()
-        row = set_spacing(QHBoxLayout(), 4)
+        row = make_row(4)
         for name, title in TOUCHES.items():
             view = name_widget(self.views[name], f"task_{name}", title)
             label = make_bold(QLabel(title))
-            fill(row, (fill(set_spacing(QVBoxLayout(), 1), label, (view, 1)), 1))
-        fill(set_spacing(QVBoxLayout(panel), 2), fill(QHBoxLayout(), self.place_box, 1), (row, 1))
+            fill(row, (make_column(1, label, (view, 1)), 1))
+        make_column(2, make_row(6, self.place_box, 1), (row, 1), on=panel)
         return panel
 
     def _build_ticks(self) -> QWidget:
         panel = QWidget()
-        fill(set_spacing(QVBoxLayout(panel), 0), (self.plot, 1), self.ticks)
+        make_column(0, (self.plot, 1), self.ticks, on=panel)
         return panel
 
     def show_curves(

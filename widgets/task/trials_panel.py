@@ -5,11 +5,11 @@ from pathlib import Path
 
 from PyQt6.QtCore import QModelIndex, pyqtSignal
 from PyQt6.QtGui import QStandardItem
-from PyQt6.QtWidgets import QHeaderView, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QHeaderView, QLabel, QWidget
 
 from pipeline.lab.tasks.trial_rows import TrialRow
 from widgets.style.icons import make_state_icon
-from widgets.style.styling import fill, set_spacing
+from widgets.style.styling import make_column
 from widgets.style.tables import FilteredTable, Terms, copy_table, make_cells, make_titled_model
 
 _FILTER = (
@@ -81,8 +81,9 @@ class TrialsPanel(QWidget):
         self.table.sort_from(TRIAL)
         for chosen in (self.table.clicked, self.table.activated):
             chosen.connect(self._choose)
-        layout = set_spacing(QVBoxLayout(self), 3, (2, 2, 2, 2))
-        fill(layout, self.table.filter_line, self.table, self._count)
+        make_column(
+            3, self.table.filter_line, self.table, self._count, around_px=(2, 2, 2, 2), on=self
+        )
 
     @property
     def listed_trials(self) -> tuple[TrialRow, ...]:

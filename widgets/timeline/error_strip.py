@@ -73,15 +73,13 @@ class ErrorStrip(PaintedWidget):
 
     def show_frame(self, frame: int) -> None:
         """Mark the current frame."""
-        if frame != self.frame:
-            self.frame = frame
-            self.update()
+        self.frame = frame
+        self.update()
 
     def show_loop_range(self, span: tuple[int, int] | None) -> None:
         """Mark the loop range; None for all frames."""
-        if span != self.loop_range:
-            self.loop_range = span
-            self.update()
+        self.loop_range = span
+        self.update()
 
     def show_thumbnails(self, thumbnails: Mapping[int, QPixmap]) -> None:
         """Show frame -> image of the frames that have one."""
@@ -192,10 +190,8 @@ class ErrorScale(PaintedWidget):
 
     def show_max(self, most: float) -> None:
         """Show the value of the highest bar; nothing if there are no bars."""
-        text = f"{most:.3g}" if most > 0 else ""
-        if text != self.max_text:
-            self.max_text = text
-            self.update()
+        self.max_text = f"{most:.3g}" if most > 0 else ""
+        self.update()
 
     def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint two numbers at two ticks on a line."""

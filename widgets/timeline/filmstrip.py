@@ -7,26 +7,24 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QAction, QColor, QGuiApplication, QPainter, QPalette, QPen, QPixmap
+from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, QSizeF, Qt, pyqtSignal
+from PyQt6.QtGui import QAction, QGuiApplication, QPainter, QPalette, QPen, QPixmap
 from PyQt6.QtWidgets import (
     QAbstractButton,
-    QHBoxLayout,
-    QSizePolicy,
     QToolButton,
-    QVBoxLayout,
     QWidget,
 )
 
 from pipeline.views.preview import Preview
-from widgets.style.base import EventListener
+from widgets.style.base import FIXED, GROWS, EventListener
 from widgets.style.icons import PENDING, is_trouble, paint_state
-from widgets.style.styling import fill, make_command_button, name_widget, set_spacing
-from widgets.style.theme import ThemeColours, get_theme_colours, to_qcolor
+from widgets.style.styling import fill, make_column, make_command_button, make_row, name_widget
+from widgets.style.theme import get_theme_colours, to_qcolor
+from widgets.views.canvas import draw_tag, measure_tag
 from widgets.views.preview_renderer import MAX_ZOOM, PreviewRenderer
 
 _PICTURE_PX = QSize(132, 82)
-_SIGN_PX = 16
+_SIGN = QSizeF(16, 16)
 _EDGE_PX = 4
 # below this share of pixels with a value, only those are shown, with this margin
 _FEW = 0.3
@@ -43,7 +41,7 @@ class Thumbnail(QAbstractButton):
         super().__init__()
         self.setText(title)
         self.setAccessibleName(title)
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        self.setSizePolicy(GROWS, FIXED)
         self.state = "waiting"
         self.method = ""
         self.share: tuple[float, str] | None = None  # of the error (0 to 1), and its value
@@ -79,8 +77,9 @@ class Thumbnail(QAbstractButton):
     def offer_remedy(self, action: QAction) -> None:
         """Show the command that feeds the stage, in place of its image."""
         self.remedy = make_command_button(action)
-        layout = set_spacing(QVBoxLayout(self), 0, (_EDGE_PX, self._line_px() + _EDGE_PX, 2, 2))
-        fill(layout, self.remedy, 1)
+        make_column(
+            0, self.remedy, 1, around_px=(_EDGE_PX, self._line_px() + _EDGE_PX, 2, 2), on=self
+        )
         self.show_feedable(feedable=False)
 
     def show_feedable(self, *, feedable: bool) -> None:
@@ -88,8 +87,8 @@ class Thumbnail(QAbstractButton):
         if self.remedy is not None:
             self.is_feedable = feedable
             self.remedy.setVisible(feedable and not self.is_collapsed)
-            across = QSizePolicy.Policy.Fixed if feedable else QSizePolicy.Policy.Expanding
-            self.setSizePolicy(across, QSizePolicy.Policy.Fixed)
+            across = FIXED if feedable else GROWS
+            self.setSizePolicy(across, FIXED)
 
     def set_collapsed(self, folded: bool) -> None:
         """Show sign and title only."""
@@ -121,23 +120,24 @@ class Thumbnail(QAbstractButton):
         palette = self.palette()
         ink = get_theme_colours(palette)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        painter.setBrush(palette.color(QPalette.ColorRole.Base))
-        rim = palette.color(
-            QPalette.ColorRole.Highlight if self.is_in_pane else QPalette.ColorRole.Midlight
-        )
+        painter.setBrush(palette.base())
+        rim = palette.highlight() if self.is_in_pane else palette.midlight()
         painter.setPen(QPen(rim, 2.4 if self.is_active or self.hasFocus() else 1.2))
         painter.drawRoundedRect(QRectF(self.rect()).adjusted(1, 1, -1, -1), 4, 4)
         if self.state in PENDING:
             painter.fillRect(2, 1, self.width() - 4, 2, to_qcolor(ink.states["running"]))
+        metrics = self.fontMetrics()
         line = self._line_px()
-        left = _EDGE_PX + 2
+        room = QRectF(_EDGE_PX + 2, _EDGE_PX, self.width() - 2 * _EDGE_PX - 2, line)
         if is_trouble(self.state):
-            side = _SIGN_PX
-            paint_state(painter, QRectF(left, _EDGE_PX, side, side), self.state, palette)
-            left += side + _EDGE_PX
-        room = QRectF(left, _EDGE_PX, self.width() - left - _EDGE_PX, line)
-        method_px = self.fontMetrics().horizontalAdvance(self.method)
-        has_room = self._paint_title(painter, room) >= method_px and not self.is_feedable
+            paint_state(painter, QRectF(room.topLeft(), _SIGN), self.state, palette)
+            room.setLeft(room.left() + _SIGN.width() + _EDGE_PX)
+        wide = int(room.width())
+        title = metrics.elidedText(self.text(), Qt.TextElideMode.ElideRight, wide)
+        painter.setPen(palette.windowText().color())
+        painter.drawText(room, Qt.AlignmentFlag.AlignVCenter, title)
+        needed = metrics.horizontalAdvance(title) + metrics.horizontalAdvance(self.method)
+        has_room = needed + 2 * _EDGE_PX <= wide and not self.is_feedable
         if has_room:
             painter.setPen(to_qcolor(ink.secondary_text))
             painter.drawText(
@@ -153,41 +153,22 @@ class Thumbnail(QAbstractButton):
                 )
             painter.drawPixmap(_EDGE_PX, _EDGE_PX + line, self._pixmap)
         if self.method and not has_room:
-            self._paint_label(painter, self.method, QPointF(_EDGE_PX, 2 * _EDGE_PX + line))
-        if self.share is not None:
-            self._paint_share(painter, ink, *self.share)
-
-    def _paint_share(self, painter: QPainter, ink: ThemeColours, share: float, text: str) -> None:
-        """Paint the share of the error as a bar along the lower edge, and its value over it."""
-        most = self.width() - 2 * _EDGE_PX
-        wide = max(2.0, min(1.0, abs(share)) * most)
-        colour = to_qcolor(ink.worse if share > 0.5 else ink.accent)
-        painter.fillRect(QRectF(_EDGE_PX, self.height() - 2 * _EDGE_PX, wide, _EDGE_PX), colour)
-        top = self.height() - 2.5 * _EDGE_PX - self.fontMetrics().height()
-        self._paint_label(painter, text, QPointF(_EDGE_PX, top))
-
-    def _paint_title(self, painter: QPainter, room: QRectF) -> int:
-        """Paint the title, and return how much room is left at its right."""
-        metrics = self.fontMetrics()
-        wide = int(room.width())
-        painter.setPen(self.palette().color(QPalette.ColorRole.WindowText))
-        title = metrics.elidedText(self.text(), Qt.TextElideMode.ElideRight, wide)
-        painter.drawText(room, Qt.AlignmentFlag.AlignVCenter, title)
-        return wide - metrics.horizontalAdvance(title) - 2 * _EDGE_PX
-
-    def _paint_label(self, painter: QPainter, text: str, at: QPointF) -> None:
-        """Paint a text over the image."""
-        metrics = self.fontMetrics()
-        box = QRectF(at.x(), at.y(), metrics.horizontalAdvance(text) + 8, metrics.height())
-        painter.fillRect(box, QColor(20, 24, 30, 190))
-        painter.setPen(QColor(255, 255, 255))
-        painter.drawText(box, Qt.AlignmentFlag.AlignCenter, text)
+            box = measure_tag(painter, self.method)
+            draw_tag(painter, box, QPointF(_EDGE_PX, 2 * _EDGE_PX + line), self.method)
+        if self.share is not None:  # as a bar along the lower edge, and its value over it
+            share, text = self.share
+            wide = max(2, round(min(1.0, abs(share)) * (self.width() - 2 * _EDGE_PX)))
+            colour = to_qcolor(ink.worse if share > 0.5 else ink.accent)
+            painter.fillRect(_EDGE_PX, self.height() - 2 * _EDGE_PX, wide, _EDGE_PX, colour)
+            box = measure_tag(painter, text)
+            top = self.height() - 2.5 * _EDGE_PX - box.height()
+            draw_tag(painter, box, QPointF(_EDGE_PX, top), text)
 
     def _drop_pixmap(self) -> None:
         self._pixmap = None
 
     def _line_px(self) -> int:
-        return max(_SIGN_PX, self.fontMetrics().height()) + 4
+        return max(round(_SIGN.height()), self.fontMetrics().height()) + 4
 
 
 def render_thumbnail(picture: Preview, size: QSize, dense: float, palette: QPalette) -> QPixmap:
@@ -205,9 +186,8 @@ def render_thumbnail(picture: Preview, size: QSize, dense: float, palette: QPale
         rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
         wide, high = (_AROUND * (float(at[-1] - at[0]) + 1.0) for at in (cols, rows))
         scale = min(size.width() / wide, size.height() / high)
-        plate.centre = QPointF(
-            0.5 * float(cols[0] + cols[-1] + 1), 0.5 * float(rows[0] + rows[-1] + 1)
-        )
+        x, y = (0.5 * float(at[0] + at[-1] + 1) for at in (cols, rows))
+        plate.centre = QPointF(x, y)
         plate.scale = min(max(scale, plate.scale), MAX_ZOOM)
     return plate.render(dense, palette.color(QPalette.ColorRole.Window), QGuiApplication.font())
 
@@ -222,10 +202,10 @@ class Filmstrip(QWidget):
         super().__init__()
         name_widget(self, "filmstrip")
         self.thumbnails = {name: Thumbnail(title) for name, title in titles.items()}
-        row = set_spacing(QHBoxLayout(self), 4)
+        row = make_row(4, on=self)
         for name, thumbnail in self.thumbnails.items():
             thumbnail.clicked.connect(partial(self._choose, name))
-            row.addWidget(thumbnail, 1)
+            fill(row, (thumbnail, 1))
 
     def _choose(self, name: str) -> None:
         adds = QGuiApplication.keyboardModifiers() & Qt.KeyboardModifier.ControlModifier
@@ -245,11 +225,8 @@ class Filmstrip(QWidget):
     @property
     def collapsible_px(self) -> int:
         """Height that collapsing the thumbnails would free."""
-        return (
-            0
-            if all(each.is_collapsed for each in self.thumbnails.values())
-            else _PICTURE_PX.height()
-        )
+        is_collapsed = all(each.is_collapsed for each in self.thumbnails.values())
+        return 0 if is_collapsed else _PICTURE_PX.height()
 
     def hide_stages(self, names: Collection[str]) -> None:
         """Hide the stages that the route does not have."""

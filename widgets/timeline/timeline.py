@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 
 from PyQt6.QtCore import QSignalBlocker, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QComboBox, QGridLayout, QHBoxLayout, QLabel, QSlider, QSpinBox, QWidget
+from PyQt6.QtWidgets import QComboBox, QGridLayout, QLabel, QSlider, QSpinBox, QWidget
 
-from widgets.style.styling import fill, make_command_button, make_text, name_widget, set_spacing
+from widgets.style.styling import make_command_button, make_row, make_text, name_widget
 from widgets.timeline.error_strip import ErrorScale, ErrorStrip
 
 _TIMES = "\N{MULTIPLICATION SIGN}"
@@ -69,7 +69,7 @@ class Timeline(QWidget):
         # first and last frame of the loop
         self._looping = False
         self.loop_range = (0, 0)
-        self._buttons = QHBoxLayout()
+        self._buttons = make_row(1)
         self._lay_out()
         self.slider.valueChanged.connect(self._choose)
         self.number.valueChanged.connect(self._choose)
@@ -81,16 +81,22 @@ class Timeline(QWidget):
         layout.setContentsMargins(6, 2, 6, 2)
         layout.setVerticalSpacing(0)
         layout.setColumnStretch(1, 1)
-        self._buttons.setSpacing(1)
-        words = QLabel(self._unit)
-        speed = QLabel("speed")
-        right = (words, self.number, self._of, self._time, self._left_out, speed, self.speed)
+        right = make_row(
+            6,
+            QLabel(self._unit),
+            self.number,
+            self._of,
+            self._time,
+            self._left_out,
+            QLabel("speed"),
+            self.speed,
+        )
         layout.addLayout(self._buttons, 0, 0)
-        layout.addLayout(fill(set_spacing(QHBoxLayout(), 6), *right), 0, 2)
+        layout.addLayout(right, 0, 2)
         if self._unit != "frame":
             layout.addWidget(self.slider, 0, 1)
             return
-        layout.addLayout(fill(set_spacing(QHBoxLayout(), 12), (self._figure, 1), self.scale), 1, 0)
+        layout.addLayout(make_row(12, (self._figure, 1), self.scale), 1, 0)
         layout.addWidget(self.errors, 0, 1, 2, 1)  # its frames are chosen by a click or drag
         layout.addWidget(self._worst, 1, 2)
         for label in (self._figure, self._worst):
@@ -108,13 +114,9 @@ class Timeline(QWidget):
     def show_frames(self, n_frames: int) -> None:
         """Offer frames 0 to `n_frames` - 1."""
         if n_frames != self._n_frames:
-            kept = (
-                self.loop_range
-                if self.errors.loop_range is not None and n_frames > self._n_frames
-                else (0, n_frames - 1)
-            )
+            keeps_loop = self.errors.loop_range is not None and n_frames > self._n_frames
             self._n_frames = n_frames
-            self.set_loop_range(*kept)
+            self.set_loop_range(*(self.loop_range if keeps_loop else (0, n_frames - 1)))
         last = max(0, n_frames - 1)
         with QSignalBlocker(self.slider), QSignalBlocker(self.number):
             self.slider.setRange(0, last)
@@ -150,14 +152,13 @@ class Timeline(QWidget):
         self.errors.show_values(values, unit, warnings, is_curve=is_quantity)
         worst = self.errors.worst_frame
         self.scale.show_max(self.errors.max_value)
-        known = sum(math.isfinite(value) for value in values)
-        self._figure.setText(metric if known else f"{name}: not known" if values else "")
-        text = (
-            f"{'largest' if is_quantity else 'worst'}: frame {worst}, {values[worst]:.3g} {unit}"
-            if worst >= 0
-            else ""
-        )
-        self._worst.setText(text)
+        if worst < 0:
+            self._figure.setText(f"{name}: not known" if values else "")
+            self._worst.clear()
+            return
+        self._figure.setText(metric)
+        which = "largest" if is_quantity else "worst"
+        self._worst.setText(f"{which}: frame {worst}, {values[worst]:.3g} {unit}")
 
     def show_ready(self, *, ready: bool) -> None:
         """Set whether the current frame is on screen: playback waits for it."""
@@ -205,17 +206,18 @@ class Timeline(QWidget):
         self.frame_chosen.emit(frame)
 
     def _tick(self) -> None:
-        now_s = (
-            time.monotonic()
-        )  # ticks are late on a busy machine: the clock tells what is due, not the number of ticks
+        # ticks are late on a busy machine: the clock tells what is due, not the number of ticks
+        now_s = time.monotonic()
         waited_s = now_s - self._ticked_s
         self._ticked_s = now_s
         self._due = min(self._due + waited_s * self._rate, _MOST_DUE)
         by = int(self._due + _ROUNDING)
         if by and self._ready:
             self._due -= by
-            self._tell_left_out(by)
-            self._go_on(by)
+            self._steps.append(by)
+            shown, passed = len(self._steps), sum(self._steps)
+            self._left_out.setText(f"{shown} of {passed} shown" if passed > shown else "")
+            self._go_on(self.frame + by)
         if self.is_playing:
             self._clock.start(self._until_due_ms())
 
@@ -233,19 +235,11 @@ class Timeline(QWidget):
             max(1, math.ceil(1e3 * (1.0 - self._due) / self._rate)) if self._due < 1.0 else _LATE_MS
         )
 
-    def _tell_left_out(self, by: int) -> None:
-        self._steps.append(by)
-        shown = len(self._steps)
-        passed = sum(self._steps)
-        self._left_out.setText(f"{shown} of {passed} shown" if passed > shown else "")
-
-    def _go_on(self, by: int) -> None:
-        following = self.frame + by
+    def _go_on(self, following: int) -> None:
         if self._looping:
             first, last = self.loop_range
             self.step_to(following if first <= self.frame and following <= last else first)
-        elif following >= self._n_frames:
-            self.step_to(self._n_frames - 1)
+            return
+        self.step_to(following)
+        if following >= self._n_frames:
             self.play(on=False)
-        else:
-            self.step_to(following)

@@ -6,20 +6,20 @@ from collections.abc import Mapping, Sequence
 
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QLabel, QWidget
 
 from pipeline.lab.tracking.track_record import MOTION, TrackRecord, TrackRow
 from widgets.style.base import ChoiceBox
 from widgets.style.plots import Strip, StripPlot
 from widgets.style.run_bar import StartBar
 from widgets.style.styling import (
-    fill,
     make_bold,
+    make_column,
     make_command_button,
+    make_row,
     make_splitter,
     make_text,
     name_widget,
-    set_spacing,
 )
 from widgets.views.view_3d_panel import View3DPanel
 
@@ -87,13 +87,11 @@ class TrackPage(QWidget):
         self.scene.view.setAccessibleName("touched surface")
         self.scene.view.setMinimumSize(220, 160)
         self.scene.caption.set_texts("sensor frame of the first frame, mm")
-        self._head = fill(
-            set_spacing(QHBoxLayout(), 6), QLabel("follow"), self.stage_box, self.run_bar, 1
-        )
+        self._head = make_row(6, QLabel("follow"), self.stage_box, self.run_bar, 1)
         split = make_splitter(Qt.Orientation.Horizontal, (self.plot, 1), (self.scene, 1))
         name_widget(split, "track_split")
         split.setSizes([_PLOT_SIZE, 1000 - _PLOT_SIZE])
-        fill(set_spacing(QVBoxLayout(self), 4, (6, 4, 6, 2)), self._head, self.sentence, (split, 1))
+        make_column(4, self._head, self.sentence, (split, 1), around_px=(6, 4, 6, 2), on=self)
         self.clear("")
 
     def add_command(self, action: QAction) -> None:

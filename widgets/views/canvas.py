@@ -6,17 +6,18 @@ The rendered image is cached, so that moving the crosshair costs one copy and tw
 import math
 from typing import Any
 
-from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QEvent, QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QPainter, QPalette, QPen, QPixmap
-from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from pipeline.core.arrays import Image
 from pipeline.views.colours import Rgb
 from pipeline.views.drawing import CASING_COLOUR
 from pipeline.views.preview import Preview
+from widgets.style.base import YIELDS, PaintedWidget
 from widgets.style.theme import (
     CROSSHAIR_COLOUR,
     SECTION_COLOUR,
+    ThemeColours,
     get_backdrop,
     get_probe_colour,
     get_theme_colours,
@@ -34,7 +35,7 @@ _MARK_PX = (6.5, 8.0)
 _MARK_SHARE = 0.05
 
 
-class Canvas(QWidget):
+class Canvas(PaintedWidget):
     """Draws one `Preview`; emits the position of the mouse, clicks, and changes of the view."""
 
     mouse_moved = pyqtSignal(QPointF)
@@ -44,9 +45,8 @@ class Canvas(QWidget):
     handle_dragged = pyqtSignal(float)  # to this share of the width
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__(across=YIELDS)
         self.setMinimumSize(60, 60)
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
         self.setMouseTracking(True)
         self._plate = PreviewRenderer()
         self._plate.set_theme(get_theme_colours(self.palette()))
@@ -64,10 +64,6 @@ class Canvas(QWidget):
         self._dragged: QPointF | None = None
         self._drags_handle = False
         self.n_renders = 0  # number of times the image was rendered
-
-    def sizeHint(self) -> QSize:  # noqa: N802
-        """Return a column's share of a laptop screen."""
-        return QSize(200, 160)
 
     def show_preview(self, picture: Preview | None) -> None:
         """Show another image, None for no image; an image of the same size keeps the view."""
@@ -172,12 +168,10 @@ class Canvas(QWidget):
             self._plate.set_theme(get_theme_colours(self.palette()))
             self.invalidate()
 
-    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint the cached rendering and the handle, crosshair, line and marks over it."""
-        del a0
-        kept = self._put_together()
-        painter = QPainter(self)
-        painter.drawPixmap(0, 0, kept)
+        del ink
+        painter.drawPixmap(0, 0, self._put_together())
         if self._plate.image is None:
             return
         if self.handle_share is not None:
@@ -185,9 +179,9 @@ class Canvas(QWidget):
             painter.setPen(QPen(to_qcolor(CROSSHAIR_COLOUR), 2))
             painter.drawLine(QPointF(x, 0), QPointF(x, self.height()))
             left, right = self.handle_words
-            box = _measure_tag(painter, left)
-            _draw_tag(painter, box, QPointF(x - 2 - box.width(), 2), left)
-            _draw_tag(painter, _measure_tag(painter, right), QPointF(x + 2, 2), right)
+            box = measure_tag(painter, left)
+            draw_tag(painter, box, QPointF(x - 2 - box.width(), 2), left)
+            draw_tag(painter, measure_tag(painter, right), QPointF(x + 2, 2), right)
         if self.crosshair is not None:
             self._draw_cross(painter, *self.crosshair)
         if self.hasFocus():
@@ -225,11 +219,11 @@ class Canvas(QWidget):
         if not self.crosshair_text:
             return
         painter.setFont(self.font())
-        box = _measure_tag(painter, self.crosshair_text)
+        box = measure_tag(painter, self.crosshair_text)
         left = at.x() + 6 if at.x() + 8 + box.width() < self.width() else at.x() - 6 - box.width()
         top = at.y() + 5 if at.y() + 8 + box.height() < self.height() else at.y() - 5 - box.height()
         place = QPointF(max(1.0, min(left, self.width() - box.width() - 1)), max(1.0, top))
-        _draw_tag(painter, box, place, self.crosshair_text)
+        draw_tag(painter, box, place, self.crosshair_text)
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
         """Record where a click or drag begins."""
@@ -304,12 +298,13 @@ class Canvas(QWidget):
         return self.to_screen(QPointF(wide, 0.0)).x()
 
 
-def _measure_tag(painter: QPainter, text: str) -> QRectF:
+def measure_tag(painter: QPainter, text: str) -> QRectF:
+    """Return the box of a text over an image."""
     return QRectF(painter.fontMetrics().boundingRect(text)).adjusted(-4, -1, 4, 2)
 
 
-def _draw_tag(painter: QPainter, box: QRectF, at: QPointF, text: str) -> None:
-    """Draw a text on a dark ground."""
+def draw_tag(painter: QPainter, box: QRectF, at: QPointF, text: str) -> None:
+    """Draw a text over an image in its box, moved to a position."""
     box.moveTopLeft(at)
     painter.setPen(Qt.PenStyle.NoPen)
     painter.setBrush(QColor(20, 24, 30, 205))

@@ -1,18 +1,18 @@
 """Colour bar with limits and unit, a histogram of the values, and the share beyond the limits."""
 
 import math
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QImage, QPainter
+from PyQt6.QtCore import QPointF, QRectF, Qt, pyqtSignal
+from PyQt6.QtGui import QPainter
 
 from pipeline.core.arrays import Doubles, Floats
-from pipeline.views.colours import ColourMapName, ColourScale, get_colour_table
+from pipeline.views.colours import ColourScale, get_colour_table
 from widgets.style.base import FIXED, YIELDS, PaintedWidget
 from widgets.style.styling import make_single_shot_timer
 from widgets.style.theme import ThemeColours, get_colour_map, to_qcolor
+from widgets.views.preview_renderer import make_qimage
 
 _STRIP_PX = 8
 _BARS_PX = 22
@@ -73,6 +73,8 @@ class ColourBar(PaintedWidget):
 
     def __init__(self) -> None:
         super().__init__("levels", across=YIELDS, down=FIXED)
+        # room for the bars, the strip and one line of numbers
+        self.preferred_px = 120, _BARS_PX + _STRIP_PX + self.fontMetrics().height() + 3
         self._scale: ColourScale | None = None
         self._values: Floats | None = None
         self._spread: ValueHistogram | None = None
@@ -81,10 +83,6 @@ class ColourBar(PaintedWidget):
         self._wanted = math.nan
         self._soon = make_single_shot_timer(self, _THROTTLE_MS, self._tell)
         self.setMouseTracking(True)
-
-    def sizeHint(self) -> QSize:  # noqa: N802
-        """Return room for the bars, the strip and one line of numbers."""
-        return QSize(120, _BARS_PX + _STRIP_PX + self.fontMetrics().height() + 3)
 
     def show_scale(self, scale: ColourScale | None, values: Floats | None = None) -> None:
         """Show the colours and limits of `scale` and the histogram of `values`.
@@ -115,7 +113,8 @@ class ColourBar(PaintedWidget):
         strip = self._room
         if self.histogram is not None:
             self._draw_bars(painter, ink, strip, self.histogram)
-        painter.drawImage(strip, _make_strip(get_colour_map(ink, scale)))
+        colours = get_colour_table(get_colour_map(ink, scale))
+        painter.drawImage(strip, make_qimage(colours[None]))
         painter.setPen(palette.mid().color())
         painter.drawRect(strip)
         painter.setPen(palette.text().color())
@@ -226,10 +225,3 @@ def _describe(scale: ColourScale, spread: ValueHistogram) -> str:
     can = "drag an end to set the limit; double-click to fit both to 98 % of the values"
     lines.append(can if scale.high_setting else "these limits follow another scale")
     return "\n".join(lines)
-
-
-@lru_cache(maxsize=3)
-def _make_strip(colour_map: ColourMapName) -> QImage:
-    """Return the colours of a map from low to high, one pixel high."""
-    colours = get_colour_table(colour_map)
-    return QImage(colours.tobytes(), 256, 1, 3 * 256, QImage.Format.Format_RGB888).copy()

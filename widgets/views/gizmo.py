@@ -2,12 +2,9 @@
 as fine.
 """
 
-from collections.abc import Iterable
-from typing import Any
-
 import numpy as np
 from PyQt6.QtCore import QEvent, QObject, QPointF, QRectF, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QMouseEvent, QPainter, QPen, QPolygonF
+from PyQt6.QtGui import QColor, QMouseEvent, QPainter, QPen
 from PyQt6.QtWidgets import QWidget
 
 from pipeline.core.arrays import Doubles
@@ -21,13 +18,15 @@ from pipeline.views.gizmo import (
     Project,
     describe_motion,
 )
-from widgets.style.theme import get_theme_colours, to_qcolor
+from widgets.style.base import PaintedWidget
+from widgets.style.theme import ThemeColours, to_qcolor
+from widgets.views.preview_renderer import to_polygon
 
 _TIP_PX = 7.0
 _CASING = QColor(255, 255, 255, 190)
 
 
-class Gizmo(QWidget):
+class Gizmo(PaintedWidget):
     """Lies over another widget; its parts take a drag before that widget does.
 
     `dragged` carries a translation (3,) in mm and a rotation (3, 3) about the pivot since
@@ -39,8 +38,8 @@ class Gizmo(QWidget):
     released = pyqtSignal()
 
     def __init__(self, host: QWidget, *, is_solid: bool) -> None:
-        super().__init__(host)
-        self.setObjectName("gizmo")
+        super().__init__("gizmo")
+        self.setParent(host)
         # the host's events are filtered instead
         self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self._host = host
@@ -53,11 +52,6 @@ class Gizmo(QWidget):
         self._rotation = np.eye(3)
         host.installEventFilter(self)
         self.hide()
-
-    @property
-    def is_dragging(self) -> bool:
-        """Whether a part is being dragged."""
-        return bool(self._held)
 
     @property
     def geometry_px(self) -> GizmoGeometry | None:
@@ -112,25 +106,22 @@ class Gizmo(QWidget):
             self._host.setCursor(shapes.OpenHandCursor if part else shapes.ArrowCursor)
             self.update()
 
-    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint rings, arrows, centre and the motion, with a casing that is visible on any
         image.
         """
-        del a0
         shape = self.geometry_px
         if shape is None:
             return
-        painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        inks = [to_qcolor(colour) for colour in get_theme_colours(self.palette()).axes]
-        colours: dict[str, QColor] = dict(zip(AXES, inks * 2, strict=True))
+        colours: dict[str, QColor] = dict(zip(AXES, map(to_qcolor, ink.axes * 2), strict=True))
         for part, line in {**shape.rings_px, **shape.arrows_px}.items():
-            for ink, wide in (_CASING, 5.0), (colours[part], 4.0 if self._is_lit(part) else 2.0):
-                painter.setPen(QPen(ink, wide))
-                painter.drawPolyline(_to_polygon(line))
+            for side, wide in (_CASING, 5.0), (colours[part], 4.0 if self._is_lit(part) else 2.0):
+                painter.setPen(QPen(side, wide))
+                painter.drawPolyline(to_polygon(line))
                 if part in shape.arrows_px:
-                    painter.setBrush(ink)
-                    painter.drawPolygon(_to_polygon(_make_tip(*line)))
+                    painter.setBrush(side)
+                    painter.drawPolygon(to_polygon(_make_tip(*line)))
                     painter.setBrush(Qt.BrushStyle.NoBrush)
         middle = QPointF(*shape.centre_px)
         side = QPointF(MIDDLE_PX, MIDDLE_PX)
@@ -145,12 +136,8 @@ class Gizmo(QWidget):
         return (self._held or self._under) == part
 
 
-def _make_tip(begin: Doubles, end: Doubles) -> Iterable[Doubles]:
-    """Return the corners of an arrow's tip."""
+def _make_tip(begin: Doubles, end: Doubles) -> Doubles:
+    """Return the corners (3, 2) of an arrow's tip."""
     way = _TIP_PX * (end - begin) / max(float(np.linalg.norm(end - begin)), 1e-9)
     aside = np.array([-way[1], way[0]])
-    return end + way, end + 0.6 * aside, end - 0.6 * aside
-
-
-def _to_polygon(places: Iterable[Doubles]) -> QPolygonF:
-    return QPolygonF([QPointF(*place) for place in places])
+    return end + np.stack([way, 0.6 * aside, -0.6 * aside])

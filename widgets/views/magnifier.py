@@ -3,14 +3,14 @@ image.
 """
 
 import math
-from typing import Any
 
 from PyQt6.QtCore import QRectF, Qt
 from PyQt6.QtGui import QColor, QPainter, QPen, qGray
 from PyQt6.QtWidgets import QWidget
 
 from pipeline.views.preview import Preview
-from widgets.style.theme import CROSSHAIR_COLOUR, to_qcolor
+from widgets.style.base import PaintedWidget
+from widgets.style.theme import CROSSHAIR_COLOUR, ThemeColours, to_qcolor
 from widgets.views.canvas import Canvas
 
 MAX_RADIUS_PX = 3  # pixels on either side, fewer in a small image
@@ -21,13 +21,13 @@ _LINE_PX = 3
 _DARK = 140  # of 255: text on darker pixels is light
 
 
-class Magnifier(QWidget):
+class Magnifier(PaintedWidget):
     """Shows a patch of one image at a time; transparent for the mouse."""
 
     def __init__(self, parent: QWidget) -> None:
-        super().__init__(parent)
+        super().__init__("magnifier", "values around the pixel")
+        self.setParent(parent)
         self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
-        self.setAccessibleName("values around the pixel")
         metrics = self.fontMetrics()
         self._cell_px = metrics.horizontalAdvance(_WIDEST_VALUE) + 2, metrics.height() + 2
         self.radius_px = MAX_RADIUS_PX
@@ -73,12 +73,12 @@ class Magnifier(QWidget):
         value = float(picture.values[row, col])
         return f"{value:.2f}" if math.isfinite(value) else "\N{MIDDLE DOT}"
 
-    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint one cell per pixel, with a frame around the central one."""
-        del a0
+        del ink
         if self.preview is None:
             return
-        painter, (wide, high) = QPainter(self), self._cell_px
+        wide, high = self._cell_px
         pixels, reach = self.preview.pixels, self.radius_px
         painter.fillRect(self.rect(), QColor(20, 24, 30))
         for i in range(-reach, reach + 1):

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,8 @@ _LINE_PX = 1.5
 _ORTHOGRAPHIC_DEG = 0.5  # so narrow an angle shows nothing of perspective
 _HALF_VIEW = math.tan(0.5 * math.radians(FIELD_OF_VIEW_DEG))
 _ZOOM_LIMITS = 0.02, 4.0  # distances of a camera, in those of the fitted one
+# of a layer: equal ones differ at most in where they are
+_ARRAYS = "points_mm", "rgb", "scale", "triangles", "segments", "normals"
 _BEHIND = 4.0, 4.0  # polygon offset: slope factor and units of the depth buffer
 
 
@@ -43,8 +46,6 @@ class OffscreenRenderer:
         self.window.SetMultiSamples(samples)
         self.renderers = [_view() for _ in range(columns)]
         for renderer in self.renderers:
-            renderer.SetDraw(False)
-            renderer.SetInteractive(False)
             self.window.AddRenderer(renderer)
         self._kept: list[dict[str, tuple[Layer, Any, Any, ThemeColours]]] = [
             {} for _ in range(columns)
@@ -95,7 +96,7 @@ class OffscreenRenderer:
             else:
                 mesh = old[1]
                 actor = old[2]
-                if old[3] is not ink or not _has_same_arrays(old[0], layer):
+                if old[3] is not ink or not _has_same_arrays(old[0], layer, *_ARRAYS):
                     _write(mesh, layer, old[0], ink)
             at = layer.view_from_layer
             actor.SetUserMatrix(None if at is None else pv.vtkmatrix_from_array(at))
@@ -104,12 +105,8 @@ class OffscreenRenderer:
     def get_camera(self, column: int) -> tuple[float, ...]:
         """Return the camera of a view; equal for equal views."""
         camera = self.renderers[column].GetActiveCamera()
-        return (
-            *camera.GetPosition(),
-            *camera.GetFocalPoint(),
-            *camera.GetViewUp(),
-            camera.GetViewAngle(),
-        )
+        vectors = camera.GetPosition(), camera.GetFocalPoint(), camera.GetViewUp()
+        return (*chain(*vectors), camera.GetViewAngle())
 
     def set_camera(self, column: int, numbers: tuple[float, ...]) -> None:
         """Set the camera of a view as `get_camera` returns it."""
@@ -186,9 +183,10 @@ class OffscreenRenderer:
             camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0)
         )
         seen = points_mm @ matrix[:, :3].T + matrix[:, 3]
-        w = np.where(seen[:, 3] > 0, seen[:, 3], np.nan)
+        w = np.where(seen[:, 3] > 0, seen[:, 3], np.inf)
         shares = np.stack([0.5 + 0.5 * seen[:, 0] / w, 0.5 - 0.5 * seen[:, 1] / w], axis=-1)
-        return np.nan_to_num(shares, nan=-9.0), np.nan_to_num(w / np.nanmin(w), nan=np.inf)
+        shares[np.isinf(w)] = -9.0
+        return shares, w / w.min(initial=1e12)
 
     def fit_cameras(self, bounds: Mapping[int, ViewBounds], linked: bool) -> None:
         """Set cameras on the sensor's side, so that indentation bulges toward the viewer."""
@@ -250,16 +248,13 @@ def _camera(sight: ViewBounds) -> Any:
     return camera
 
 
-def _actor(renderer: Any, mesh: Any, *, own_colours: bool = True) -> Any:
-    """Return an actor of a mesh, coloured by its points or by one colour that is set later."""
+def _actor(renderer: Any, mesh: Any) -> Any:
+    """Return an actor of a mesh in the colours of its points."""
     mapper = vtkPolyDataMapper()
     actor = vtkActor()
     mapper.SetInputData(mesh)
-    if own_colours:
-        mapper.SetScalarModeToUsePointFieldData()
-        mapper.SelectColorArray("rgb")
-    else:
-        mapper.ScalarVisibilityOff()
+    mapper.SetScalarModeToUsePointFieldData()
+    mapper.SelectColorArray("rgb")
     actor.SetMapper(mapper)
     renderer.AddActor(actor)
     return actor
@@ -267,9 +262,8 @@ def _actor(renderer: Any, mesh: Any, *, own_colours: bool = True) -> Any:
 
 def _arrow(renderer: Any, axis: int) -> Any:
     """Return a unit arrow along x, y or z of the frame; hidden until its place is known."""
-    tip = np.zeros(3)
-    tip[axis] = 1.0
-    actor = _actor(renderer, pv.Line((0.0, 0.0, 0.0), tip), own_colours=False)
+    actor = _actor(renderer, pv.Line((0.0, 0.0, 0.0), np.eye(3)[axis]))
+    actor.GetMapper().ScalarVisibilityOff()
     actor.GetProperty().SetLineWidth(3)
     actor.GetProperty().LightingOff()
     actor.SetVisibility(False)
@@ -285,9 +279,10 @@ def _add_layer(renderer: Any, mesh: Any, layer: Layer) -> Any:
         actor.GetMapper().SetRelativeCoincidentTopologyPolygonOffsetParameters(*_BEHIND)
     look.SetPointSize(layer.point_px)
     look.SetLineWidth(_LINE_PX)
-    look.SetAmbient(0.3)
     if layer.normals is None:  # has its own colour from all sides
         look.LightingOff()
+    else:
+        look.SetAmbient(0.3)
     if layer.segments is None and layer.triangles is None:
         look.SetRepresentationToPoints()
     return actor
@@ -308,19 +303,14 @@ def _write(mesh: Any, layer: Layer, old: Layer | None, ink: ThemeColours) -> Non
     else:
         mesh.points = np.array(layer.points_mm, dtype=np.float32)
         mesh.point_data["rgb"] = np.array(rgb)
-    cells = layer.triangles, layer.segments
-    if not same or any(
-        a is not b for a, b in zip(cells, (old.triangles, old.segments), strict=True)
-    ):
+    if not (same and _has_same_arrays(old, layer, "triangles", "segments")):
         _write_cells(mesh, layer)
     if layer.normals is not None:
         mesh.point_data.active_normals = np.array(layer.normals, dtype=np.float32)
     mesh.Modified()
 
 
-def _has_same_arrays(one: Layer, other: Layer) -> bool:
-    """Whether two layers differ at most in where they are."""
-    names = "points_mm", "rgb", "scale", "triangles", "segments", "normals"
+def _has_same_arrays(one: Layer | None, other: Layer, *names: str) -> bool:
     return all(getattr(one, name) is getattr(other, name) for name in names)
 
 

@@ -146,27 +146,23 @@ class KeyboardFocusFilter(QObject):
         """Pass the wheel of an unfocused control to its parent; let Enter end typing."""
         if a1 is None or not isinstance(a0, QWidget):
             return False
+        kind = a1.type()
         if isinstance(a1, QFocusEvent):
             self._held = a0 if a1.gotFocus() and a1.reason() in _BY_KEYS else None
-        elif isinstance(a1, QKeyEvent) and a0 is self._held and _knows(a0, a1.key()):
-            if a1.type() == QEvent.Type.ShortcutOverride:
+        elif isinstance(a1, QKeyEvent):
+            is_held = a0 is self._held and _knows(a0, a1.key())
+            is_end = kind == QEvent.Type.KeyPress and a1.key() in _END_KEYS
+            if is_held and kind == QEvent.Type.ShortcutOverride:
                 a1.accept()
                 return True
-            is_end = a1.type() == QEvent.Type.KeyPress and a1.key() in _END_KEYS
-            if is_end and isinstance(a0, QAbstractButton):
+            if is_held and is_end and isinstance(a0, QAbstractButton):
                 a0.click()
                 return True
-        if a1.type() == QEvent.Type.Wheel and not a0.hasFocus() and not isinstance(a0, QLineEdit):
+            if is_end and isinstance(a0, _TYPED) and a0.window() is self._window:
+                self._soon.start()  # after the spin box has taken the number
+        elif kind == QEvent.Type.Wheel and not (a0.hasFocus() or isinstance(a0, QLineEdit)):
             a1.ignore()
             return True
-        typed = isinstance(a0, _TYPED) and a0.window() is self._window
-        if (
-            typed
-            and a1.type() == QEvent.Type.KeyPress
-            and isinstance(a1, QKeyEvent)
-            and a1.key() in _END_KEYS
-        ):
-            self._soon.start()  # after the spin box has taken the number
         return False
 
     def _back(self) -> None:

@@ -159,7 +159,7 @@ class PreviewRenderer:
         for piece in np.split(at, gaps):
             known = piece[~np.isnan(piece[:, 0])]
             if len(known) > 1:
-                painter.drawPolyline(_polygon(np.concatenate([known[:-1:step], known[-1:]])))
+                painter.drawPolyline(to_polygon(np.concatenate([known[:-1:step], known[-1:]])))
 
     def _draw_scale_bar(self, painter: QPainter, picture: Preview, font: QFont) -> None:
         rows, cols = picture.pixels.shape[:2]
@@ -177,7 +177,7 @@ class PreviewRenderer:
         painter.drawText(QRectF(above, below), Qt.AlignmentFlag.AlignCenter, bar.text)
 
 
-def _polygon(points: NDArray[np.floating]) -> QPolygonF:
+def to_polygon(points: NDArray[np.floating]) -> QPolygonF:
     """Convert points (n, 2) to a polygon in one copy; one by one they cost more than painting."""
     polygon = QPolygonF()
     polygon.resize(len(points))

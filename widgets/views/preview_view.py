@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, pyqtSignal
-from PyQt6.QtWidgets import QBoxLayout, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QBoxLayout, QWidget
 
 from pipeline.views.preview import Preview
 from widgets.style.base import EventListener, FixedSizeLabel
-from widgets.style.styling import fill, make_text, set_spacing
+from widgets.style.styling import fill, make_column, make_text, set_spacing
 from widgets.views.canvas import Canvas
 from widgets.views.colour_bar import ColourBar
 from widgets.views.comparison_overlay import ComparisonOverlay
@@ -47,7 +47,7 @@ class PreviewView(QWidget):
         self.text_area = QWidget()  # all text about the image
         self.remark.hide()
         self.text_layout = QBoxLayout(QBoxLayout.Direction.TopToBottom, self.text_area)
-        words = fill(set_spacing(QVBoxLayout(), 0), self.caption, self.remark, 1)
+        words = make_column(0, self.caption, self.remark, 1)
         fill(set_spacing(self.text_layout, 4), self.colour_bar, (words, 1))
         self._both = set_spacing(QBoxLayout(QBoxLayout.Direction.TopToBottom, self), 2)
         fill(self._both, (self.canvas, 1), self.text_area)

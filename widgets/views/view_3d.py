@@ -5,12 +5,11 @@ renderer.
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from PyQt6.QtCore import QEvent, QPoint, QPointF, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QEvent, QPoint, QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QImage, QKeyEvent, QPainter, QPen
-from PyQt6.QtWidgets import QSizePolicy, QWidget
 
-from widgets.style.base import EventListener
-from widgets.style.theme import CROSSHAIR_COLOUR, get_backdrop, to_qcolor
+from widgets.style.base import YIELDS, EventListener, PaintedWidget
+from widgets.style.theme import CROSSHAIR_COLOUR, ThemeColours, to_qcolor
 
 _DOT_PX = 5.0
 _MARGIN_PX = 12
@@ -19,7 +18,7 @@ _ROOM_PX = 80.0  # left of the scale bar, for its text
 _A_CLICK_PX = 4.0  # a release closer to its press than this is a click
 
 
-class View3D(QWidget):
+class View3D(PaintedWidget):
     """Shows an image; `wanted` requests one of the current size."""
 
     image_requested = pyqtSignal()
@@ -29,11 +28,8 @@ class View3D(QWidget):
     key_pressed = pyqtSignal(int)  # one of `keys`
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__(across=YIELDS, down=YIELDS)  # the image follows the widget's size
         self.setMinimumSize(60, 60)
-        self.setSizePolicy(
-            QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored
-        )  # the image follows the widget's size
         self.image: QImage | None = None
         self.notice = ""  # shown in place of an image
         self.marker: QPointF | None = None
@@ -73,16 +69,10 @@ class View3D(QWidget):
         self.notice = text
         self.update()
 
-    def sizeHint(self) -> QSize:  # noqa: N802
-        """Return a column's share of a laptop screen."""
-        return QSize(200, 160)
-
-    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint the last image, or the backdrop until there is one."""
-        del a0
-        painter = QPainter(self)
         if self.image is None:
-            painter.fillRect(self.rect(), get_backdrop(self.palette()))
+            painter.fillRect(self.rect(), to_qcolor(ink.backdrop))
             room = self.rect().adjusted(_MARGIN_PX, 0, -_MARGIN_PX, 0)
             painter.drawText(
                 room, Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap, self.notice
@@ -91,8 +81,8 @@ class View3D(QWidget):
         painter.drawImage(QRectF(self.rect()), self.image)
         for text, at in self.labels.items():
             place = at + QPointF(_DOT_PX, -_DOT_PX)
-            for ink, moved in (self.palette().window(), 1.0), (self.palette().windowText(), 0.0):
-                painter.setPen(ink.color())
+            for side, moved in (self.palette().window(), 1.0), (self.palette().windowText(), 0.0):
+                painter.setPen(side.color())
                 painter.drawText(place + QPointF(moved, moved), text)
         if self.scale_bar[1]:
             self._paint_scale(painter, *self.scale_bar)

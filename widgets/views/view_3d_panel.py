@@ -4,16 +4,14 @@ from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtGui import QAction, QTextDocumentFragment
 from PyQt6.QtWidgets import (
     QGridLayout,
-    QHBoxLayout,
     QLabel,
     QMenu,
-    QSizePolicy,
     QToolButton,
     QWidget,
 )
 
-from widgets.style.base import EventListener, FixedSizeLabel
-from widgets.style.styling import fill, make_command_button, make_icon_button, set_spacing
+from widgets.style.base import FIXED, YIELDS, EventListener, FixedSizeLabel
+from widgets.style.styling import fill, make_command_button, make_icon_button, make_row, set_spacing
 from widgets.views.view_3d import View3D
 
 _BELOW = Qt.AlignmentFlag.AlignBottom
@@ -29,7 +27,7 @@ class View3DPanel(QWidget):
         self.caption = FittingLabel()
         for label in (self.legend, self.caption):
             label.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
-        line = set_spacing(QHBoxLayout(), 8, (4, 0, 4, 2))
+        line = make_row(8, around_px=(4, 0, 4, 2))
         self._grid = set_spacing(QGridLayout(self), 0)
         self._grid.addWidget(self.view, 0, 0)
         self._grid.addLayout(fill(line, (under or self.legend, 1), (self.caption, 1)), 0, 0, _BELOW)
@@ -44,7 +42,7 @@ class ScenePanel(View3DPanel):
         self.view.keys = frozenset({Qt.Key.Key_Space})
         self.view.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.view.setAccessibleName("both sensors and the object")
-        self._tools = set_spacing(QHBoxLayout(), 0)
+        self._tools = make_row(0)
         corner = Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft
         self._grid.addLayout(self._tools, 0, 0, corner)
 
@@ -63,7 +61,7 @@ class FittingLabel(QLabel):
     def __init__(self, side: Qt.AlignmentFlag = Qt.AlignmentFlag.AlignRight) -> None:
         super().__init__()
         self.setTextFormat(Qt.TextFormat.RichText)
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self.setSizePolicy(YIELDS, FIXED)
         self.setAlignment(side | Qt.AlignmentFlag.AlignVCenter)
         self._tellings: tuple[str, ...] = ()
         self._widths: list[int] = []
@@ -82,10 +80,7 @@ class FittingLabel(QLabel):
         return self.sizeHint().width()
 
     def _fit(self) -> None:
-        fitting = [
-            t
-            for t, width in zip(self._tellings, self._widths, strict=True)
-            if width <= self.width()
-        ]
-        if self._tellings:
-            self.setText((fitting or self._tellings[-1:])[0])
+        for telling, width in zip(self._tellings, self._widths, strict=True):
+            self.setText(telling)  # the last one where none fits
+            if width <= self.width():
+                break

@@ -103,7 +103,7 @@ def test_the_gizmo_is_visible_in_align_only(grasped, qtbot):
     canvas = gizmo.parent()
     qtbot.mousePress(canvas, Qt.MouseButton.LeftButton, pos=QPoint(40, 40))
     qtbot.mouseRelease(canvas, Qt.MouseButton.LeftButton, pos=QPoint(40, 40))
-    assert not gizmo.is_dragging
+    assert not gizmo._held
     assert wait_until_shown(controller, LIMIT_S)
 
 

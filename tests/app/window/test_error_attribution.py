@@ -67,7 +67,7 @@ def test_truth_is_offered_only_where_the_recording_holds_it(bubble_window, windo
 def test_a_frame_without_truth_has_no_attribution(bubble_window, qtbot):
     panel = bubble_window.window.error_attribution
     qtbot.waitUntil(lambda: "no touch of the target" in panel.sentence.text(), timeout=LIMIT_MS)
-    assert not panel.metric_box.isEnabled()
+    assert panel.metric_box.isHidden()
 
 
 def test_each_bar_begins_where_the_one_before_it_ended():

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from PyQt6.QtWidgets import QPushButton
+from PyQt6.QtWidgets import QLabel, QPushButton
 
 from app.align.ball_calibration import BallCalibrationController
 from app.document.session_controller import SessionController
@@ -21,7 +21,7 @@ from pipeline.io import open_recording
 from pipeline.io.formats import list_formats
 from pipeline.sensors.alignment import Offsets
 from pipeline.sensors.spec import list_sensor_names, load_sensor
-from widgets.shell.welcome import DropArea, WelcomePage
+from widgets.shell.welcome import WelcomePage
 
 LIMIT_S = 240
 
@@ -175,7 +175,7 @@ def test_formats_and_sensors_are_offered_by_their_names(open_window):
     names = {load_sensor(name).title: name for name in list_sensor_names()}
     for box, first in ((window.source, 1), (window.target, 0)):
         assert {box.itemText(i): box.itemData(i) for i in range(first, box.count())} == names
-    tip = window.findChild(WelcomePage).findChild(DropArea).toolTip()
+    tip = window.findChild(WelcomePage).findChild(QLabel, "drop").toolTip()
     assert [f.title for f in list_formats() if f.title not in tip] == []
 
 
