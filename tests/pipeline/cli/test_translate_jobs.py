@@ -9,6 +9,7 @@ import pytest
 
 from pipeline.cli import translate
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
+from pipeline.translation.following import FROM_REST
 from pipeline.translation.translate import Translation
 
 RECORDINGS = Path(__file__).parents[3] / "sample_data" / "recordings"
@@ -24,15 +25,15 @@ def test_frames_of_two_processes_are_those_of_one(follow, tmp_path, monkeypatch,
     shutil.copy(recording, "some.h5")
     common = ["translate", "some.h5", "--target", "gelslim" if follow else "digit", "--all"]
     common += ["--sensor", "digit" if follow else "gelslim", "--no-sheets"]
-    common += ["--follow"] if follow else []
+    common += [] if follow else ["--no-follow"]
     assert run_app(build_app(), [*common, "--jobs", "2", "--out", "two"]) == 0
     assert "finished by an earlier run" not in capsys.readouterr().out
     followed = []
     evaluate = Translation.evaluate
 
-    def record(self, frame, *given, previous=None, **more):
-        followed.extend([frame.index] if previous is not None else [])
-        return evaluate(self, frame, *given, previous=previous, **more)
+    def record(self, frame, *given, start=FROM_REST, **more):
+        followed.extend([frame.index] if start.pose is not None else [])
+        return evaluate(self, frame, *given, start=start, **more)
 
     monkeypatch.setattr(Translation, "evaluate", record)
     assert run_app(build_app(), [*common, "--jobs", "1", "--out", "one"]) == 0
