@@ -125,9 +125,7 @@ def translate(
     ):
         indices = range(translation.n_frames) if all_frames else [_select_frame(translation, frame)]
     translation = _identify_object(translation, indices[0], meshes, console)
-    # an even number of equal runs, for two processes
-    n_runs = len(indices) if follow is False else 2 * -(-len(indices) // (2 * _FOLLOWED_FRAMES))
-    length = -(-len(indices) // n_runs)
+    length = 1 if follow is False else _choose_length(len(indices))
     whole = _Run(
         indices=tuple(indices),
         out=out.resolve(),
@@ -312,6 +310,16 @@ def _choose_workers(jobs: int, n_frames: int) -> int:
     return min(
         n_frames, jobs or min(os.cpu_count() or 1, _MAX_CORES, n_frames // _FRAMES_PER_WORKER)
     )
+
+
+def _choose_length(n_frames: int) -> int:
+    """How many frames in a row follow each other: all, or such that an even number of runs, for two
+    processes, are equally long.
+    """
+    if n_frames <= _FOLLOWED_FRAMES:
+        return n_frames
+    n_runs = 2 * math.ceil(n_frames / (2 * _FOLLOWED_FRAMES))
+    return math.ceil(n_frames / n_runs)
 
 
 def _translate_runs(

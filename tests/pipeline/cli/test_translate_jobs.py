@@ -59,6 +59,11 @@ def test_few_frames_start_no_further_process(monkeypatch):
     assert [translate._choose_workers(3, n) for n in (1, 2, 1000)] == [1, 2, 3]
 
 
+def test_frames_in_a_row_are_shared_evenly_by_two_processes():
+    lengths = {n: translate._choose_length(n) for n in (1, 24, 25, 60, 200)}
+    assert lengths == {1: 1, 24: 24, 25: 13, 60: 15, 200: 20}
+
+
 def test_jobs_go_with_all_frames_alone(capsys):
     words = ["translate", str(UNTOUCHED), "--target", "digit", "--out", "x", "--jobs", "2"]
     assert run_app(build_app(), words) == EXIT_USER_ERROR
