@@ -31,7 +31,8 @@ from pipeline.core.frozen import frozen
 from pipeline.core.params import check_range
 from pipeline.core.processes import WorkerPool
 from pipeline.core.progress import SILENT, Progress, SubProgress
-from pipeline.core.values.results import ObjectPose
+from pipeline.core.values.frames import TactileFrame
+from pipeline.translation.following import FROM_REST, Start, get_start, is_close
 from pipeline.translation.force import list_force_metrics, measure_force
 from pipeline.translation.frame_workers import (
     CACHE_BYTES,
@@ -58,8 +59,8 @@ _FORCE_SKIPPED = (
 _MAX_JOBS = 64
 _MAX_CORES = 8
 _FRAMES_PER_WORKER = 24  # a process takes as long to start as some twenty frames with contact
-# frames in a row whose poses follow each other; the next run is searched anew, so that results do
-# not depend on the number of processes
+# frames in a row that follow each other; the next run starts anew, so that results do not depend on
+# the number of processes
 _FOLLOWED_FRAMES = 24
 _LISTED_FRAMES = 8  # frame numbers listed behind a warning
 
@@ -71,7 +72,7 @@ class _Run:
     indices: tuple[int, ...]
     out: Path
     opening: Opening
-    follow: bool  # each pose from that of the frame before
+    follow: bool | None  # whether each frame starts at the one before; None = if it is close
     force: bool
     sheets: bool
 
@@ -84,7 +85,7 @@ def translate(
     options: TranslationOptions = DEFAULT_OPTIONS,
     frame: int | None = None,
     all_frames: Annotated[bool, Parameter(name="--all", negative="")] = False,
-    follow: Flag = False,
+    follow: bool | None = None,
     force: Flag = False,
     sheets: bool = True,
     settings: StageSettings = (),
@@ -101,8 +102,9 @@ def translate(
         out: Folder for `frame_NNNN/stages.npz`, `frame_NNNN/sheet.png` and `report.json`.
         frame: The only frame to translate; default without --all: the first one with contact.
         all_frames: Translate every frame.
-        follow: With --all, start each pose at that of the previous frame: several times as fast,
-            for moving sequences. Every 24th is searched anew.
+        follow: With --all, start pose and membrane at those of the previous frame, as exact and
+            several times as fast; the notes say where. By default where frames are at most half a
+            second apart, and anew every 24 frames; --no-follow: each frame alone.
         force: Compute the normal force of frames as well; done anyway with the scale of `tactoscope
             calibrate force`.
         sheets: Draw `sheet.png`, which takes as long as all stages of a frame and more.
@@ -126,7 +128,7 @@ def translate(
     if meshes is not None:
         with open_progress_bar(1, console) as bar:
             translation = take_likeliest_mesh(translation, meshes, indices[0], bar)
-    length = _FOLLOWED_FRAMES if follow else 1
+    length = 1 if follow is False else _choose_length(len(indices))
     whole = _Run(
         indices=tuple(indices),
         out=out.resolve(),
@@ -183,7 +185,7 @@ def _check_options(
     jobs: int,
     *,
     all_frames: bool,
-    follow: bool,
+    follow: bool | None,
 ) -> None:
     """Raise SettingProblem for options that exclude each other."""
     if meshes is not None and (options.mesh is not None or jobs):
@@ -191,7 +193,7 @@ def _check_options(
     if frame is not None and all_frames:
         raise SettingProblem("give either --frame or --all, not both")
     if follow and not all_frames:
-        raise SettingProblem("--follow uses the previous frame's pose; give it with --all")
+        raise SettingProblem("--follow starts at the previous frame; give it with --all")
     if jobs and not all_frames:
         raise SettingProblem("--jobs share frames; give it with --all")
     check_range("--jobs", jobs, 0, _MAX_JOBS)
@@ -288,6 +290,16 @@ def _choose_workers(jobs: int, n_frames: int) -> int:
     )
 
 
+def _choose_length(n_frames: int) -> int:
+    """How many frames in a row follow each other: all, or such that an even number of runs, for two
+    processes, are equally long.
+    """
+    if n_frames <= _FOLLOWED_FRAMES:
+        return n_frames
+    n_runs = 2 * math.ceil(n_frames / (2 * _FOLLOWED_FRAMES))
+    return math.ceil(n_frames / n_runs)
+
+
 def _translate_runs(
     runs: Sequence[_Run],
     translation: Translation,
@@ -322,29 +334,30 @@ def _translate_runs(
 
 
 def _run_elsewhere(run: _Run) -> list[tuple[bool, FinishedFrame]]:
-    """Translate frames in a worker, which keeps the recording and the weights open.
+    """Translate frames in a worker, which keeps the recording and the weights open."""
+    return list(_translate_run(run, open_once(run.opening), SILENT))
 
-    Returns them without the poses, which only the next frame of a run needs.
-    """
-    opened = open_once(run.opening)
-    return [
-        (is_resumed, replace(one, pose=None))
-        for is_resumed, one in _translate_run(run, opened, SILENT)
-    ]
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Last:
+    """The last frame of a run, which the next one may follow."""
+
+    time_s: float = math.nan
+    key: str = ""
+    start: Start = FROM_REST  # after it, but for the frames that an earlier run had finished
+    finished: tuple[TactileFrame, ...] = ()
 
 
 def _translate_run(
     run: _Run, translation: Translation, progress: Progress
 ) -> Iterator[tuple[bool, FinishedFrame]]:
-    last: FinishedFrame | None = None
+    last = _Last()
     n_frames = len(run.indices)
     for done, index in enumerate(run.indices):
         part = SubProgress(progress, done / n_frames, 1.0 / n_frames, f"frame {index}")
         part.step(0.0, "")
-        is_resumed, last = _translate_frame(
-            translation, index, run, last if run.follow else None, part
-        )
-        yield is_resumed, last
+        is_resumed, one, last = _translate_frame(translation, index, run, last, part)
+        yield is_resumed, one
 
 
 def _exit_code(failed: Sequence[FrameReport]) -> int:
@@ -352,13 +365,9 @@ def _exit_code(failed: Sequence[FrameReport]) -> int:
 
 
 def _translate_frame(
-    translation: Translation,
-    index: int,
-    run: _Run,
-    previous: FinishedFrame | None,
-    progress: Progress,
-) -> tuple[bool, FinishedFrame]:
-    """(whether an earlier run had finished it, the frame).
+    translation: Translation, index: int, run: _Run, last: _Last, progress: Progress
+) -> tuple[bool, FinishedFrame, _Last]:
+    """(whether an earlier run had finished it, the frame, it for the next one).
 
     A frame that fails has its problem in the report.
     """
@@ -366,36 +375,33 @@ def _translate_frame(
         # read once: a frame and its truth are a tenth of the time of all stages
         frame = translation.stream.frame(index)
         truth = translation.read_ground_truth(index)
-        key = compute_frame_key(translation, frame, truth, previous, with_force=run.force)
+        follows = is_close(last.time_s, frame.time_s) if run.follow is None else run.follow
+        last = last if follows else _Last()
+        key = compute_frame_key(translation, frame, truth, last.key, with_force=run.force)
         finished = load_finished_frame(run.out, index, key, sheet=run.sheets)
         if finished is not None:
-            return True, finished
-        results = translation.evaluate(
-            frame, progress=progress, previous=previous.pose if previous else None
-        )
+            kept = (*last.finished, frame)
+            return True, finished, replace(last, time_s=frame.time_s, key=key, finished=kept)
+        start = last.start
+        for before in last.finished:  # again, as the frame follows them
+            start = get_start(translation.evaluate(before, progress=progress, start=start))
+        results = translation.evaluate(frame, progress=progress, start=start)
+        start = get_start(results)
         results = {name: add_truth_warnings(result, truth) for name, result in results.items()}
         metrics = translation.compute_metrics_against(results, truth)
         if run.force:
             metrics |= measure_force(results, index, translation)
         report = FrameReport(index=index, results=results, metrics=metrics)
         write_frame(run.out, frame, report, translation, key, sheet=run.sheets)
-        return False, FinishedFrame(report=report.without_arrays, key=key, pose=_get_pose(report))
+        done = FinishedFrame(report=report.without_arrays, key=key)
+        return False, done, _Last(time_s=frame.time_s, key=key, start=start)
     except Exception as error:  # noqa: BLE001 - whatever one frame does, the others are translated
         is_user_error = isinstance(error, TouchError)
         problem = str(error) if is_user_error else user_folders.log_error(error)
     report = FrameReport(
         index=index, results={}, metrics={}, problem=problem, is_user_error=is_user_error
     )
-    return False, FinishedFrame(report=report, key="")
-
-
-def _get_pose(report: FrameReport) -> ObjectPose | None:
-    """The pose of a frame; None without one, which ends a followed sequence."""
-    result = report.results.get("pose")
-    output = None if result is None else result.output
-    return (
-        output if isinstance(output, ObjectPose) and output.sensor_from_object is not None else None
-    )
+    return False, FinishedFrame(report=report, key=""), _Last()
 
 
 def _select_frame(translation: Translation, frame: int | None) -> int:

@@ -55,8 +55,8 @@ _TOML_FILES = {  # a key that only such a file has -> what reads it, and what a 
 }
 # of an array that tell whether it is worth compressing: as many on both sides of its middle, and
 # the share of them above which it is stored as it is
-_SAMPLE_BYTES = 4096
-_SHRUNK_SHARE = 0.6
+_SAMPLE_BYTES = 1024
+_SHRUNK_SHARE = 0.3  # an index of every pixel is above it, and took a quarter of a frame's writing
 # of files, which no folder of results is meant to have
 _FILE_SUFFIXES = (".csv", ".h5", ".json", ".mcap", ".mp4", ".npz", ".pdf", ".ply", ".png", ".rrd")
 _MAX_TRIES = 10  # of making or replacing a folder while other processes do
@@ -394,11 +394,14 @@ def write_arrays(
 
 
 def _choose_compression(array: NDArray[Any]) -> int:
-    """Return how a zip file holds an array: as it is where its middle hardly shrinks, as measured
-    values do, which would cost ten times the time.
+    """Return how a zip file holds an array: as it is where it is small, or where its middle hardly
+    shrinks, as measured values do, which would cost ten times the time.
     """
-    raw = np.ascontiguousarray(array).tobytes()
-    middle = raw[max(0, len(raw) // 2 - _SAMPLE_BYTES) :][: 2 * _SAMPLE_BYTES]
+    flat = np.ravel(array)
+    if flat.nbytes < _SAMPLE_BYTES:
+        return zipfile.ZIP_STORED
+    reach = _SAMPLE_BYTES // flat.itemsize
+    middle = flat[max(0, flat.size // 2 - reach) : flat.size // 2 + reach].tobytes()
     shrinks = len(zlib.compress(middle, 1)) < _SHRUNK_SHARE * len(middle)
     return zipfile.ZIP_DEFLATED if shrinks else zipfile.ZIP_STORED
 

@@ -25,12 +25,12 @@ from pipeline.core.values.frames import Recording, Stream, TactileFrame
 from pipeline.io.mounts import mount
 from pipeline.physics.simulation.datasets import SimulationPlan, simulate_moment
 from pipeline.translation.catalogue import default_params
+from pipeline.translation.following import FROM_REST, Start
 from pipeline.translation.translate import Request, Translation, open_translation
 
 if TYPE_CHECKING:
     from pipeline.core.geometry.meshes import Mesh
     from pipeline.core.geometry.symmetry import Symmetry
-    from pipeline.core.values.results import ObjectPose, SealedMembrane
     from pipeline.sensors.alignment import Alignment
 
 Results = Mapping[str, StageResult]
@@ -132,20 +132,18 @@ class FrameWorkers:
         frame: TactileFrame,
         stages: Sequence[str] | None = None,
         *,
-        previous: ObjectPose | None = None,
-        membrane: SealedMembrane | None = None,
+        start: Start = FROM_REST,
         context: Shared | None = None,
         draft: bool = False,
     ) -> Future[Results]:
         """Have an idle worker compute stages of a frame, as `Translation.evaluate` does.
 
-        `previous` and `membrane` are the pose and the generated touch's membrane of the frame
-        before, `context` the shared context images. `draft`: methods that have cheaper parameters
-        for dragging use them. Raises NotConverged where a worker has died.
+        `context` are the shared context images. `draft`: methods that have cheaper parameters for
+        dragging use them. Raises NotConverged where a worker has died.
         """
         block = self._free.pop()
         answer: Future[Results] = Future()
-        parcel = block.put((frame, previous, membrane))
+        parcel = block.put((frame, start))
         try:
             task = self._pool.submit(
                 _evaluate, self._opened, block.name, parcel, stages, context, draft
@@ -191,14 +189,12 @@ def _evaluate(
     """Compute stages of the frame in a block, and leave the results there."""
     translation = open_once(_take_once(*opened))
     block = _attach(block_name)
-    frame, previous, membrane = block.take(parcel)
+    frame, start = block.take(parcel)
     if context is not None:
         frame = replace(frame, context_frames=_take_once(*context))
     if draft:
         translation = replace(translation, params=_make_draft_params(translation))
-    results = translation.evaluate(
-        frame, stages, previous=previous, given={"previous_membrane": membrane}
-    )
+    results = translation.evaluate(frame, stages, start=start)
     return block.put([replace(one, method=None, nodes=()) for one in results.values()])
 
 

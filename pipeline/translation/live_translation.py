@@ -8,6 +8,7 @@ gel is that of the touches so far, as a recording's is that of all.
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Generator, Mapping
@@ -19,13 +20,13 @@ from typing import cast
 from pipeline.core.arrays import Floats, Image
 from pipeline.core.errors import TouchError
 from pipeline.core.values.frames import Stream, TactileFrame
-from pipeline.core.values.results import GeneratedTouch, ObjectPose, SealedMembrane
 from pipeline.io.live.paired_reader import make_reader
 from pipeline.io.live.reader import LiveReader
 from pipeline.io.live.source import LiveSource, LiveSourceLost
 from pipeline.io.mounts import mount, unmount
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.stage import GroundTruth
+from pipeline.translation.following import FROM_REST, get_start, is_close
 from pipeline.translation.frame_selection import select_context_frames
 from pipeline.translation.frame_workers import FrameWorkers, Results, Shared
 from pipeline.translation.live_rate import RatePlan, RateRule, pop_in_order
@@ -36,7 +37,6 @@ _POSE = "pose"
 _POLL_S = 0.005  # between looks for a newer frame while a worker is idle
 _WAIT_S = 1.0  # for results, and for the reader's thread to end
 _PATIENCE_S = 10.0  # with a problem and no result
-_MAX_GAP_S = 0.5  # after which a pose is searched anew
 # that a frame has waited for a worker to start, or its results for whoever takes them
 _STALE_S = 0.5
 _KEPT_TOUCHES = 24  # from which those are chosen that determine the light
@@ -81,16 +81,6 @@ class _Offered:
     offered_s: float  # by the monotonic clock
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Last:
-    """Where the next frame starts."""
-
-    time_s: float = -1e9
-    membrane: SealedMembrane | None = None
-    pose: ObjectPose | None = None
-    pose_time_s: float = -1e9
-
-
 class LiveTranslation:
     """Translates the newest frames of a reader while `poll` is called; used by one thread."""
 
@@ -120,7 +110,9 @@ class LiveTranslation:
         self._newest_seen = -1
         self._n_offered = 0
         self._n_stale = 0  # results in a row that were left out for their age
-        self._last = _Last()
+        # where the next frame starts, and of when its pose and its membrane are
+        self._start = FROM_REST
+        self._pose_time_s = self._touch_time_s = math.nan
         # a calibration table contains the light, and a depth camera needs none
         self._fits_light = translation.source.optics is not None and translation.calibration is None
         self._touches: list[TactileFrame] = []
@@ -170,12 +162,15 @@ class LiveTranslation:
         plan = self.plan
         with_pose = self._n_offered % plan.pose_every == 0
         context = self._select_context(frame)
-        last = self._last
+        start = self._start
+        if not is_close(self._pose_time_s, frame.time_s):
+            start = replace(start, pose=None)
+        if not is_close(self._touch_time_s, frame.time_s):
+            start = replace(start, membrane=None)
         answer = self._workers.submit(
             frame,
             [name for name in self._stages if name != _POSE or with_pose],
-            previous=last.pose if frame.time_s - last.pose_time_s <= _MAX_GAP_S else None,
-            membrane=last.membrane if frame.time_s - last.time_s <= _MAX_GAP_S else None,
+            start=start,
             context=None if context is None else context.shared,
             draft=plan.draft,
         )
@@ -213,7 +208,13 @@ class LiveTranslation:
         except BrokenExecutor:
             return None  # the next frame that is offered says so
         self.problem = ""
-        self._follow(one.frame, results)
+        start = get_start(results)
+        self._touch_time_s = one.frame.time_s
+        if _POSE in results:
+            self._pose_time_s = one.frame.time_s
+        else:
+            start = replace(start, pose=self._start.pose)
+        self._start = start
         stages = [result for name, result in results.items() if name != _POSE]
         if not any(result.state == "skipped" for result in stages):
             pose_ms = results[_POSE].ms if _POSE in results else None
@@ -247,21 +248,6 @@ class LiveTranslation:
         )
         self._n_stale = self._n_stale + 1 if is_stale else 0
         return is_stale
-
-    def _follow(self, frame: TactileFrame, results: Results) -> None:
-        """Start the next frame at these results."""
-        touch = results["touch"].output if "touch" in results else None
-        self._last = replace(
-            self._last,
-            time_s=frame.time_s,
-            membrane=touch.pressed if isinstance(touch, GeneratedTouch) else None,
-        )
-        if _POSE in results:
-            pose = results[_POSE].output
-            is_known = isinstance(pose, ObjectPose) and pose.sensor_from_object is not None
-            self._last = replace(
-                self._last, pose=pose if is_known else None, pose_time_s=frame.time_s
-            )
 
     def _keep_touch(self, frame: TactileFrame) -> None:
         """Keep touches spread over the time so far, and choose those that determine the light each

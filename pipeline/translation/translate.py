@@ -34,7 +34,6 @@ from pipeline.core.params import Value
 from pipeline.core.progress import SILENT, Progress, reading_reported_to
 from pipeline.core.values.frames import Recording, Stream, TactileFrame, Truth
 from pipeline.core.values.pairing import follow, pair_frames
-from pipeline.core.values.results import ObjectPose
 from pipeline.io import open_recording
 from pipeline.io.depth_arrays import DepthUnit
 from pipeline.sensors import alignment as alignments
@@ -51,6 +50,7 @@ from pipeline.translation.catalogue import (
     replace_parameter,
     with_settings,
 )
+from pipeline.translation.following import FROM_REST, Start
 from pipeline.translation.frame_selection import select_context_frames
 from pipeline.translation.translated_frame import TranslatedFrame
 from pipeline.views.display_params import DisplayParams
@@ -334,7 +334,7 @@ class Translation:
         progress: Progress = SILENT,
         *,
         given: Mapping[str, object] = MappingProxyType({}),
-        previous: ObjectPose | None = None,
+        start: Start = FROM_REST,
         on_stage: Callable[[StageResult], None] | None = None,
     ) -> dict[str, StageResult]:
         """Return the results of some stages and of those that they depend on, in running order.
@@ -345,13 +345,13 @@ class Translation:
             progress: Shows how far it is, and may cancel.
             given: Values in place of stages or inputs: the truth of a stage there attributes the
                 error.
-            previous: Pose of the frame before, where a sequence is followed.
+            start: Pose and membrane of the frame before, where a sequence is followed.
             on_stage: Receives each result as soon as it is there.
 
         Raises:
             TouchError: A frame is damaged, a name unknown, or a stage cannot be computed.
         """
-        inputs = {**self.read_inputs(frame, previous, progress), **given}
+        inputs = {**self.read_inputs(frame, start, progress), **given}
         names = self.stages if stages is None else stages
         return self.graph.with_methods(self.methods).evaluate(
             names, inputs, self.params, progress, on_stage
@@ -360,15 +360,15 @@ class Translation:
     def read_inputs(
         self,
         frame: int | TactileFrame,
-        previous: ObjectPose | None = None,
+        start: Start = FROM_REST,
         progress: Progress = SILENT,
     ) -> Mapping[str, object]:
         """Return the graph's inputs for a frame by number or at hand.
 
         Raises FileProblem if it is damaged.
 
-        `previous` is the pose of the frame before, where a sequence is followed. `progress` shows
-        how weights are read.
+        `start` is of the frame before, where a sequence is followed. `progress` shows how weights
+        are read.
         """
         if not isinstance(frame, TactileFrame):
             frame = self.stream.frame(self.check_index(frame))
@@ -388,8 +388,8 @@ class Translation:
                 target_shift_mm=0.0,
             ),
             "mesh": self.mesh,
-            "previous": previous,
-            "previous_membrane": None,
+            "previous": start.pose,
+            "previous_membrane": start.membrane,
             **weights,
             **self._read_truth_inputs(frame.index),
         }

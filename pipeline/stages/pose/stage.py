@@ -20,7 +20,7 @@ SIGNED_DISTANCES = Method(
     ),
     params=signed_distances.PoseParams,
     reads=("touch_depth", "mesh", "previous"),
-    version=7,
+    version=8,
 )
 PAPER_2D = Method(
     stage="pose",

@@ -60,16 +60,17 @@ def _fits(search: PoseSearch, minimum: PoseMinimum, previous: ObjectPose) -> boo
 def _settle(search: PoseSearch, pose: Doubles) -> PoseMinimum | None:
     """Return the minimum that registrations from `pose` end in; None where one fails.
 
-    A single one holds what the touch hardly determines as the rough registration left it.
+    A single one holds what the touch hardly determines as it was, and settles all else.
     """
     minimum: PoseMinimum | None = None
     for _ in range(_MAX_REGISTRATIONS):
-        minimum = search.polish(pose, dense=True)
+        known = search.assess_observability(pose)
+        minimum = search.polish(pose, dense=True, known=known)
         if minimum is None:
             return None
         moved_mm = search.measure_distance_mm(pose, minimum.fit.sensor_from_object)
         pose = minimum.fit.sensor_from_object
-        if moved_mm <= _SETTLED_MM:
+        if moved_mm <= _SETTLED_MM or not len(known.weak_motions):
             break
     return minimum
 

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline import __version__
-from pipeline.core.arrays import freeze
 from pipeline.core.digests import compute_digest, compute_fingerprint
 from pipeline.core.errors import StageWarning
 from pipeline.core.files import write_arrays, write_folder, write_json
@@ -24,7 +23,6 @@ from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.graph import StageResult, StageResults
 from pipeline.core.values.frames import TactileFrame
-from pipeline.core.values.results import ObjectPose
 from pipeline.stages.depth.contact_force import FORCE
 from pipeline.stages.metrics.stage_metrics import METRICS
 from pipeline.stages.stage import TRUTH, GroundTruth
@@ -155,19 +153,18 @@ class FinishedFrame:
 
     report: FrameReport  # without its arrays
     key: str
-    pose: ObjectPose | None = None  # initial pose of the next frame of a sequence; None = none
 
 
 def compute_frame_key(
     translation: Translation,
     frame: TactileFrame,
     truth: GroundTruth,
-    before: FinishedFrame | None,
+    before: str,
     *,
     with_force: bool,
 ) -> str:
     """Return the digest of everything a frame's results depend on: contents, truth, settings,
-    versions, previous frame.
+    versions, the key of the frame `before` that it follows ("" = none).
     """
     return compute_digest(
         (
@@ -180,7 +177,7 @@ def compute_frame_key(
             translation.symmetry,
             translation.force_scale,
             with_force and FORCE.version,
-            before.key if before is not None and before.pose is not None else "",
+            before,
         )
     )
 
@@ -198,7 +195,7 @@ def load_finished_frame(
         digests = {name: compute_fingerprint(folder / name) for name in record["files"]}
         complete = record["files"] == digests and (not sheet or FRAME_FILES[-1] in digests)
         if record["key"] == key and complete:
-            return FinishedFrame(report=_report(record), key=key, pose=_pose(folder / "stages.npz"))
+            return FinishedFrame(report=_report(record), key=key)
     return None
 
 
@@ -221,19 +218,3 @@ def _report(record: Mapping[str, Any]) -> FrameReport:
         for name, value in record["metrics"].items()
     }
     return FrameReport(index=record["index"], results=results, metrics=metrics)
-
-
-def _pose(path: Path) -> ObjectPose | None:
-    """Return the pose among a frame's arrays; raises for a damaged file."""
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-        if "pose.sensor_from_object" not in arrays:
-            return None
-        others = arrays.get("pose.alternatives", ())
-        return ObjectPose(
-            sensor_from_object=freeze(arrays["pose.sensor_from_object"]),
-            rmse_mm=float(arrays["pose.rmse_mm"]),
-            fitness=float(arrays["pose.fitness"]),
-            scene_mm=freeze(arrays["pose.scene_mm"]),
-            source_index=freeze(arrays["pose.source_index"]),
-            alternatives=tuple(freeze(np.array(other)) for other in others),
-        )

@@ -9,6 +9,7 @@ import pytest
 
 from pipeline.cli import translate
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
+from pipeline.translation.following import FROM_REST
 from pipeline.translation.translate import Translation
 
 RECORDINGS = Path(__file__).parents[3] / "sample_data" / "recordings"
@@ -24,15 +25,15 @@ def test_frames_of_two_processes_are_those_of_one(follow, tmp_path, monkeypatch,
     shutil.copy(recording, "some.h5")
     common = ["translate", "some.h5", "--target", "gelslim" if follow else "digit", "--all"]
     common += ["--sensor", "digit" if follow else "gelslim", "--no-sheets"]
-    common += ["--follow"] if follow else []
+    common += [] if follow else ["--no-follow"]
     assert run_app(build_app(), [*common, "--jobs", "2", "--out", "two"]) == 0
     assert "finished by an earlier run" not in capsys.readouterr().out
     followed = []
     evaluate = Translation.evaluate
 
-    def record(self, frame, *given, previous=None, **more):
-        followed.extend([frame.index] if previous is not None else [])
-        return evaluate(self, frame, *given, previous=previous, **more)
+    def record(self, frame, *given, start=FROM_REST, **more):
+        followed.extend([frame.index] if start.pose is not None else [])
+        return evaluate(self, frame, *given, start=start, **more)
 
     monkeypatch.setattr(Translation, "evaluate", record)
     assert run_app(build_app(), [*common, "--jobs", "1", "--out", "one"]) == 0
@@ -56,6 +57,11 @@ def test_few_frames_start_no_further_process(monkeypatch):
     monkeypatch.setattr("os.cpu_count", lambda: 4)
     assert [translate._choose_workers(0, n) for n in (1, 23, 48, 1000)] == [0, 0, 2, 4]
     assert [translate._choose_workers(3, n) for n in (1, 2, 1000)] == [1, 2, 3]
+
+
+def test_frames_in_a_row_are_shared_evenly_by_two_processes():
+    lengths = {n: translate._choose_length(n) for n in (1, 24, 25, 60, 200)}
+    assert lengths == {1: 1, 24: 24, 25: 13, 60: 15, 200: 20}
 
 
 def test_jobs_go_with_all_frames_alone(capsys):

@@ -8,6 +8,7 @@ import os
 import pickle
 import subprocess
 import sys
+import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -218,6 +219,23 @@ def test_arrays_come_back_without_pickle(tmp_path):
     with np.load(tmp_path / "a.npz", allow_pickle=False) as back:
         assert set(back) == set(arrays)
         np.testing.assert_array_equal(back["depth.indentation_mm"], arrays["depth.indentation_mm"])
+
+
+def test_arrays_are_compressed_where_it_is_worth_the_time(tmp_path):
+    rng = np.random.default_rng(0)
+    arrays = {
+        "mask": np.zeros((100, 100), bool),
+        "index": np.arange(10_000, dtype=np.int32),
+        "measured": rng.normal(size=10_000).astype(np.float32),
+        "number": np.asarray(0.0),
+        "none": np.zeros((0, 3)),
+    }
+    write_arrays(tmp_path / "a.npz", arrays)
+    with zipfile.ZipFile(tmp_path / "a.npz") as file:
+        kinds = {entry.filename: entry.compress_type for entry in file.infolist()}
+    packed = [name for name, kind in kinds.items() if kind == zipfile.ZIP_DEFLATED]
+    assert packed == ["mask.npy"]
+    assert set(kinds) == {f"{name}.npy" for name in arrays}
 
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path):

@@ -3,9 +3,11 @@ another of its poses has come to fit, a search answers.
 """
 
 from dataclasses import replace
+from threading import get_ident
 
 import pytest
 
+from pipeline.stages.pose.registration.search import PoseSearch
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_or_track_pose, estimate_pose
 from pipeline.stages.pose.warm_start import FOLLOWED
 from tests.pipeline.stages.pose.registration.solids import (
@@ -37,6 +39,21 @@ def test_a_slow_slide_is_followed_to_where_a_search_ends():
         assert deg < SAME_DEG
         assert pose.notes[-1] == FOLLOWED
         assert pose.covariance == pytest.approx(searched.covariance, rel=0.05, abs=1e-7)
+
+
+def test_a_touch_that_determines_the_pose_is_registered_once(monkeypatch):
+    wedge = notched_wedge()
+    pose = estimate_pose(observe_depth(wedge, place(0)), wedge.mesh, PARAMS)
+    touch = observe_depth(wedge, place(1))
+    tried = []
+    polish = PoseSearch.polish
+    monkeypatch.setattr(
+        PoseSearch, "polish", lambda *a, **k: tried.append(get_ident()) or polish(*a, **k)
+    )
+    found = estimate_or_track_pose(touch, wedge.mesh, pose, PARAMS)
+    assert found.notes[-1] == FOLLOWED
+    assert not found.weak_directions
+    assert tried.count(get_ident()) == 1
 
 
 @pytest.mark.parametrize("angle_deg", [36.0, 150.0])

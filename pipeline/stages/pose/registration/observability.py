@@ -198,8 +198,12 @@ def _correlated_information(
     points.
     """
     some = np.s_[:: -(-len(points_mm) // most)]
-    apart_sq = sum((w[:, None] - w) ** 2 for w in np.ascontiguousarray(points_mm[some].T))
-    together = np.exp(apart_sq * (-0.5 / correlation_mm**2))
+    places = (points_mm[some] - points_mm.mean(axis=0)) / correlation_mm
+    half_sq = 0.5 * (places**2).sum(axis=1)
+    together = places @ places.T
+    together -= half_sq
+    together -= half_sq[:, None]
+    np.exp(together, out=together)
     pulls = _sum_products(together, jacobian[some])  # `together` is symmetric
     return _sum_products(jacobian[some], pulls) / len(together) ** 2
 

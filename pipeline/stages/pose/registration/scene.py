@@ -145,21 +145,21 @@ def _box(mask: Mask) -> tuple[int, int, int, int]:
     return int(rows[0]), int(cols[0]), int(rows[-1] - rows[0]) + 1, int(cols[-1] - cols[0]) + 1
 
 
-def select_in_reach(
+def find_in_reach(
     scene: ContactScene, model: ObjectModel, sensor_from_object: Doubles, reach_mm: float
-) -> ObjectModel:
-    """Select the part of a placed object that can touch: near the scene and facing it.
+) -> Mask:
+    """Find the points (n,) of a placed object that can touch: near the scene and facing it.
 
     All if there is none.
     """
-    placed = rigid.apply(sensor_from_object, model.points_mm)
-    toward = scene.normals.mean(axis=0)
-    near = model.normals @ (toward @ sensor_from_object[:3, :3]) > MOST_TURNED_AWAY
-    low = scene.points_mm.min(axis=0) - reach_mm
-    high = scene.points_mm.max(axis=0) + reach_mm
-    for along, least, most in zip(placed.T, low, high, strict=True):
+    turn = sensor_from_object[:3, :3]
+    near = model.normals @ (scene.normals.mean(axis=0) @ turn) > MOST_TURNED_AWAY
+    low = scene.points_mm.min(axis=0) - reach_mm - sensor_from_object[:3, 3]
+    high = scene.points_mm.max(axis=0) + reach_mm - sensor_from_object[:3, 3]
+    for axis, least, most in zip(turn, low, high, strict=True):
+        along = model.points_mm @ axis
         near &= (along >= least) & (along <= most)
-    return model.select(near) if near.sum() >= _MIN_PART else model
+    return near if near.sum() >= _MIN_PART else np.ones_like(near)
 
 
 FACES: dict[str, tuple[float, float, float]] = {

@@ -45,7 +45,7 @@ from pipeline.stages.pose.registration.ranking import (
     make_judge,
     outline_constrains,
 )
-from pipeline.stages.pose.registration.scene import ContactScene, InitialPose, select_in_reach
+from pipeline.stages.pose.registration.scene import ContactScene, InitialPose, find_in_reach
 
 # On gels, half or double of any count finds no more poses and saves little time:
 # docs/experiments.md, search_counts. points to rank initial poses: at least, at most
@@ -213,12 +213,14 @@ class PoseSearch:
                 break
         return kept
 
-    def polish(self, pose: Doubles, *, dense: bool = False) -> PoseMinimum | None:
+    def polish(
+        self, pose: Doubles, *, dense: bool = False, known: Observability | None = None
+    ) -> PoseMinimum | None:
         """Place by the outline where the surface is silent, then register on all points.
 
-        None where that fails.
+        None where that fails. `known` is what the scene determines at `pose`, if it is assessed.
         """
-        known = self.assess_observability(pose)
+        known = known or self.assess_observability(pose)
         if len(known.weak_motions):
             pose = align_to_outline(
                 pose, known.weak_motions, self.middle_mm, self.make_outline_judge(pose, dense=dense)
@@ -362,10 +364,13 @@ class PoseSearch:
 
         Between nodes on both sides of an edge a gradient is the mean of two normals, and shorter.
         """
-        near = select_in_reach(self.scene, self.object.model, pose, _FACETS_REACH_MM)
+        model = self.object.model
+        near = find_in_reach(self.scene, model, pose, _FACETS_REACH_MM)
         short_sq = 1.0 - slopes**2
         lattice_sq = float(np.where(short_sq > _BENT_SQ, short_sq, 0.0).mean()) / 2.0
-        deg = _CORRELATED * math.degrees(math.sqrt(float(near.facet_error_sq.mean()) + lattice_sq))
+        deg = _CORRELATED * math.degrees(
+            math.sqrt(float(model.facet_error_sq[near].mean()) + lattice_sq)
+        )
         return Tolerances(normal_error_deg=float(np.clip(deg, _STRAIGHT_DEG, NORMAL_ERROR_DEG)))
 
     def find_minima(
@@ -393,7 +398,8 @@ class PoseSearch:
 
     def make_outline_judge(self, pose: Doubles, *, dense: bool = False) -> PoseJudge:
         """Return a judge on the part of the object around the contact, with dense points."""
-        part = select_in_reach(self.scene, self.object.model, pose, _OUTLINE_REACH_MM)
+        model = self.object.model
+        part = model.select(find_in_reach(self.scene, model, pose, _OUTLINE_REACH_MM))
         if dense:
             return self._make_judge(part, _DENSE_CONTACT, _DENSE_MODEL)
         return self._make_judge(part, _OUTLINE_CONTACT, _OUTLINE_MODEL)
@@ -552,23 +558,19 @@ def _describe_difference(search: PoseSearch, a: Doubles, b: Doubles) -> str:
 
 def _describe_fit(search: PoseSearch, chosen: PoseMinimum) -> tuple[str, ...]:
     fit = chosen.fit
-    long_mm, contact_mm = (
-        float(np.ptp(p, axis=0).max())
-        for p in (search.object.model.points_mm, search.scene.points_mm)
-    )
-    if fit.fitness < _MIN_ON_OBJECT and long_mm < contact_mm:
+    if fit.fitness < _MIN_ON_OBJECT:
+        long_mm, contact_mm = (
+            float(np.ptp(p, axis=0).max())
+            for p in (search.object.model.points_mm, search.scene.points_mm)
+        )
         text = (
             f"the object, {long_mm:.2g} mm long, is smaller than its contact "
             f"({contact_mm:.2g} mm); check the unit"
+            if long_mm < contact_mm
+            else f"only {fit.fitness:.0%} of the contact lies on the object: expect a wrong pose; "
+            "check the mesh"
         )
         return (StageWarning(text),)
-    if fit.fitness < _MIN_ON_OBJECT:
-        return (
-            StageWarning(
-                f"only {fit.fitness:.0%} of the contact lies on the object: expect a wrong pose; "
-                "check the mesh"
-            ),
-        )
     if search.explains(chosen):
         return () if chosen.misfit_mm <= search.limit_mm else (MISSING_CONTACT_WARNING,)
     text = search.describe_misfit(fit.fitness, fit.rmse_mm)
