@@ -6,11 +6,12 @@ from __future__ import annotations
 
 import os
 import shutil
+import zlib
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,8 @@ from pipeline.io.hdf5_layout import Coding
 
 if TYPE_CHECKING:
     from pipeline.core.geometry.symmetry import Symmetry
+
+Effort = Literal["full", "little", "none"]  # of packing an image
 
 _TABLES_BYTES = 2 << 20  # upper limit of tables that one append may add
 
@@ -174,12 +177,12 @@ class RecordingWriter:
         frame: TactileFrame,
         truth: Truth | None = None,
         *,
-        compressed: bool = True,
+        effort: Effort = "full",
     ) -> None:
         """Add one frame to `stream`, which its first frame creates.
 
-        An image that is not compressed takes a third of the time and twice the space. Raises
-        ShapeError for another shape.
+        An image of 8 bits packed with little effort takes a third of the time, one with none a
+        tenth and twice the space. Raises ShapeError for another shape.
         """
         streams = self._file["streams"]
         group = streams[stream] if stream in streams else self._new_stream(stream, frame)
@@ -193,10 +196,10 @@ class RecordingWriter:
             )
         pixels = layout.encode_frame(frame.image, frames, f"frame {index} of {stream!r}")
         reference = self._reference_row(stream, group, frame)
-        if compressed:
+        if effort == "full" or (effort == "little" and pixels.itemsize > 1):
             _append_row(frames, index, pixels)
         else:
-            _append_uncompressed(frames, index, pixels)
+            _append_chunk(frames, index, pixels, effort)
         _append_row(group["timestamps"], index, frame.time_s)
         _append_row(group["reference_index"], index, reference)
         self._append_truth(group, index, truth)
@@ -359,15 +362,25 @@ def _append_row(dataset: Any, index: int, value: Any) -> None:
     dataset[index] = value
 
 
-_SHUFFLE_AND_DEFLATE = 0b011  # bits of the filters that `_create_stack` puts before the checksum
+# bits of the filters that `_create_stack` puts before the checksum, left out of a chunk
+_NO_SHUFFLE = 0b001
+_NO_SHUFFLE_OR_DEFLATE = 0b011
 
 
-def _append_uncompressed(dataset: Any, index: int, value: NDArray[Any]) -> None:
-    """Write `value` at `index` as a chunk with its checksum alone, which any HDF5 library reads."""
+def _append_chunk(dataset: Any, index: int, value: NDArray[Any], effort: Effort) -> None:
+    """Write `value` at `index` as a chunk with its checksum, which any HDF5 library reads.
+
+    Noise never repeats: to pack it by the shares of its values alone, without a search for
+    repetitions, takes a third of the time and less space (`benchmarks/live.py`).
+    """
     dataset.resize(index + 1, axis=0)
     content = np.ascontiguousarray(value).tobytes()
+    if effort == "little":
+        packer = zlib.compressobj(1, strategy=zlib.Z_HUFFMAN_ONLY)
+        content = packer.compress(content) + packer.flush()
     chunk = content + _compute_fletcher32(content).to_bytes(4, "little")
-    dataset.id.write_direct_chunk((index, *(0,) * value.ndim), chunk, _SHUFFLE_AND_DEFLATE)
+    left_out = _NO_SHUFFLE if effort == "little" else _NO_SHUFFLE_OR_DEFLATE
+    dataset.id.write_direct_chunk((index, *(0,) * value.ndim), chunk, left_out)
 
 
 def _compute_fletcher32(content: bytes) -> int:
