@@ -383,12 +383,20 @@ def _append_chunk(dataset: Any, index: int, value: NDArray[Any], effort: Effort)
     dataset.id.write_direct_chunk((index, *(0,) * value.ndim), chunk, left_out)
 
 
+_BLOCK = 512  # words that are summed at once
+
+
 def _compute_fletcher32(content: bytes) -> int:
     """The checksum of HDF5's filter fletcher32: two sums of 16-bit words, where 65535 stands for
     its multiples.
     """
-    words = np.frombuffer(content + b"\0" * (len(content) % 2), ">u2").astype(np.uint64)
-    times_added = np.arange(len(words), 0, -1, dtype=np.uint64)
-    sums = int(words.sum()), int(words @ times_added)
+    words = np.frombuffer(content + b"\0" * (-len(content) % (2 * _BLOCK)), ">u2")
+    n_padded = len(words) - (len(content) + 1) // 2
+    # sum of each block, and of the sums up to each of its words: both exact in float64
+    factors = np.stack([np.ones(_BLOCK), np.arange(_BLOCK, 0, -1)], axis=1)
+    one, sums_up_to = (words.reshape(-1, _BLOCK).astype(np.float64) @ factors).astype(np.uint64).T
+    blocks_after = np.arange(len(one), dtype=np.uint64)[::-1]
+    total = int(one.sum())
+    sums = total, int((sums_up_to + _BLOCK * blocks_after * one).sum()) - n_padded * total
     low, high = (total and (total - 1) % 0xFFFF + 1 for total in sums)
     return high << 16 | low
