@@ -207,11 +207,11 @@ def _print_result(reader: LiveReader, recorder: LiveRecorder | None) -> int:
             f"{left_out} left out"
         )
     elif not recorder.problem:
-        print_line(
-            "nothing was recorded and no file is left: the first "
-            f"{reference_capture.AUTO_CAPTURE_FRAMES} frames make "
-            f"the reference, {status.n_frames} came; record for longer"
+        why = status.message or (
+            f"the first {reference_capture.AUTO_CAPTURE_FRAMES} frames make the reference, "
+            f"{status.n_frames} came; record for longer"
         )
+        print_line(f"nothing was recorded and no file is left: {why}")
         return 1
     if recorder.problem:
         print_line(recorder.problem)

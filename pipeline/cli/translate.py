@@ -338,7 +338,7 @@ def _run_elsewhere(run: _Run) -> list[tuple[bool, FinishedFrame]]:
     return list(_translate_run(run, open_once(run.opening), SILENT))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class _Last:
     """The last frame of a run, which the next one may follow."""
 

@@ -135,7 +135,9 @@ def encode_frame(values: NDArray[Any], dataset: Any, what: str) -> NDArray[Any]:
             )
         values = np.where(np.isnan(counts), nan_code, counts).astype(dataset.dtype)
     if dataset.attrs.get("coding") == "row differences":
-        values = np.concatenate([values[:1], values[1:] - values[:-1]])
+        coded = values.copy()
+        coded[1:] -= values[:-1]
+        return coded
     return values
 
 

@@ -312,7 +312,7 @@ def translate_live(
                 came_s = time.monotonic()
             status = reader.status()
             problem = "" if live is None else live.problem
-            if status.state != "running":
+            if live is None or status.state != "running":
                 problem = status.message
             if not problem:
                 came_s = time.monotonic()

@@ -122,7 +122,7 @@ class FoxgloveSource:
             self.close()
             why = escape_text(str(error)[:120].strip()) or type(error).__name__
             raise LiveSourceLost(
-                f"no Foxglove bridge answers at '{self.title}' ({why}); trying again"
+                f"no Foxglove bridge answers at '{self.title}' ({why}); check host and port"
             ) from None
         end_s = time.monotonic() + _LIST_S
         while self._image is None and time.monotonic() < end_s:

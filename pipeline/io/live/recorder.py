@@ -14,7 +14,7 @@ from pipeline.core.values.frames import TactileFrame, Truth
 from pipeline.io import hdf5
 from pipeline.io import hdf5_layout as layout
 from pipeline.io.hdf5_layout import Coding
-from pipeline.io.hdf5_writer import RecordingWriter
+from pipeline.io.hdf5_writer import Effort, RecordingWriter
 from pipeline.io.live.reader import LiveReader
 
 FLUSH_INTERVAL_S = 0.25  # largest loss by a kill
@@ -45,13 +45,13 @@ class LiveRecordingWriter(RecordingWriter):
         frame: TactileFrame,
         truth: Truth | None = None,
         *,
-        compressed: bool = True,
+        effort: Effort = "little",
     ) -> None:
         """Add one frame to a stream.
 
         Raises ShapeError where it differs in shape from the first.
         """
-        super().append(stream, frame, truth, compressed=compressed)
+        super().append(stream, frame, truth, effort=effort)
         if not self._file.swmr_mode and len(self._file["streams"]) == self.n_streams:
             self._file.swmr_mode = True
         now_s = time.monotonic()
@@ -138,7 +138,7 @@ class LiveRecorder:
             with self._writer as writer:
                 while (item := self._queue.get()) is not None:
                     is_behind = self._queue.qsize() >= _BEHIND_FRAMES
-                    writer.append(*item, compressed=not is_behind)
+                    writer.append(*item, effort="none" if is_behind else "little")
                     self.n_written += 1
         except (TouchError, OSError) as error:
             self.problem = str(error)

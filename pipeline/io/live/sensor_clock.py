@@ -44,13 +44,13 @@ class SensorClock:
         is_jump = last is not None and abs(step_s - (frame.time_s - last.time_s)) > _JUMP_S
         self.n_doubled += step_s == 0
         self.n_jumps += is_jump
+        is_steady = step_s > 0 and not is_jump
         if last is not None and frame.sequence_number >= 0:
             if last.sequence_number >= 0:
                 self.n_lost += max(0, frame.sequence_number - 1 - last.sequence_number)
-        elif step_s > 0 and not is_jump:
+        elif is_steady:
             if len(self._steps_s) == _USUAL_STEPS:
                 self.n_lost += max(0, round(step_s / median(self._steps_s)) - 1)
             self._steps_s.append(step_s)
-        is_steady = step_s > 0 and not is_jump
         self._delay_s = min(delay_s, self._delay_s + _DRIFT * step_s) if is_steady else delay_s
         return frame.time_s if math.isnan(delay_s) else frame.stamp_s + self._delay_s

@@ -61,7 +61,7 @@ class SimulatedSource:
         if beside is not None:  # two sensors as far from the object as they are described
             self._plan = replace(beside._plan, sensors=(sensor,), bubble_deeper_mm=0.0)
             beside._plan = replace(beside._plan, bubble_deeper_mm=0.0)
-        self.latest: LiveFrame | None = None
+        self.moment: tuple[int, float] | None = None  # number and time of the last one
         self._spec = load_sensor(sensor)
         self.rate_hz = rate_hz
         self._frames: dict[int, tuple[TactileFrame, Truth | None]] = {}
@@ -88,12 +88,22 @@ class SimulatedSource:
         """Begin a cycle with the object clear of the sensor."""
         self._get_frame(0)  # compile and load before time counts
         self._due_s = time.monotonic()
-        self._number = 0 if self._beside is None else -1
+        self._number = 0
 
     def read(self) -> LiveFrame | None:
-        """The next frame of the cycle when due, else None."""
-        if self._beside is not None:
-            return self._read_same(self._beside)
+        """The next frame of the cycle when due, or of the sensor beside this one, else None."""
+        moment = self._wait_for_moment() if self._beside is None else self._beside.moment
+        if moment is None or moment == self.moment:
+            time.sleep(_LOOK_S)
+            return None
+        self.moment = moment
+        number, time_s = moment
+        frame, truth = self._get_frame(number % FRAMES_PER_CYCLE)
+        image = frame.image if truth is None else self._render_image(truth)
+        return LiveFrame(image=image, time_s=time_s, sequence_number=number, truth=truth)
+
+    def _wait_for_moment(self) -> tuple[int, float] | None:
+        """Number and time of the next moment that a slow reader has not missed."""
         wait_s = self._due_s - time.monotonic()
         if wait_s > 0:
             time.sleep(min(wait_s, _MAX_WAIT_S))
@@ -104,29 +114,8 @@ class SimulatedSource:
             self._due_s = time.monotonic()
         missed = max(0, int((time.monotonic() - self._due_s) * self.rate_hz))
         number = self._number + missed
-        frame, truth = self._get_frame(number % FRAMES_PER_CYCLE)
         self._number, self._due_s = number + 1, self._due_s + (missed + 1) / self.rate_hz
-        image = frame.image if truth is None else self._render_image(truth)
-        self.latest = LiveFrame(
-            image=image, time_s=time.monotonic(), sequence_number=number, truth=truth
-        )
-        return self.latest
-
-    def _read_same(self, beside: "SimulatedSource") -> LiveFrame | None:
-        """The last moment of the sensor beside this one; None until there is a new one."""
-        latest = beside.latest
-        if latest is None or latest.sequence_number == self._number:
-            time.sleep(_LOOK_S)
-            return None
-        self._number = latest.sequence_number
-        frame, truth = self._get_frame(self._number % FRAMES_PER_CYCLE)
-        image = frame.image if truth is None else self._render_image(truth)
-        return LiveFrame(
-            image=image,
-            time_s=latest.time_s,
-            sequence_number=self._number,
-            truth=truth,
-        )
+        return number, time.monotonic()
 
     def close(self) -> None:
         """Nothing to release."""
@@ -297,11 +286,11 @@ def parse_sources(
     source = parse_source(words, sensor=sensor, tool=tool, rate_hz=rate_hz)
     if not any(partner):
         return source, None
-    beside = load_sensor(partner_sensor or target).name if partner_sensor or target else ""
-    if target and beside not in ("", load_sensor(target).name, source.sensor):
+    beside = partner_sensor or target
+    if target and load_sensor(beside).name not in (load_sensor(target).name, source.sensor):
         raise SettingProblem(
             f"a partner of {beside} is no truth of {target}; give --target {beside}, or the "
-            f"target's own sensor as partner"
+            "target's own sensor as partner"
         )
     if _split(partner) == ["simulated"]:
         if not isinstance(source, SimulatedSource):
@@ -314,7 +303,7 @@ def parse_sources(
         raise SettingProblem(
             f"source and partner are both {' '.join(words)!r}; name the other sensor as partner"
         )
-    return source, parse_source(partner, sensor=partner_sensor or target, rate_hz=rate_hz)
+    return source, parse_source(partner, sensor=beside)
 
 
 def _split(words: Sequence[str]) -> list[str]:

@@ -174,7 +174,7 @@ class UsbCameraSource:
         path = Path(f"/dev/video{self._name}" if self._name.isdecimal() else self._name)
         if path.is_absolute() or path.exists():
             if not path.exists():
-                raise LiveSourceLost(f"there is no '{path}'; trying again")
+                raise LiveSourceLost(f"there is no '{path}'; connect it, or name one of --list")
             return path
         cameras = list_usb_cameras(self._by_id)
         for camera in cameras:

@@ -12,13 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PyQt6.QtCore import QCoreApplication
+from PyQt6.QtWidgets import QLabel
 
 from app.live.live import LiveController
 from app.shell.tour import wait_until_shown
 from pipeline.io import open_recording
 from pipeline.io.live import reader
 from pipeline.io.live.source import LiveFrame, LiveSourceLost
-from pipeline.io.live.source_parsing import SimulatedSource
+from pipeline.io.live.source_parsing import SimulatedSource, parse_sources
 from pipeline.sensors.spec import load_sensor
 
 LIMIT_S = 240
@@ -62,6 +63,17 @@ def test_the_newest_frame_follows_and_looking_back_stays(watching):
     assert controller.window.timeline.slider.maximum() >= n
     living.live_bar.follow.click()
     until(lambda: controller.latest_frame.index > n)
+
+
+def test_what_the_partner_took_is_the_truth_on_screen(open_window):
+    controller = open_window(target="soft_bubble")
+    living = living_of(controller)
+    words = ["simulated"]
+    living.watch_source(*parse_sources(words, words, sensor="gelslim", target="soft_bubble"))
+    until(lambda: living.is_on_screen and controller.latest_frame is not None)
+    until(lambda: "touch.depth_mae_mm" in controller.latest_frame.metrics)
+    assert "partner running" in living.live_bar.text
+    until(lambda: not living.live_bar.findChild(QLabel, "live_partner").pixmap().isNull())
 
 
 def test_an_unplugged_sensor_is_reported_and_followed_again(watching, monkeypatch):

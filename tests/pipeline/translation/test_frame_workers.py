@@ -5,6 +5,7 @@ import multiprocessing
 import os
 import signal
 import time
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,6 +21,7 @@ from pipeline.core.shared_memory import SharedBlock
 from pipeline.io.live.reader import LiveReader
 from pipeline.io.live.source import LiveFrame
 from pipeline.io.mounts import mount, unmount
+from pipeline.stages.stage import GroundTruth
 from pipeline.translation import live_translation
 from pipeline.translation.live_rate import RatePlan
 from pipeline.translation.live_translation import LiveTranslation
@@ -27,6 +29,7 @@ from pipeline.translation.translate import Request, open_translation
 from sample_data.make_samples import RECORDINGS_FOLDER
 
 LIVE = Path("live:/workers")
+STALE_S = 0.5
 
 
 @dataclass
@@ -77,7 +80,10 @@ def test_a_live_sensor_is_translated_in_order_with_the_values_of_one_process(mon
     started_s = time.monotonic()
     try:
         while len(shown) < 6 or not (
-            shown[-1].frame.context_frames and shown[-1].results["depth"].output.contact.any()
+            any(
+                not np.array_equal(i, shown[-1].frame.image) for i in shown[-1].frame.context_frames
+            )
+            and shown[-1].results["depth"].output.contact.any()
         ):
             shown += live.poll(0.2)
             assert not live.problem
@@ -136,9 +142,18 @@ def test_a_loop_over_a_sensor_that_is_not_there_ends_with_a_sentence(tmp_path, m
         ts.open(RECORDINGS_FOLDER / "digit_gelslim.h5", "gelslim", device=None)
 
 
+@pytest.mark.timeout(300)
+def test_whoever_takes_frames_slowly_gets_the_newest_one():
+    shown = ts.live("simulated", "gelslim", sensor="digit", rate_hz=15.0)
+    with closing(shown):
+        first = next(shown)
+        time.sleep(4 * STALE_S)
+        assert next(shown).frame.time_s - first.frame.time_s > 2 * STALE_S
+
+
 def test_each_loop_has_a_recording_of_its_own(monkeypatch):
     monkeypatch.setattr(live_translation, "translate_live", lambda *given: given)
-    (first, one, _), (other, two, _) = (ts.live("simulated", "digit") for _ in range(2))
+    (first, one, *_), (other, two, *_) = (ts.live("simulated", "digit") for _ in range(2))
     assert first is not other
     assert one.recording != two.recording
 
@@ -163,7 +178,7 @@ def test_a_block_holds_one_value_and_one_that_is_too_large_goes_through_the_pipe
 
 def test_the_status_of_a_live_translation_says_rate_age_and_what_is_left_out():
     plan = RatePlan(rate_hz=25.0, pose_every=3)
-    shown = [SimpleNamespace(age_s=age_s) for age_s in (0.06, 0.09, 0.05)]
+    shown = [SimpleNamespace(age_s=age_s, truth=GroundTruth()) for age_s in (0.06, 0.09, 0.05)]
     assert live_command._describe(SimpleNamespace(plan=plan, problem=""), shown, 0.5) == (
         "6.0 of 25 Hz translated, 60 ms old, at most 90, pose in every 3rd frame"
     )

@@ -22,6 +22,7 @@ import pytest
 
 from pipeline.cli.main import build_app, run_app
 from pipeline.core.errors import FileProblem, SettingProblem
+from pipeline.core.values.frames import TactileFrame
 from pipeline.io import hdf5, hdf5_writer, mounts, open_recording
 from pipeline.io.live import reader, reference_capture, usb_camera
 from pipeline.io.live import recorder as live_recorder
@@ -431,6 +432,21 @@ def test_a_recording_at_60_hz_lacks_no_number(tmp_path, running, monkeypatch):
     assert numbers == list(range(numbers[0], 240))
     assert numbers[0] < 20, "all but those before the reference"
     assert max(bytes_of) == 640 * 480 * 3 + 4, "some are stored as they are, with a checksum"
+
+
+@pytest.mark.parametrize("effort", ["little", "none"])
+def test_a_noisy_image_packed_in_a_hurry_reads_the_same_and_is_no_larger(tmp_path, effort):
+    image = np.random.default_rng(0).normal(120.0, 2.0, (64, 48, 3)).astype(np.uint8)
+    frame = TactileFrame(sensor="digit", image=image, reference=None)
+    with hdf5_writer.RecordingWriter(tmp_path / "a.h5", coding="row differences") as writer:
+        writer.append("digit", frame)
+        writer.append("digit", frame, effort=effort)
+    with closing(hdf5.read(tmp_path / "a.h5")) as recording:
+        np.testing.assert_array_equal(recording.streams[0].frame(1).image, image)
+    with h5py.File(tmp_path / "a.h5") as file:
+        frames = file["streams/digit/frames"]
+        sizes = [frames.id.get_chunk_info(k).size for k in range(2)]
+    assert sizes[1] < sizes[0] if effort == "little" else sizes[1] == image.nbytes + 4
 
 
 @pytest.mark.parametrize("n_bytes", [1, 2, 5, 719, 720, 100_001])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from contextlib import ExitStack, closing
 
+import cv2
 import foxglove
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from foxglove.channels import RawImageChannel
 
 import tactoscope as ts
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
+from pipeline.core.errors import TouchError
 from pipeline.core.values.pairing import NO_PARTNER, pair_frames
 from pipeline.io import open_recording
 from pipeline.io.live import reader as live_reader
@@ -19,6 +21,7 @@ from pipeline.io.live.paired_reader import PairedReader, make_reader
 from pipeline.io.live.recorder import LiveRecorder
 from pipeline.io.live.source_parsing import parse_sources
 from pipeline.sensors.spec import load_sensor
+from pipeline.translation import live_translation
 from tests.pipeline.io.live.streams import (
     make_coloured,
     make_raw,
@@ -133,6 +136,24 @@ def test_what_the_targets_own_sensor_takes_is_the_truth_of_a_live_translation():
         assert error_mm == pytest.approx(float(np.nanmean(np.abs(generated - recorded.image))))
         assert error_mm < 1.0 < float(np.nanmax(recorded.reference - recorded.image))
         break
+
+
+def test_a_partner_that_is_not_there_ends_a_loop_and_a_recording_with_its_sentence(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(live_translation, "_PATIENCE_S", 0.1)
+    gone = f"folder {tmp_path / 'gone'}"
+    place = tmp_path / "growing"
+    place.mkdir()
+    path = tmp_path / "a.h5"
+    image = make_coloured(SHAPE)[..., ::-1]
+    with publishing(lambda n: cv2.imwrite(str(place / f"{n:06}.png"), image), 0.05):
+        with pytest.raises(TouchError, match=r"partner: there is no folder '[^']*gone'$"):
+            next(ts.live(f"folder {place}", "gelslim", sensor="digit", partner=gone))
+        words = ["--source", f"folder {place}", "--sensor", "digit", "--partner", gone]
+        assert run_app(build_app(), ["live", *words, "--record", str(path), "--seconds", "3"]) == 1
+    assert "no file is left: partner: there is no folder" in capsys.readouterr().out
+    assert not path.exists()
 
 
 def test_one_sensor_has_no_partner():
