@@ -23,9 +23,9 @@ from pipeline.calibration.shading_field import (
     compute_position_terms,
 )
 from pipeline.core import disk_store
-from pipeline.core.arrays import Doubles, Floats, Mask, freeze
+from pipeline.core.arrays import Doubles, Floats, freeze
 from pipeline.core.derived import derive_once
-from pipeline.core.errors import CalibrationError
+from pipeline.physics.optics import compute_colour_change, require_optics
 from pipeline.sensors.parts import compute_mean_reference_light
 from pipeline.sensors.spec import Optics, SensorSpec
 
@@ -55,8 +55,6 @@ _MISFIT_REACH = 0.7
 _RIDGE = 1e-9
 # beyond, a colour carries no information, or the median of instances rests on a few
 _GAINS = (0.05, 3.0)
-# of the median: balls on a real Mini are wrong by 60 % below, by 12 % elsewhere
-_WEAK_SHADING = 0.8
 _SMALL_SLOPE = 1e-3  # mm/mm: the light is linear there
 _CODE = (
     "pipeline.calibration.near_led_prior",
@@ -73,14 +71,9 @@ _LEVEL_MISFIT = 0.3  # share of the misfit along z, where a tilt weakens all lig
 def compute_prior(sensor: SensorSpec, pixel_mm: float, shape: tuple[int, int]) -> ShadingFieldPrior:
     """The prior of `sensor`'s field over an image of `shape` (rows, cols).
 
-    CalibrationError for one without optics.
+    SettingProblem for one without optics.
     """
-    if sensor.optics is None:
-        raise CalibrationError(
-            f"{sensor.name} has no optics to derive a calibration table from; it measures depth "
-            "itself"
-        )
-    optics = sensor.optics
+    optics = require_optics(sensor)
     return disk_store.load_or_make(
         ShadingFieldPrior,
         (optics, pixel_mm, shape),
@@ -147,11 +140,6 @@ def compute_gains(sensor: SensorSpec) -> Floats:
     changes are relative to the reference image: the instance's own at that place, and the mean of
     the described one.
     """
-    if sensor.optics is None:
-        raise CalibrationError(
-            f"{sensor.name} has no optics to derive its light from; it measures depth itself"
-        )
-
     made_of = (sensor.camera, sensor.optics, sensor.pixel_mm)
     return disk_store.load_or_make(
         _Gains, made_of, _CODE, lambda: _Gains(table=_compute_gain_table(sensor)), "look_ups"
@@ -159,9 +147,7 @@ def compute_gains(sensor: SensorSpec) -> Floats:
 
 
 def _compute_gain_table(sensor: SensorSpec) -> Floats:
-    from pipeline.physics import optics
-
-    described = optics.require_optics(sensor)
+    described = require_optics(sensor)
     shape = sensor.camera.shape
     u, v = _grid(shape)
     fields = sample_instances(
@@ -169,62 +155,21 @@ def _compute_gain_table(sensor: SensorSpec) -> Floats:
     )
     tilted = np.einsum("gp,nkpi->nkgi", compute_position_terms(u, v), fields[..., :2])
     usual = compute_mean_reference_light(sensor.camera, described) + slope_model.OFFSET_GREY
-    change = compute_described_change(sensor).reshape(-1, 3, 2)
-    # of a normal's tilt, (places, colours, 2)
-    change = -slope_model.SPAN_GREY * change / usual[:, None]
-    size = np.maximum((change**2).sum(axis=-1), 1e-9)
-    gains = np.median(np.einsum("nkgi,gki->ngk", tilted, change) / size, axis=0)
-    return freeze(np.clip(gains, *_GAINS).reshape(*_GRID, 3).astype(np.float32))
-
-
-@derive_once
-def compute_described_change(sensor: SensorSpec) -> Floats:
-    """Grey levels by which a small slope along x and y changes the described colours, per mm/mm.
-
-    Needs optics.
-
-    (rows, cols, 3, 2) on the grid of `compute_gains`.
-    """
-    from pipeline.physics import optics
-
-    shape = sensor.camera.shape
-    u, v = _grid(shape)
     row, col = (
         np.rint(0.5 * (max(shape) * w + n - 1)).astype(np.intp)
         for w, n in zip((v, u), shape, strict=True)
     )
     level = np.zeros(shape, np.float32)
     steep = np.full(shape, _SMALL_SLOPE, np.float32)
-    change = [
-        optics.compute_colour_change(sensor, *g)[row, col] / _SMALL_SLOPE
+    rates = [
+        compute_colour_change(sensor, *g)[row, col] / _SMALL_SLOPE
         for g in ((steep, level), (level, steep))
     ]
-    return freeze(np.stack(change, axis=-1).reshape(*_GRID, 3, 2).astype(np.float32))
-
-
-def has_weak_shading(contact: Mask, reference: Floats, sensor: SensorSpec) -> bool:
-    """Whether a contact (rows, cols) lies where near LEDs hardly shade slopes, by the reference
-    image (rows, cols, 3).
-
-    The slope direction with the weakest shading counts, relative to the median over the image.
-    """
-    import cv2
-
-    if not contact.any():
-        return False
-    table = compute_gains(sensor)
-    change = compute_described_change(sensor)
-    rows, cols = table.shape[:2]
-    here = np.asarray(cv2.resize(reference, (cols, rows), interpolation=cv2.INTER_AREA), np.float32)
-    offset = np.float32(slope_model.OFFSET_GREY)
-    gain = table * (here + offset) / (here.reshape(-1, 3).mean(axis=0) + offset)
-    by_slope = gain[..., None] * change  # (rows, cols, colours, 2)
-    least = np.linalg.eigvalsh(np.einsum("rcki,rckj->rcij", by_slope, by_slope))[..., 0]
-    share = np.sqrt(np.maximum(least, 0.0) / max(float(np.median(least)), 1e-6)).astype(np.float32)
-    full = np.asarray(
-        cv2.resize(share, contact.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32
-    )
-    return float(np.median(full[contact])) < _WEAK_SHADING
+    # of a normal's tilt, (places, colours, 2)
+    change = -slope_model.SPAN_GREY * np.stack(rates, axis=-1) / usual[:, None]
+    size = np.maximum((change**2).sum(axis=-1), 1e-9)
+    gains = np.median(np.einsum("nkgi,gki->ngk", tilted, change) / size, axis=0)
+    return freeze(np.clip(gains, *_GAINS).reshape(*_GRID, 3).astype(np.float32))
 
 
 class _NearLeds:

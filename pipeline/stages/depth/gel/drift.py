@@ -29,9 +29,8 @@ from functools import cached_property
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats, Image, freeze
-from pipeline.core.digests import compute_cached_digest
+from pipeline.core.derived import derive_once
 from pipeline.core.errors import StageWarning
-from pipeline.core.memo import Memo
 from pipeline.stages.depth.gel.coarse_light import compute_block_means
 from pipeline.stages.depth.gel.settings import CHANGE
 
@@ -340,25 +339,20 @@ def apply_drift(reference: Image, drift: Drift) -> Floats:
     )
 
 
-_references: Memo[tuple[str, int], _ReferenceSums] = Memo(4)
-
-
+@derive_once
 def _sum_reference(reference: Image, block: int) -> _ReferenceSums:
-    """The sums of a reference image (rows, cols, 3), cached; its border is replicated."""
+    """The sums of a reference image (rows, cols, 3); its border is replicated."""
     import cv2
 
-    def make() -> _ReferenceSums:
-        margin = math.ceil(2 * CHANGE.drift_shift_max_px) + 2
-        sums = cv2.integral(
-            cv2.copyMakeBorder(reference, margin, margin, margin, margin, cv2.BORDER_REPLICATE),
-            sdepth=cv2.CV_64F,
-        )
-        shape = (reference.shape[0] // block, reference.shape[1] // block)
-        return _ReferenceSums(
-            sums=freeze(np.asarray(sums, np.float64)), margin=margin, block=block, shape=shape
-        )
-
-    return _references.get_or_make((compute_cached_digest(reference), block), make)
+    margin = math.ceil(2 * CHANGE.drift_shift_max_px) + 2
+    sums = cv2.integral(
+        cv2.copyMakeBorder(reference, margin, margin, margin, margin, cv2.BORDER_REPLICATE),
+        sdepth=cv2.CV_64F,
+    )
+    shape = (reference.shape[0] // block, reference.shape[1] // block)
+    return _ReferenceSums(
+        sums=freeze(np.asarray(sums, np.float64)), margin=margin, block=block, shape=shape
+    )
 
 
 def _shift_image(reference: Image, shift_px: Doubles) -> Floats:

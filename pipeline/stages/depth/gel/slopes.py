@@ -225,7 +225,7 @@ def describe_mirroring(reference: Image, source: SensorSpec, changed: ChangedIma
     d(gy)/dx; in a mirrored image one of the two is reversed, and half of what a dent shows belongs
     to no surface.
     """
-    how = None if source.optics is None else compare_colours(reference, source).possible_mirroring
+    how = compare_colours(reference, source).possible_mirroring
     if how is None or not looks_mirrored(changed, how):
         return ""
     return f"the images look mirrored {how}: only then are the touch's slopes those of a surface"
