@@ -11,6 +11,7 @@ the one that does best on simulated instances of distant LEDs, with light of the
 are pressed.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,7 +100,7 @@ def sample_instances(
     """Fields (count, 3, N_POSITION_TERMS, N_SHADING_TERMS) of `count` random instances."""
     u, v = _grid(shape)
     half_mm = 0.5 * max(shape) * pixel_mm
-    leds = _NearLeds(optics, u * half_mm, v * half_mm, count, rng)
+    compute_light = _draw_leds(optics, u * half_mm, v * half_mm, count, rng)
     rgb = np.array([led.rgb for led in optics.leds])  # (LEDs, 3)
     spill = rng.uniform(0.0, _OTHER_COLOURS, (count, len(rgb), 1)) * rng.random(
         (count, len(rgb), 3)
@@ -108,8 +109,8 @@ def sample_instances(
         rgb * np.exp(rng.normal(0.0, _LOG_POWER, (count, 1, 3)))
         + spill * rgb.mean(axis=1)[None, :, None]
     )
-    level = leds.compute_light(0.0)
-    rise = (leds.compute_light(_STEP_MM)[..., 2:] - level[..., 2:]) / _STEP_MM
+    level = compute_light(0.0)
+    rise = (compute_light(_STEP_MM)[..., 2:] - level[..., 2:]) / _STEP_MM
     change = np.einsum("nlpi,nlk->nkpi", np.concatenate([level, rise], axis=-1), rgb)
     still = np.einsum("nlp,nlk->nkp", level[..., 2], rgb)
     share = rng.uniform(*_AMBIENT, (count, 1)) * np.exp(
@@ -172,63 +173,58 @@ def _compute_gain_table(sensor: SensorSpec) -> Floats:
     return freeze(np.clip(gains, *_GAINS).reshape(*_GRID, 3).astype(np.float32))
 
 
-class _NearLeds:
-    """LEDs of `count` instances above points (n,) in mm, and their light on level gel there."""
+def _draw_leds(
+    optics: Optics, x_mm: Doubles, y_mm: Doubles, count: int, rng: np.random.Generator
+) -> Callable[[float], Doubles]:
+    """LEDs of `count` instances above points (n,) in mm, as their light on level gel there.
 
-    def __init__(
-        self, optics: Optics, x_mm: Doubles, y_mm: Doubles, count: int, rng: np.random.Generator
-    ) -> None:
-        per_led = (count, len(optics.leds))
-        per_instance = (count, 1)
-        azimuth = np.radians(
-            [led.azimuth_deg for led in optics.leds] + rng.normal(0.0, _AZIMUTH_DEG, per_led)
-        )
-        elevation = np.array([led.elevation_deg for led in optics.leds]) + rng.normal(
-            0.0, _ELEVATION_DEG, per_instance
-        )
-        elevation = np.radians(
-            np.clip(elevation + rng.normal(0.0, _LED_ELEVATION_DEG, per_led), *_ELEVATIONS_DEG)
-        )
-        edge = np.abs(x_mm).max() * np.abs(np.cos(azimuth)) + np.abs(y_mm).max() * np.abs(
-            np.sin(azimuth)
-        )
-        away = rng.uniform(*_DISTANCE, per_instance) * np.exp(rng.normal(0.0, 0.1, per_led))
-        away = edge * np.maximum(away, _NEAREST)
-        hits = (rng.uniform(-1.0, 1.0, per_instance) + rng.normal(0.0, 0.2, per_led)) * edge
-        width = np.radians(
-            rng.uniform(*_BEAM_WIDTH_DEG, per_instance) * np.exp(rng.normal(0.0, 0.1, per_led))
-        )
-        spread = np.radians(rng.uniform(*_STRIP_DEG, (count, 1, 1))) * np.array([-1.0, 0.0, 1.0])
-        bearing = azimuth[..., None] + spread  # (instances, LEDs, strip)
-        self._height = (away * np.tan(elevation))[..., None, None]
-        # of shape (instances, LEDs, strip, n)
-        self._to_x = (away[..., None] * np.cos(bearing))[..., None] - x_mm
-        self._to_y = (away[..., None] * np.sin(bearing))[..., None] - y_mm
-        self._across = np.hypot(self._to_x, self._to_y)
-        self._beam = tuple(
-            a[..., None, None]
-            for a in (elevation, np.arctan2(self._height[..., 0, 0], away - hits), width)
-        )
-        self._reach = np.hypot(away, self._height[..., 0, 0])[..., None, None]
-        self._falloff = rng.uniform(*_FALLOFF_POWER, (count, 1, 1, 1))
+    The function returns direction times strength (instances, LEDs, n, 3), 1 at the centre, on a
+    surface raised by an indentation in mm.
+    """
+    per_led = (count, len(optics.leds))
+    per_instance = (count, 1)
+    azimuth = np.radians(
+        [led.azimuth_deg for led in optics.leds] + rng.normal(0.0, _AZIMUTH_DEG, per_led)
+    )
+    elevation = np.array([led.elevation_deg for led in optics.leds]) + rng.normal(
+        0.0, _ELEVATION_DEG, per_instance
+    )
+    elevation = np.radians(
+        np.clip(elevation + rng.normal(0.0, _LED_ELEVATION_DEG, per_led), *_ELEVATIONS_DEG)
+    )
+    edge = np.abs(x_mm).max() * np.abs(np.cos(azimuth)) + np.abs(y_mm).max() * np.abs(
+        np.sin(azimuth)
+    )
+    away = rng.uniform(*_DISTANCE, per_instance) * np.exp(rng.normal(0.0, 0.1, per_led))
+    away = edge * np.maximum(away, _NEAREST)
+    hits = (rng.uniform(-1.0, 1.0, per_instance) + rng.normal(0.0, 0.2, per_led)) * edge
+    width = np.radians(
+        rng.uniform(*_BEAM_WIDTH_DEG, per_instance) * np.exp(rng.normal(0.0, 0.1, per_led))
+    )
+    spread = np.radians(rng.uniform(*_STRIP_DEG, (count, 1, 1))) * np.array([-1.0, 0.0, 1.0])
+    bearing = azimuth[..., None] + spread  # (instances, LEDs, strip)
+    height = (away * np.tan(elevation))[..., None, None]
+    # of shape (instances, LEDs, strip, n)
+    to_x = (away[..., None] * np.cos(bearing))[..., None] - x_mm
+    to_y = (away[..., None] * np.sin(bearing))[..., None] - y_mm
+    across = np.hypot(to_x, to_y)
+    beam = tuple(
+        a[..., None, None] for a in (elevation, np.arctan2(height[..., 0, 0], away - hits), width)
+    )
+    reach = np.hypot(away, height[..., 0, 0])[..., None, None]
+    falloff = rng.uniform(*_FALLOFF_POWER, (count, 1, 1, 1))
 
-    def compute_light(self, indentation_mm: float) -> Doubles:
-        """Direction times strength (instances, LEDs, n, 3) on a surface raised by `indentation_mm`.
-
-        1 at the centre.
-        """
-        elevation, axis, width = self._beam
-        up = self._height - indentation_mm
-        distance = np.hypot(self._across, up)
-        off = (np.arctan2(up, self._across) - axis) / width
+    def compute_light(indentation_mm: float) -> Doubles:
+        elevation, axis, width = beam
+        up = height - indentation_mm
+        distance = np.hypot(across, up)
+        off = (np.arctan2(up, across) - axis) / width
         centre_off = (elevation - axis) / width
-        strength = (
-            (self._reach / distance) ** self._falloff
-            * np.exp(0.5 * (centre_off**2 - off**2))
-            / distance
-        )
-        towards = (self._to_x, self._to_y, np.broadcast_to(up, distance.shape))
+        strength = (reach / distance) ** falloff * np.exp(0.5 * (centre_off**2 - off**2)) / distance
+        towards = (to_x, to_y, np.broadcast_to(up, distance.shape))
         return np.stack([(strength * part).mean(axis=2) for part in towards], axis=-1)
+
+    return compute_light
 
 
 def _grid(shape: tuple[int, int]) -> tuple[Doubles, Doubles]:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.core.arrays import Floats, freeze
+from pipeline.core.arrays import freeze
 from pipeline.core.derived import derive_once
 from pipeline.core.errors import MissingReference, SensorMismatch, ShapeError
 from pipeline.core.geometry.camera import Camera
@@ -77,7 +77,7 @@ def make_untouched_depth(
 
 
 @derive_once
-def _make_untouched(rest_mm: Floats, camera: Camera, notes: tuple[str, ...]) -> DepthMap:
+def _make_untouched(rest_mm: NDArray[Any], camera: Camera, notes: tuple[str, ...]) -> DepthMap:
     return DepthMap(
         indentation_mm=freeze(np.zeros(camera.shape, np.float32)),
         depth_mm=freeze(np.where(rest_mm > 0, rest_mm, np.nan).astype(np.float32)),

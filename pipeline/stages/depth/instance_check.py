@@ -57,7 +57,7 @@ def _compare_references(reference: Image, calibrated: Image) -> tuple[float, boo
         now = np.asarray(
             cv2.resize(now, calibrated.shape[1::-1], interpolation=cv2.INTER_AREA), np.uint8
         )
-    fitted, _ = drift.fit_drift(now, calibrated)
+    fitted, *_ = drift.fit_drift(now, calibrated)
     drifted = (
         calibrated.astype(np.float32) if fitted is None else drift.apply_drift(calibrated, fitted)
     )

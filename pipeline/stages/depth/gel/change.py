@@ -90,8 +90,7 @@ class FrameChange:
 
     press: Change
     rest: drift.RestImage
-    # (rows, cols) what printed markers hide of the image; None = not known
-    markers: Mask | None = None
+    markers: Mask | None  # (rows, cols) what printed markers hide of the image, if there are any
 
 
 _SMOOTH_DENT = (
@@ -131,10 +130,10 @@ def detect_press(
 
 def observe_change(image: Image, reference: Image, rest: RestState) -> FrameChange:
     """Press or drift between two images (rows, cols, 3), and the rest image of the first."""
-    exposed = drift.remove_exposure(image, drift.estimate_exposure(image, reference))
+    still = drift.estimate_rest_image(image, reference)
+    exposed = drift.remove_exposure(image, still.exposure)
     printed = rest.source.markers
     markers = None if printed is None else freeze(detect_markers(exposed, printed, rest.pixel_mm))
-    still = drift.estimate_rest_image(image, reference)
 
     def compare(before: Image) -> Floats:
         return coarse_light.compute_block_change(

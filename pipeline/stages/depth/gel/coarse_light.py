@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.calibration.markers import detect_markers, remove_printed_markers
+from pipeline.calibration.slope_model import compute_positions
 from pipeline.core.arrays import Doubles, Floats, Image, Mask, freeze
 from pipeline.core.derived import derive_once
 from pipeline.core.geometry.camera import Camera
@@ -212,12 +213,7 @@ def make_drift_prior(reference: Image, source: SensorSpec, pixel_mm: float) -> D
         compute_block_means(np.asarray(a, np.float32), block) for a in (still, by_x, by_y)
     )
     rows, cols = mean.shape[:2]
-    half = max(rows, cols) / 2
-    y, x = np.meshgrid(
-        (np.arange(rows) - (rows - 1) / 2) / half,
-        (np.arange(cols) - (cols - 1) / 2) / half,
-        indexing="ij",
-    )
+    x, y = np.meshgrid(*compute_positions((rows, cols)))
     columns = np.zeros((rows, cols, 3, 14), np.float32)
     for colour in range(3):
         columns[:, :, colour, 4 * colour : 4 * colour + 4] = np.stack(
