@@ -271,7 +271,6 @@ def calibrations(draw: Any) -> Calibration:
         cols=draw(st.integers(1, 900)),
         pixel_mm=draw(POSITIVE),
         model=model,
-        residual=draw(POSITIVE),
         origin=draw(WORDS),
         presses=tuple(draw(st.lists(st.sampled_from((used, unused))))),
         uses_built_in=draw(st.booleans()),

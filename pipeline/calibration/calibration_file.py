@@ -48,7 +48,6 @@ class _Content(msgspec.Struct, kw_only=True, frozen=True):
     colour_degree: Annotated[int, Meta(ge=1, le=6)]
     position_degree: Annotated[int, Meta(ge=0, le=6)]
     slope_max: _Positive
-    residual: Number
     origin: Note
     presses: tuple[tuple[Number, float, float, float, float, Number], ...]  # see `_encode_presses`
     uses_built_in: bool
@@ -110,7 +109,6 @@ def save(calibration: Calibration, path: Path | str) -> Path:
             colour_degree=model.colour_degree,
             position_degree=model.position_degree,
             slope_max=model.slope_max,
-            residual=calibration.residual,
             origin=calibration.origin,
             presses=_encode_presses(calibration.presses),
             uses_built_in=calibration.uses_built_in,
@@ -162,7 +160,6 @@ def _decode(content: _Content) -> Calibration:
         cols=cols,
         pixel_mm=content.pixel_mm,
         model=model,
-        residual=content.residual,
         origin=content.origin,
         uses_built_in=content.uses_built_in,
         presses=tuple(

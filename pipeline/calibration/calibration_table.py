@@ -75,7 +75,6 @@ class Calibration:
     cols: int
     pixel_mm: float
     model: SlopeModel
-    residual: float  # rms slope error of the samples of the fit, mm/mm
     origin: str  # a sentence for the user
     presses: tuple[BallFit, ...] = ()  # empty = from the sensor's description
     # the presses did not improve on the table of the sensor's description
@@ -89,6 +88,11 @@ class Calibration:
     depth_scale_map: Floats | None = None
     # on any coarse grid: parts of the image that the presses cover; None = all
     coverage_map: Mask | None = None
+
+    @property
+    def residual(self) -> float:
+        """Root mean square of the slope errors of the presses that are used, mm/mm."""
+        return float(np.sqrt(np.mean([p.residual**2 for p in self.presses if p.used])))
 
     @property
     def is_built_in(self) -> bool:
@@ -124,38 +128,12 @@ class Calibration:
         return whole[row : row + shape[0], col : col + shape[1]]
 
 
-def compute_slopes(
-    calibration: Calibration,
-    image: Image,
-    reference: NDArray[Any],
-    where: Mask,
-    corner: tuple[int, int] = (0, 0),
-    *,
-    markers: Markers | None = None,
-    smoothing_px: float = SMOOTHING_PX,
-) -> tuple[Floats, Floats]:
-    """(gx, gy) of the indentation, mm/mm, x right and y down: (rows, cols) float32, zero outside
-    `where`.
-
-    The images are the part of the calibrated one whose first pixel is `corner`.
-    """
-    change = compute_relative_change(
-        image, reference, calibration.pixel_mm, markers=markers, smoothing_px=smoothing_px
-    )
-    u, v = slope_model.compute_positions((calibration.rows, calibration.cols))
-    (row, col), (rows, cols) = corner, where.shape
-    return slope_model.evaluate(
-        calibration.model, change, u[col : col + cols], v[row : row + rows], where
-    )
-
-
 def compute_relative_change(
     image: NDArray[Any],
     reference: NDArray[Any],
     pixel_mm: float,
     *,
     markers: Markers | None = None,
-    smoothing_px: float = SMOOTHING_PX,
 ) -> Floats:
     """The smoothed colour change relative to the reference brightness, q of `slope_model`.
 
@@ -171,8 +149,7 @@ def compute_relative_change(
         printed, bright = remove_printed_markers(reference, markers, pixel_mm)
         hidden = printed | detect_markers(image, markers, pixel_mm)
         change = inpaint_markers(change, hidden, markers, pixel_mm)
-    if smoothing_px > 0:
-        change = cv2.GaussianBlur(change, (0, 0), smoothing_px)
+    change = cv2.GaussianBlur(change, (0, 0), SMOOTHING_PX)
     return np.asarray(change, np.float32) * slope_model.compute_gain(bright)
 
 
@@ -190,18 +167,12 @@ def make_built_in(sensor: SensorSpec) -> Calibration:
 
     # The shading of a slope is independent of distance, so variants of a sensor at several depths
     # share the fit.
-    fitted = disk_store.load_or_make(
-        _Inversion,
+    model = disk_store.load_or_make(
+        SlopeModel,
         (sensor.camera, sensor.optics),
         _CODE,
         lambda: _invert_optics(sensor),
         "calibration_tables",
-    )
-    model = SlopeModel(
-        colour_degree=_DEGREES[0],
-        position_degree=_DEGREES[1],
-        coefficients=fitted.coefficients,
-        slope_max=fitted.slope_max,
     )
     return Calibration(
         sensor=sensor.name,
@@ -209,19 +180,11 @@ def make_built_in(sensor: SensorSpec) -> Calibration:
         cols=sensor.camera.cols,
         pixel_mm=sensor.pixel_mm,
         model=model,
-        residual=fitted.residual,
         origin="derived from the sensor's optical description",
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Inversion:
-    coefficients: Floats  # of a `SlopeModel` of the built-in degrees
-    slope_max: float
-    residual: float
-
-
-def _invert_optics(sensor: SensorSpec) -> _Inversion:
+def _invert_optics(sensor: SensorSpec) -> SlopeModel:
     from pipeline.physics import optics
 
     rng = np.random.default_rng(0)
@@ -252,7 +215,7 @@ def _invert_optics(sensor: SensorSpec) -> _Inversion:
         np.concatenate(p).astype(np.float32) for p in zip(*parts, strict=True)
     )
     samples = SlopeSamples(change=change, u=u_all, v=v_all, slopes=g)
-    model = slope_model.fit(
+    return slope_model.fit(
         samples,
         np.ones(len(g), np.float32),
         colour_degree=_DEGREES[0],
@@ -260,8 +223,6 @@ def _invert_optics(sensor: SensorSpec) -> _Inversion:
         ridge=1e-7,
         huber=0.1,
     )
-    rms = float(np.sqrt(np.mean((slope_model.predict(model, samples) - g) ** 2)))
-    return _Inversion(coefficients=model.coefficients, slope_max=model.slope_max, residual=rms)
 
 
 def make_thumbnail(reference: Image) -> Image:

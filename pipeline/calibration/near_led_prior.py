@@ -11,6 +11,7 @@ the one that does best on simulated instances of distant LEDs, with light of the
 are pressed.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,9 +24,9 @@ from pipeline.calibration.shading_field import (
     compute_position_terms,
 )
 from pipeline.core import disk_store
-from pipeline.core.arrays import Doubles, Floats, Mask, freeze
+from pipeline.core.arrays import Doubles, Floats, freeze
 from pipeline.core.derived import derive_once
-from pipeline.core.errors import CalibrationError
+from pipeline.physics.optics import compute_colour_change, require_optics
 from pipeline.sensors.parts import compute_mean_reference_light
 from pipeline.sensors.spec import Optics, SensorSpec
 
@@ -55,8 +56,6 @@ _MISFIT_REACH = 0.7
 _RIDGE = 1e-9
 # beyond, a colour carries no information, or the median of instances rests on a few
 _GAINS = (0.05, 3.0)
-# of the median: balls on a real Mini are wrong by 60 % below, by 12 % elsewhere
-_WEAK_SHADING = 0.8
 _SMALL_SLOPE = 1e-3  # mm/mm: the light is linear there
 _CODE = (
     "pipeline.calibration.near_led_prior",
@@ -73,14 +72,9 @@ _LEVEL_MISFIT = 0.3  # share of the misfit along z, where a tilt weakens all lig
 def compute_prior(sensor: SensorSpec, pixel_mm: float, shape: tuple[int, int]) -> ShadingFieldPrior:
     """The prior of `sensor`'s field over an image of `shape` (rows, cols).
 
-    CalibrationError for one without optics.
+    SettingProblem for one without optics.
     """
-    if sensor.optics is None:
-        raise CalibrationError(
-            f"{sensor.name} has no optics to derive a calibration table from; it measures depth "
-            "itself"
-        )
-    optics = sensor.optics
+    optics = require_optics(sensor)
     return disk_store.load_or_make(
         ShadingFieldPrior,
         (optics, pixel_mm, shape),
@@ -106,7 +100,7 @@ def sample_instances(
     """Fields (count, 3, N_POSITION_TERMS, N_SHADING_TERMS) of `count` random instances."""
     u, v = _grid(shape)
     half_mm = 0.5 * max(shape) * pixel_mm
-    leds = _NearLeds(optics, u * half_mm, v * half_mm, count, rng)
+    compute_light = _draw_leds(optics, u * half_mm, v * half_mm, count, rng)
     rgb = np.array([led.rgb for led in optics.leds])  # (LEDs, 3)
     spill = rng.uniform(0.0, _OTHER_COLOURS, (count, len(rgb), 1)) * rng.random(
         (count, len(rgb), 3)
@@ -115,8 +109,8 @@ def sample_instances(
         rgb * np.exp(rng.normal(0.0, _LOG_POWER, (count, 1, 3)))
         + spill * rgb.mean(axis=1)[None, :, None]
     )
-    level = leds.compute_light(0.0)
-    rise = (leds.compute_light(_STEP_MM)[..., 2:] - level[..., 2:]) / _STEP_MM
+    level = compute_light(0.0)
+    rise = (compute_light(_STEP_MM)[..., 2:] - level[..., 2:]) / _STEP_MM
     change = np.einsum("nlpi,nlk->nkpi", np.concatenate([level, rise], axis=-1), rgb)
     still = np.einsum("nlp,nlk->nkp", level[..., 2], rgb)
     share = rng.uniform(*_AMBIENT, (count, 1)) * np.exp(
@@ -147,11 +141,6 @@ def compute_gains(sensor: SensorSpec) -> Floats:
     changes are relative to the reference image: the instance's own at that place, and the mean of
     the described one.
     """
-    if sensor.optics is None:
-        raise CalibrationError(
-            f"{sensor.name} has no optics to derive its light from; it measures depth itself"
-        )
-
     made_of = (sensor.camera, sensor.optics, sensor.pixel_mm)
     return disk_store.load_or_make(
         _Gains, made_of, _CODE, lambda: _Gains(table=_compute_gain_table(sensor)), "look_ups"
@@ -159,9 +148,7 @@ def compute_gains(sensor: SensorSpec) -> Floats:
 
 
 def _compute_gain_table(sensor: SensorSpec) -> Floats:
-    from pipeline.physics import optics
-
-    described = optics.require_optics(sensor)
+    described = require_optics(sensor)
     shape = sensor.camera.shape
     u, v = _grid(shape)
     fields = sample_instances(
@@ -169,121 +156,75 @@ def _compute_gain_table(sensor: SensorSpec) -> Floats:
     )
     tilted = np.einsum("gp,nkpi->nkgi", compute_position_terms(u, v), fields[..., :2])
     usual = compute_mean_reference_light(sensor.camera, described) + slope_model.OFFSET_GREY
-    change = compute_described_change(sensor).reshape(-1, 3, 2)
-    # of a normal's tilt, (places, colours, 2)
-    change = -slope_model.SPAN_GREY * change / usual[:, None]
-    size = np.maximum((change**2).sum(axis=-1), 1e-9)
-    gains = np.median(np.einsum("nkgi,gki->ngk", tilted, change) / size, axis=0)
-    return freeze(np.clip(gains, *_GAINS).reshape(*_GRID, 3).astype(np.float32))
-
-
-@derive_once
-def compute_described_change(sensor: SensorSpec) -> Floats:
-    """Grey levels by which a small slope along x and y changes the described colours, per mm/mm.
-
-    Needs optics.
-
-    (rows, cols, 3, 2) on the grid of `compute_gains`.
-    """
-    from pipeline.physics import optics
-
-    shape = sensor.camera.shape
-    u, v = _grid(shape)
     row, col = (
         np.rint(0.5 * (max(shape) * w + n - 1)).astype(np.intp)
         for w, n in zip((v, u), shape, strict=True)
     )
     level = np.zeros(shape, np.float32)
     steep = np.full(shape, _SMALL_SLOPE, np.float32)
-    change = [
-        optics.compute_colour_change(sensor, *g)[row, col] / _SMALL_SLOPE
+    rates = [
+        compute_colour_change(sensor, *g)[row, col] / _SMALL_SLOPE
         for g in ((steep, level), (level, steep))
     ]
-    return freeze(np.stack(change, axis=-1).reshape(*_GRID, 3, 2).astype(np.float32))
+    # of a normal's tilt, (places, colours, 2)
+    change = -slope_model.SPAN_GREY * np.stack(rates, axis=-1) / usual[:, None]
+    size = np.maximum((change**2).sum(axis=-1), 1e-9)
+    gains = np.median(np.einsum("nkgi,gki->ngk", tilted, change) / size, axis=0)
+    return freeze(np.clip(gains, *_GAINS).reshape(*_GRID, 3).astype(np.float32))
 
 
-def has_weak_shading(contact: Mask, reference: Floats, sensor: SensorSpec) -> bool:
-    """Whether a contact (rows, cols) lies where near LEDs hardly shade slopes, by the reference
-    image (rows, cols, 3).
+def _draw_leds(
+    optics: Optics, x_mm: Doubles, y_mm: Doubles, count: int, rng: np.random.Generator
+) -> Callable[[float], Doubles]:
+    """LEDs of `count` instances above points (n,) in mm, as their light on level gel there.
 
-    The slope direction with the weakest shading counts, relative to the median over the image.
+    The function returns direction times strength (instances, LEDs, n, 3), 1 at the centre, on a
+    surface raised by an indentation in mm.
     """
-    import cv2
-
-    if not contact.any():
-        return False
-    table = compute_gains(sensor)
-    change = compute_described_change(sensor)
-    rows, cols = table.shape[:2]
-    here = np.asarray(cv2.resize(reference, (cols, rows), interpolation=cv2.INTER_AREA), np.float32)
-    offset = np.float32(slope_model.OFFSET_GREY)
-    gain = table * (here + offset) / (here.reshape(-1, 3).mean(axis=0) + offset)
-    by_slope = gain[..., None] * change  # (rows, cols, colours, 2)
-    least = np.linalg.eigvalsh(np.einsum("rcki,rckj->rcij", by_slope, by_slope))[..., 0]
-    share = np.sqrt(np.maximum(least, 0.0) / max(float(np.median(least)), 1e-6)).astype(np.float32)
-    full = np.asarray(
-        cv2.resize(share, contact.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32
+    per_led = (count, len(optics.leds))
+    per_instance = (count, 1)
+    azimuth = np.radians(
+        [led.azimuth_deg for led in optics.leds] + rng.normal(0.0, _AZIMUTH_DEG, per_led)
     )
-    return float(np.median(full[contact])) < _WEAK_SHADING
+    elevation = np.array([led.elevation_deg for led in optics.leds]) + rng.normal(
+        0.0, _ELEVATION_DEG, per_instance
+    )
+    elevation = np.radians(
+        np.clip(elevation + rng.normal(0.0, _LED_ELEVATION_DEG, per_led), *_ELEVATIONS_DEG)
+    )
+    edge = np.abs(x_mm).max() * np.abs(np.cos(azimuth)) + np.abs(y_mm).max() * np.abs(
+        np.sin(azimuth)
+    )
+    away = rng.uniform(*_DISTANCE, per_instance) * np.exp(rng.normal(0.0, 0.1, per_led))
+    away = edge * np.maximum(away, _NEAREST)
+    hits = (rng.uniform(-1.0, 1.0, per_instance) + rng.normal(0.0, 0.2, per_led)) * edge
+    width = np.radians(
+        rng.uniform(*_BEAM_WIDTH_DEG, per_instance) * np.exp(rng.normal(0.0, 0.1, per_led))
+    )
+    spread = np.radians(rng.uniform(*_STRIP_DEG, (count, 1, 1))) * np.array([-1.0, 0.0, 1.0])
+    bearing = azimuth[..., None] + spread  # (instances, LEDs, strip)
+    height = (away * np.tan(elevation))[..., None, None]
+    # of shape (instances, LEDs, strip, n)
+    to_x = (away[..., None] * np.cos(bearing))[..., None] - x_mm
+    to_y = (away[..., None] * np.sin(bearing))[..., None] - y_mm
+    across = np.hypot(to_x, to_y)
+    beam = tuple(
+        a[..., None, None] for a in (elevation, np.arctan2(height[..., 0, 0], away - hits), width)
+    )
+    reach = np.hypot(away, height[..., 0, 0])[..., None, None]
+    falloff = rng.uniform(*_FALLOFF_POWER, (count, 1, 1, 1))
 
-
-class _NearLeds:
-    """LEDs of `count` instances above points (n,) in mm, and their light on level gel there."""
-
-    def __init__(
-        self, optics: Optics, x_mm: Doubles, y_mm: Doubles, count: int, rng: np.random.Generator
-    ) -> None:
-        per_led = (count, len(optics.leds))
-        per_instance = (count, 1)
-        azimuth = np.radians(
-            [led.azimuth_deg for led in optics.leds] + rng.normal(0.0, _AZIMUTH_DEG, per_led)
-        )
-        elevation = np.array([led.elevation_deg for led in optics.leds]) + rng.normal(
-            0.0, _ELEVATION_DEG, per_instance
-        )
-        elevation = np.radians(
-            np.clip(elevation + rng.normal(0.0, _LED_ELEVATION_DEG, per_led), *_ELEVATIONS_DEG)
-        )
-        edge = np.abs(x_mm).max() * np.abs(np.cos(azimuth)) + np.abs(y_mm).max() * np.abs(
-            np.sin(azimuth)
-        )
-        away = rng.uniform(*_DISTANCE, per_instance) * np.exp(rng.normal(0.0, 0.1, per_led))
-        away = edge * np.maximum(away, _NEAREST)
-        hits = (rng.uniform(-1.0, 1.0, per_instance) + rng.normal(0.0, 0.2, per_led)) * edge
-        width = np.radians(
-            rng.uniform(*_BEAM_WIDTH_DEG, per_instance) * np.exp(rng.normal(0.0, 0.1, per_led))
-        )
-        spread = np.radians(rng.uniform(*_STRIP_DEG, (count, 1, 1))) * np.array([-1.0, 0.0, 1.0])
-        bearing = azimuth[..., None] + spread  # (instances, LEDs, strip)
-        self._height = (away * np.tan(elevation))[..., None, None]
-        # of shape (instances, LEDs, strip, n)
-        self._to_x = (away[..., None] * np.cos(bearing))[..., None] - x_mm
-        self._to_y = (away[..., None] * np.sin(bearing))[..., None] - y_mm
-        self._across = np.hypot(self._to_x, self._to_y)
-        self._beam = tuple(
-            a[..., None, None]
-            for a in (elevation, np.arctan2(self._height[..., 0, 0], away - hits), width)
-        )
-        self._reach = np.hypot(away, self._height[..., 0, 0])[..., None, None]
-        self._falloff = rng.uniform(*_FALLOFF_POWER, (count, 1, 1, 1))
-
-    def compute_light(self, indentation_mm: float) -> Doubles:
-        """Direction times strength (instances, LEDs, n, 3) on a surface raised by `indentation_mm`.
-
-        1 at the centre.
-        """
-        elevation, axis, width = self._beam
-        up = self._height - indentation_mm
-        distance = np.hypot(self._across, up)
-        off = (np.arctan2(up, self._across) - axis) / width
+    def compute_light(indentation_mm: float) -> Doubles:
+        elevation, axis, width = beam
+        up = height - indentation_mm
+        distance = np.hypot(across, up)
+        off = (np.arctan2(up, across) - axis) / width
         centre_off = (elevation - axis) / width
-        strength = (
-            (self._reach / distance) ** self._falloff
-            * np.exp(0.5 * (centre_off**2 - off**2))
-            / distance
-        )
-        towards = (self._to_x, self._to_y, np.broadcast_to(up, distance.shape))
+        strength = (reach / distance) ** falloff * np.exp(0.5 * (centre_off**2 - off**2)) / distance
+        towards = (to_x, to_y, np.broadcast_to(up, distance.shape))
         return np.stack([(strength * part).mean(axis=2) for part in towards], axis=-1)
+
+    return compute_light
 
 
 def _grid(shape: tuple[int, int]) -> tuple[Doubles, Doubles]:

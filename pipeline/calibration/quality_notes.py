@@ -57,10 +57,10 @@ def describe_size_mismatch(calibration: Calibration) -> str:
 def format_calibration(calibration: Calibration) -> list[str]:
     """The calibration as lines for a terminal."""
     size = f"{calibration.cols} x {calibration.rows} px of {calibration.pixel_mm:.4f} mm"
-    used = [p.residual for p in calibration.presses if p.used]
+    used = sum(p.used for p in calibration.presses)
     out = [f"calibration of {calibration.sensor}, {size}", f"  table: {calibration.origin}"]
     if used:
-        out.append(f"  slope residual {calibration.residual:.3f} mm/mm over {len(used)} presses")
+        out.append(f"  slope residual {calibration.residual:.3f} mm/mm over {used} presses")
     odd = describe_size_mismatch(calibration)
     return [
         *out,
@@ -74,14 +74,10 @@ def describe_expected_error(calibration: Calibration) -> str:
     error = calibration.expected_error
     if error is None:
         return describe_quality(calibration)
-    basis = (
-        f"measured on {error.n_held_out} held-out presses"
-        if error.n_held_out
-        else "predicted, without held-out presses"
-    )
     return (
         f"expected error of a ball's diameter: up to {100 * error.diameter_p90:.0f} % in nine of "
         "ten touches (median "
         f"{100 * error.diameter_share:.0f} %), of its depth {100 * error.depth_p90:.0f} % "
-        f"({100 * error.depth_share:.0f} %); {basis}"
+        f"({100 * error.depth_share:.0f} %); "
+        f"measured on {error.n_held_out} held-out presses"
     )

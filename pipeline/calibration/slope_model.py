@@ -49,9 +49,17 @@ class SlopeSamples:
 def compute_positions(shape: tuple[int, int]) -> tuple[Floats, Floats]:
     """U of every column (cols,) and v of every row (rows,)."""
     rows, cols = shape
+    return locate(np.arange(cols, dtype=np.float64), np.arange(rows, dtype=np.float64), shape)
+
+
+def locate(
+    x_px: Floats | Doubles, y_px: Floats | Doubles, shape: tuple[int, int]
+) -> tuple[Floats, Floats]:
+    """U and v of columns and rows of an image of `shape`, which may have fractions."""
+    rows, cols = shape
     half = max(rows, cols) / 2
-    u = (np.arange(cols) - (cols - 1) / 2) / half
-    v = (np.arange(rows) - (rows - 1) / 2) / half
+    u = (x_px - (cols - 1) / 2) / half
+    v = (y_px - (rows - 1) / 2) / half
     return u.astype(np.float32), v.astype(np.float32)
 
 

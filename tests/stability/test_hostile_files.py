@@ -311,7 +311,6 @@ def _calibration() -> Any:
         cols=320,
         pixel_mm=0.1,
         model=model,
-        residual=0.1,
         origin="balls",
         presses=(),
     )

@@ -114,13 +114,8 @@ def calibrate_sensor(
             stated = max(found.expected_error, seen, key=_get_share)
             best = replace(found, expected_error=stated)
     progress.step(1.0, "calibration is ready")
-    residuals = [fit.residual for fit in best.presses if fit.used]
     given = f"{len(ratio)} of {len(images)} presses of a ball of {diameter_mm:g} mm"
-    return replace(
-        best,
-        residual=float(np.sqrt(np.mean(np.square(residuals)))),
-        origin=f"{best.origin} ({given})",
-    )
+    return replace(best, origin=f"{best.origin} ({given})")
 
 
 def replace_table(

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.calibration.contact_circles import find_largest_part
 from pipeline.core.arrays import Floats, Mask, freeze
 from pipeline.core.derived import derive_once
 from pipeline.stages.depth.bubble_contact import denoise_displacement
@@ -122,7 +123,7 @@ def _fit_dome(rest: Floats, measured: Floats) -> Floats:
         for n in rest.shape
     )
     sparse = slice(None, None, _DOME_STEP_PX)
-    used = _select_largest_region(measured > 0)[sparse, sparse]
+    used = find_largest_part(measured > 0)[sparse, sparse]
     if np.count_nonzero(used) < _DOME_PIXELS_MIN:
         return freeze(np.zeros_like(rest))
     terms = np.stack(
@@ -132,17 +133,3 @@ def _fit_dome(rest: Floats, measured: Floats) -> Floats:
     shape = np.zeros((_DOME_DEGREE + 1, _DOME_DEGREE + 1))
     shape[tuple(np.transpose(powers))] = np.linalg.lstsq(terms, depth_mm, rcond=None)[0]
     return freeze((y @ shape @ x.T).astype(np.float32))
-
-
-def _select_largest_region(seen: Mask) -> Mask:
-    """The largest connected region (rows, cols): a few pixels far from the membrane would bend a
-    polynomial.
-    """
-    import cv2
-
-    n, labels, stats, _ = cv2.connectedComponentsWithStats(seen.astype(np.uint8), connectivity=4)
-    return (
-        seen
-        if n <= 2
-        else np.asarray(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])), np.bool_)
-    )

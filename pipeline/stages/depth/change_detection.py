@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.core.arrays import Floats, Image, Mask
 from pipeline.stages.depth.contact import fill_holes
 from pipeline.stages.depth.gel.coarse_light import compute_block_means
-from pipeline.stages.depth.gel.settings import SlopesSettings
+from pipeline.stages.depth.gel.settings import SLOPES
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +40,7 @@ def compute_block_change(image: Image, reference: Image, block_px: int) -> Image
 
 
 def detect_change(
-    image: Image, reference: Image, no_touch_grey: float, pixel_mm: float, settings: SlopesSettings
+    image: Image, reference: Image, no_touch_grey: float, pixel_mm: float
 ) -> ImageWindow | None:
     """The window around all changes, with a margin for the gel's relaxation.
 
@@ -50,17 +50,15 @@ def detect_change(
     """
     import cv2
 
-    blocks = (
-        compute_block_change(image, reference, settings.block_px).max(axis=2).astype(np.float32)
-    )
+    blocks = compute_block_change(image, reference, SLOPES.block_px).max(axis=2).astype(np.float32)
     # A touched region does not extend into changes that the whole image has (drift of the light).
     low = max(
-        settings.low_share * no_touch_grey,
-        settings.drift_factor * float(np.quantile(blocks, settings.typical_quantile)),
+        SLOPES.low_share * no_touch_grey,
+        SLOPES.drift_factor * float(np.quantile(blocks, SLOPES.typical_quantile)),
     )
     if float(blocks.max()) < low:  # all of it has changed equally: a touch larger than the image
         low = no_touch_grey
-    relative = _compare_with_noise(image, reference, blocks.shape, settings)
+    relative = _compare_with_noise(image, reference, blocks.shape)
     n, regions = cv2.connectedComponents((blocks > low).astype(np.uint8), connectivity=8)
     strong = np.zeros(n, np.bool_)
     strong[np.unique(regions[blocks >= max(no_touch_grey, low)])] = True
@@ -69,7 +67,7 @@ def detect_change(
         return None
     # A flat face changes no colours, but is indented: what a touch encloses belongs to it.
     touched = fill_holes(strong[regions])
-    return grow_to_window(touched, image.shape[:2], pixel_mm, settings)
+    return grow_to_window(touched, image.shape[:2], pixel_mm)
 
 
 def detect_press(
@@ -78,26 +76,21 @@ def detect_press(
     no_touch_grey: float,
     pixel_mm: float,
     dent_mm: Floats,
-    settings: SlopesSettings,
 ) -> ImageWindow:
     """The window of a press: around its changes, or, where none stands out, around its coarse
     dent (rows, cols).
     """
     import cv2
 
-    window = detect_change(image, reference, no_touch_grey, pixel_mm, settings)
+    window = detect_change(image, reference, no_touch_grey, pixel_mm)
     if window is not None:
         return window
-    blocks = tuple(max(1, n // settings.block_px) for n in image.shape[1::-1])
+    blocks = tuple(max(1, n // SLOPES.block_px) for n in image.shape[1::-1])
     dent = np.asarray(cv2.resize(dent_mm, blocks, interpolation=cv2.INTER_LINEAR))
-    return grow_to_window(
-        dent >= settings.dent_share * dent.max(), image.shape[:2], pixel_mm, settings
-    )
+    return grow_to_window(dent >= SLOPES.dent_share * dent.max(), image.shape[:2], pixel_mm)
 
 
-def _compare_with_noise(
-    image: Image, reference: Image, shape: tuple[int, ...], settings: SlopesSettings
-) -> Floats:
+def _compare_with_noise(image: Image, reference: Image, shape: tuple[int, ...]) -> Floats:
     """Smoothed change of every block over the noise limit, (rows // 8, cols // 8) = `shape`.
 
     1 or more is no noise.
@@ -111,14 +104,14 @@ def _compare_with_noise(
 
     if min(shape) < 3:
         return np.full(shape, np.inf, np.float32)
-    block_px = max(1, min(settings.block_px, max(image.shape[:2]) // settings.blocks_min))
+    block_px = max(1, min(SLOPES.block_px, max(image.shape[:2]) // SLOPES.blocks_min))
     change = compute_block_means(image, block_px) - compute_block_means(reference, block_px)
-    smooth = np.asarray(cv2.GaussianBlur(change, (0, 0), settings.smoothing_blocks), np.float32)
+    smooth = np.asarray(cv2.GaussianBlur(change, (0, 0), SLOPES.smoothing_blocks), np.float32)
     second_differences = np.abs(smooth[:, 2:] - 2.0 * smooth[:, 1:-1] + smooth[:, :-2])
     noise = 1.48 * float(
         np.median(second_differences)
     )  # standard deviation of a Gaussian from its median absolute value
-    above = np.abs(smooth).max(axis=2) / np.float32(max(settings.noise_factor * noise, 1e-6))
+    above = np.abs(smooth).max(axis=2) / np.float32(max(SLOPES.noise_factor * noise, 1e-6))
     return (
         above
         if above.shape == shape
@@ -126,9 +119,7 @@ def _compare_with_noise(
     )
 
 
-def grow_to_window(
-    touched: Mask, shape: tuple[int, ...], pixel_mm: float, settings: SlopesSettings
-) -> ImageWindow:
+def grow_to_window(touched: Mask, shape: tuple[int, ...], pixel_mm: float) -> ImageWindow:
     """The window around the changed blocks (rows // 8, cols // 8) with its margin.
 
     The margin follows the interpolated distance to the blocks, so it has no steps.
@@ -138,17 +129,17 @@ def grow_to_window(
     rows, cols = shape[:2]
     away = (
         np.asarray(cv2.distanceTransform((~touched).astype(np.uint8), cv2.DIST_L2, 5), np.float32)
-        * settings.block_px
+        * SLOPES.block_px
     )
-    tall = touched.shape[0] * settings.block_px
-    wide = touched.shape[1] * settings.block_px
+    tall = touched.shape[0] * SLOPES.block_px
+    wide = touched.shape[1] * SLOPES.block_px
     full = np.asarray(cv2.resize(away, (wide, tall), interpolation=cv2.INTER_LINEAR), np.float32)[
         :rows, :cols
     ]
     full = np.pad(full, ((0, max(0, rows - tall)), (0, max(0, cols - wide))), "edge")
     left = np.clip(
-        (settings.margin_mm / pixel_mm - full)
-        * np.float32(pixel_mm / (settings.blend_share * settings.margin_mm)),
+        (SLOPES.margin_mm / pixel_mm - full)
+        * np.float32(pixel_mm / (SLOPES.blend_share * SLOPES.margin_mm)),
         0.0,
         1.0,
     )
@@ -157,12 +148,8 @@ def grow_to_window(
     r = np.flatnonzero(moved.any(axis=1))
     c = np.flatnonzero(moved.any(axis=0))
     box = (
-        _extend_to_fast_length(
-            int(r[0]) - settings.block_px, int(r[-1]) + settings.block_px + 1, rows
-        ),
-        _extend_to_fast_length(
-            int(c[0]) - settings.block_px, int(c[-1]) + settings.block_px + 1, cols
-        ),
+        _extend_to_fast_length(int(r[0]) - SLOPES.block_px, int(r[-1]) + SLOPES.block_px + 1, rows),
+        _extend_to_fast_length(int(c[0]) - SLOPES.block_px, int(c[-1]) + SLOPES.block_px + 1, cols),
     )
     blend_weight = left[box] * left[box] * (3 - 2 * left[box])
     return ImageWindow(

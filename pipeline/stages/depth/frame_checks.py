@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.arrays import freeze
-from pipeline.core.digests import compute_cached_digest
+from pipeline.core.derived import derive_once
 from pipeline.core.errors import MissingReference, SensorMismatch, ShapeError
 from pipeline.core.geometry.camera import Camera
-from pipeline.core.memo import Memo
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthMap, make_pixel_index
 from pipeline.sensors.spec import SensorSpec
@@ -74,18 +73,16 @@ def make_untouched_depth(
     rest = (
         frame.reference if frame.is_depth and frame.reference is not None else source.rest_depth_mm
     )
-    shape = source.camera.shape
-    return _untouched.get_or_make(
-        (compute_cached_digest(rest), source.camera, notes),
-        lambda: DepthMap(
-            indentation_mm=freeze(np.zeros(shape, np.float32)),
-            depth_mm=freeze(np.where(rest > 0, rest, np.nan).astype(np.float32)),
-            contact=freeze(np.zeros(shape, np.bool_)),
-            camera=source.camera,
-            source_index=make_pixel_index(shape),
-            notes=notes,
-        ),
+    return _make_untouched(rest, source.camera, notes)
+
+
+@derive_once
+def _make_untouched(rest_mm: NDArray[Any], camera: Camera, notes: tuple[str, ...]) -> DepthMap:
+    return DepthMap(
+        indentation_mm=freeze(np.zeros(camera.shape, np.float32)),
+        depth_mm=freeze(np.where(rest_mm > 0, rest_mm, np.nan).astype(np.float32)),
+        contact=freeze(np.zeros(camera.shape, np.bool_)),
+        camera=camera,
+        source_index=make_pixel_index(camera.shape),
+        notes=notes,
     )
-
-
-_untouched: Memo[tuple[str, Camera, tuple[str, ...]], DepthMap] = Memo(16)

@@ -10,9 +10,8 @@ import numpy as np
 
 from pipeline.calibration.calibration_table import Calibration, make_thumbnail
 from pipeline.core.arrays import Image
-from pipeline.core.digests import compute_cached_digest
+from pipeline.core.derived import derive_once
 from pipeline.core.errors import StageWarning
-from pipeline.core.memo import Memo
 from pipeline.stages.depth.gel import coarse_light, drift
 
 # Median difference in grey levels. One simulated instance after drift: 0.2; two: 1.2 to 1.8 (Minis
@@ -32,10 +31,7 @@ def check_sensor_instance(calibration: Calibration, reference: Image) -> tuple[s
     calibrated = calibration.reference_thumbnail
     if calibrated is None:
         return ()
-    difference_grey, is_drift = _comparisons.get_or_make(
-        (compute_cached_digest(reference), compute_cached_digest(calibrated)),
-        lambda: _compare_references(make_thumbnail(reference), calibrated),
-    )
+    difference_grey, is_drift = _compare_references(reference, calibrated)
     if difference_grey <= _OTHER_INSTANCE_GREY and is_drift:
         return ()
     why = (
@@ -51,18 +47,17 @@ def check_sensor_instance(calibration: Calibration, reference: Image) -> tuple[s
     )
 
 
-_comparisons: Memo[tuple[str, str], tuple[float, bool]] = Memo(8)
-
-
-def _compare_references(now: Image, calibrated: Image) -> tuple[float, bool]:
+@derive_once
+def _compare_references(reference: Image, calibrated: Image) -> tuple[float, bool]:
     """Median difference beyond drift in grey levels, and whether one instance can drift so far."""
     import cv2
 
+    now = make_thumbnail(reference)
     if now.shape != calibrated.shape:
         now = np.asarray(
             cv2.resize(now, calibrated.shape[1::-1], interpolation=cv2.INTER_AREA), np.uint8
         )
-    fitted, _ = drift.fit_drift(now, calibrated)
+    fitted, *_ = drift.fit_drift(now, calibrated)
     drifted = (
         calibrated.astype(np.float32) if fitted is None else drift.apply_drift(calibrated, fitted)
     )

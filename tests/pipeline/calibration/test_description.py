@@ -63,8 +63,3 @@ def test_a_calibration_states_the_error_of_nine_of_ten_touches_and_its_basis(tab
     assert "median 8 %" in report
     assert "depth 16 %" in report
     assert "4 held-out presses" in report
-
-
-def test_an_error_without_held_out_presses_is_called_predicted(table):
-    known = replace(table, presses=(PRESS,), expected_error=replace(ERROR, n_held_out=0))
-    assert "predicted" in quality_notes.describe_expected_error(known)

@@ -11,6 +11,8 @@ from pipeline.core.derived import DERIVED
 from pipeline.core.errors import CalibrationError, FileProblem
 from pipeline.physics import optics
 from pipeline.sensors.spec import load_sensor
+from pipeline.stages.depth.change_detection import ImageWindow
+from pipeline.stages.depth.illumination.light import extract_patch, look_up_slopes
 
 # rms mm/mm inside a contact; LEDs in their own shadow cannot tell steeper slopes apart
 BUILT_IN_SLOPE_TOLERANCE = 0.08
@@ -38,16 +40,26 @@ def ball_slopes(shape, radius_px=60.0, contact_px=35.0):
     )
 
 
+def look_up(table, seen, still):
+    """Slopes (gx, gy) of a whole image by a table."""
+    return slope_model.evaluate(
+        table.model,
+        calibration.compute_relative_change(seen, still, table.pixel_mm),
+        *slope_model.compute_positions(still.shape[:2]),
+        everywhere(still),
+    )
+
+
 @pytest.mark.parametrize("name", ["gelslim_dotless", "digit", "gelsight_mini"])
 def test_the_built_in_table_inverts_the_forward_model(name):
     source = load_sensor(name)
-    look_up = calibration.make_built_in(source)
+    table = calibration.make_built_in(source)
     gx, gy, inside = ball_slopes(source.camera.shape)
     still = optics.render_reference(source)
     seen = np.clip(np.rint(still + optics.compute_colour_change(source, gx, gy)), 0, 255).astype(
         np.uint8
     )
-    found_x, found_y = calibration.compute_slopes(look_up, seen, still, everywhere(still))
+    found_x, found_y = look_up(table, seen, still)
     core = inside & (np.hypot(gx, gy) < 0.6)  # the last pixels at the rim are blurred on purpose
     assert (
         np.sqrt(np.mean((found_x - gx)[core] ** 2 + (found_y - gy)[core] ** 2))
@@ -57,7 +69,7 @@ def test_the_built_in_table_inverts_the_forward_model(name):
 
 def test_an_unchanged_picture_has_no_slope_at_all(mini):
     still = optics.render_reference(load_sensor("gelsight_mini"))
-    gx, gy = calibration.compute_slopes(mini, still, still, everywhere(still))
+    gx, gy = look_up(mini, still, still)
     assert not gx.any()
     assert not gy.any()
 
@@ -70,7 +82,7 @@ def test_slopes_are_finite_and_bounded_for_any_picture(mini):
         np.full_like(still, 255),
         rng.integers(0, 256, still.shape, np.uint8),
     ):
-        gx, gy = calibration.compute_slopes(mini, picture, still, everywhere(still))
+        gx, gy = look_up(mini, picture, still)
         assert np.hypot(gx, gy).max() <= mini.model.slope_max * (1 + 1e-5)
 
 
@@ -109,7 +121,6 @@ def test_a_damaged_file_is_one_sentence(mini, tmp_path):
         ("pixel_mm", -0.05),
         ("slope_max", np.inf),
         ("slope_max", 0.0),
-        ("residual", np.nan),
     ],
 )
 def test_impossible_numbers_are_refused(mini, tmp_path, field, value):
@@ -142,12 +153,16 @@ def test_the_slopes_of_a_part_are_those_of_the_whole(mini):
         np.uint8
     )
     part = (slice(30, 200), slice(40, 300))
-    where = everywhere(still)
-    whole = calibration.compute_slopes(mini, seen, still, where)
-    found = calibration.compute_slopes(mini, seen[part], still[part], where[part], (30, 40))
+    window = ImageWindow(
+        rows=part[0],
+        cols=part[1],
+        changed=everywhere(still[part]),
+        blend_weight=np.ones(still[part].shape[:2], np.float32),
+    )
+    patch = extract_patch(seen, still, window, calibration.SMOOTHING_PX, None, mini.pixel_mm, None)
     # smoothing and brightness reach some pixels over the cut
     inner = (slice(10, -10), slice(10, -10))
-    for a, b in zip(found, whole, strict=True):
+    for a, b in zip(look_up_slopes(patch, mini), look_up(mini, seen, still), strict=True):
         np.testing.assert_allclose(a[inner], b[part][inner], atol=1e-4)
 
 

@@ -10,7 +10,7 @@ import pytest
 from pipeline.calibration import near_led_prior, shading_field, slope_model
 from pipeline.calibration.shading_field import SurfaceSamples
 from pipeline.calibration.slope_model import SlopeSamples
-from pipeline.core.errors import CalibrationError
+from pipeline.core.errors import SettingProblem
 from pipeline.sensors.spec import load_sensor
 
 SHAPE = (240, 320)
@@ -100,5 +100,5 @@ def test_the_slope_model_of_a_known_field_recovers_slopes_at_any_depth(instance)
 
 
 def test_a_sensor_without_optics_has_no_prior():
-    with pytest.raises(CalibrationError, match="soft_bubble"):
+    with pytest.raises(SettingProblem, match="soft_bubble"):
         near_led_prior.compute_prior(load_sensor("soft_bubble"), PIXEL_MM, SHAPE)

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.calibration.calibration_table import make_built_in
 from pipeline.core.errors import UNCERTAIN_CONTACT, UncertainContact
 from pipeline.core.params import NoParams
 from pipeline.core.values.frames import TactileFrame
@@ -21,6 +22,7 @@ from pipeline.sensors.spec import load_sensor
 from pipeline.stages.cloud import back_projection
 from pipeline.stages.depth import contact_force
 from pipeline.stages.depth.gel import change, coarse_light
+from pipeline.stages.depth.gel.rest import RestState
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth, skip_without_contact
 from pipeline.stages.target_depth import surface_projection
 from pipeline.stages.touch import physical_render
@@ -47,6 +49,12 @@ def press_soft_ball(name, *, radius_mm, depth_mm=0.3, unit_seed=0):
         optics.render_reference(unit),
         pressed,
     )
+
+
+def explain_change(image, reference, source, light):
+    """What explains the change of an image in this coarse light."""
+    state = RestState(source=source, calibration=make_built_in(source), light=light, notes=())
+    return change.observe_change(image, reference, state).press
 
 
 @pytest.mark.parametrize("name", GELS)
@@ -79,8 +87,9 @@ def test_drift_does_not_hide_a_large_soft_ball(name):
 def test_the_same_drift_alone_is_no_touch(name):
     source = load_sensor(name)
     still = optics.render_reference(source)
-    light = coarse_light.describe_light(source)
-    found = change.explain_change(drifted(still, **DRIFT), still, source, light, source.pixel_mm)
+    found = explain_change(
+        drifted(still, **DRIFT), still, source, coarse_light.describe_light(source)
+    )
     assert found.verdict == "none"
     assert not found.dent_mm.any()
 
@@ -94,10 +103,7 @@ def test_touches_of_an_instance_tell_its_light():
     fitted = coarse_light.estimate_light(
         tuple(t[1] for t in touches), reference, source, source.pixel_mm
     )
-    plain, own = (
-        change.explain_change(image, reference, source, light, source.pixel_mm)
-        for light in (described, fitted)
-    )
+    plain, own = (explain_change(image, reference, source, light) for light in (described, fitted))
     assert own.dent_evidence > plain.dent_evidence
 
 

@@ -17,7 +17,7 @@ from pipeline.physics.simulation.variation import vary_sensor
 from pipeline.sensors.spec import Gel, load_sensor
 from pipeline.stages.depth import change_detection, rest_level
 from pipeline.stages.depth.gel import contact as gel_contact
-from pipeline.stages.depth.gel.settings import CONTACT, SLOPES
+from pipeline.stages.depth.gel.settings import CONTACT
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 
 GEL = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)
@@ -195,7 +195,7 @@ def test_the_surface_has_no_step_where_the_part_that_was_looked_at_ends():
 def test_what_is_looked_at_around_a_touch_ends_in_a_round_line():
     touched = np.zeros((40, 50), np.bool_)
     touched[20, 25] = True
-    window = change_detection.grow_to_window(touched, (320, 400), 0.05, SLOPES)
+    window = change_detection.grow_to_window(touched, (320, 400), 0.05)
     y, x = np.nonzero(window.changed)
     y = y + window.rows.start - 163.5
     x = x + window.cols.start - 203.5

@@ -21,7 +21,7 @@ from pipeline.physics.optics import compute_slopes
 from pipeline.physics.simulation import shapes, variation
 from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors.spec import load_sensor
-from pipeline.stages.depth.gel import rest, slopes
+from pipeline.stages.depth.gel import coarse_light, rest, slopes
 from pipeline.stages.depth.gel.change import observe_change
 from pipeline.stages.depth.gel.settings import SURFACE
 from pipeline.stages.depth.illumination import field_light, selection
@@ -103,9 +103,12 @@ def make_prior(source):
     return near_led_prior.compute_prior(source, source.pixel_mm, source.camera.shape)
 
 
-def use_table_alone(source):
-    """The sensor without optics, so that nothing is corrected."""
-    return replace(source, optics=None)
+def fit_table(source):
+    """The table of the description as if it were fitted to presses, so that nothing is
+    corrected.
+    """
+    fit = BallFit(index=0, x_px=9.0, y_px=9.0, radius_px=5.0, residual=0.01, used=True)
+    return replace(make_built_in(source), presses=(fit,))
 
 
 def mean_error_mm(depth, truth):
@@ -117,7 +120,7 @@ def test_a_deep_press_is_measured_through_its_shadows(instance):
     _, frame, truth = press_digit(0.6, instance=instance)
     described = load_sensor("digit")
     depth = estimate_depth(frame, described, None, PARAMS)
-    plain = estimate_depth(frame, use_table_alone(described), make_built_in(described), PARAMS)
+    plain = estimate_depth(frame, described, fit_table(described), PARAMS)
     assert TIMES_CLOSER * mean_error_mm(depth, truth) < mean_error_mm(plain, truth)
     assert mean_error_mm(depth, truth) < CONTACT_MM
 
@@ -219,23 +222,16 @@ def test_the_same_image_gives_the_same_bytes():
 @pytest.mark.parametrize("name", ["digit", "gelslim", "gelslim_dotless", "gelsight_mini"])
 def test_each_gel_with_described_optics_is_corrected(name):
     source = load_sensor(name)
-    state = rest.RestState(source=source, calibration=make_built_in(source), light=None, notes=())
+    light = coarse_light.describe_light(source)
+    state = rest.RestState(source=source, calibration=make_built_in(source), light=light, notes=())
     assert state.uses_illumination
-    assert not replace(state, source=replace(source, optics=None)).uses_illumination
+    assert not replace(state, calibration=fit_table(source)).uses_illumination
 
 
 def test_a_table_fitted_to_indentations_is_not_corrected():
-    fit = BallFit(index=0, x_px=9.0, y_px=9.0, radius_px=5.0, residual=0.01, used=True)
-    fitted = replace(make_built_in(load_sensor("digit")), presses=(fit,))
     source, frame, _ = press_digit(0.6)
-    assert not rest.RestState(
-        source=source, calibration=fitted, light=None, notes=()
-    ).uses_illumination
-    plain = estimate_depth(frame, use_table_alone(source), fitted, PARAMS)
-    assert (
-        estimate_depth(frame, source, fitted, PARAMS).indentation_mm.tobytes()
-        == plain.indentation_mm.tobytes()
-    )
+    _, light = estimate_gel_depth(frame, source, fit_table(source), PARAMS)
+    assert light is None
 
 
 def test_drifted_colours_are_no_second_contact():
@@ -280,25 +276,6 @@ def test_a_led_close_to_the_gel_hardly_shades_slopes_next_to_it():
         side = at @ (np.cos(azimuth), np.sin(azimuth))
         near, far = (table[..., colour][mask].mean() for mask in (side > 0.7, side < -0.7))
         assert near < 0.7 * far
-
-
-def test_weak_shading_is_warned_of(monkeypatch):
-    source = load_sensor("gelsight_mini")
-    reference = optics.render_reference(source).astype(np.float32)
-    weak = []
-    for row, col in ((120, 160), (8, 8), (8, 311), (231, 8), (231, 311)):
-        contact = np.zeros(reference.shape[:2], np.bool_)
-        contact[row - 5 : row + 5, col - 5 : col + 5] = True
-        weak.append(near_led_prior.has_weak_shading(contact, reference, source))
-    assert not weak[0]
-    assert any(weak[1:])
-    assert not near_led_prior.has_weak_shading(np.zeros_like(contact), reference, source)
-    frame, _ = press_mini(near=True)
-    assert not any(
-        "hardly shade" in note for note in estimate_depth(frame, source, None, PARAMS).notes
-    )
-    monkeypatch.setattr(near_led_prior, "has_weak_shading", lambda *_: True)
-    assert any("hardly shade" in note for note in estimate_depth(frame, source, None, PARAMS).notes)
 
 
 def test_wider_pixels_give_the_same_shape_in_other_units():

@@ -18,28 +18,26 @@ coarse light's errors make plausible (`stiffness`), so that it does not take the
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, NamedTuple, cast
 
 import numpy as np
 
 from pipeline.calibration.markers import detect_markers
 from pipeline.core.arrays import Doubles, Floats, Image, Mask, freeze
-from pipeline.core.digests import compute_cached_digest
+from pipeline.core.derived import derive_once
 from pipeline.core.errors import UNCERTAIN_CONTACT
 from pipeline.core.graph import EarlyAnswer, Skipped
-from pipeline.core.memo import Memo
 from pipeline.core.progress import Progress
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthMap
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import change_detection
 from pipeline.stages.depth.frame_checks import make_untouched_depth
 from pipeline.stages.depth.gel import coarse_light, drift
 from pipeline.stages.depth.gel.coarse_light import DentBasis, DriftPrior
 from pipeline.stages.depth.gel.rest import RestState
 from pipeline.stages.depth.gel.result import make_gel_depth
-from pipeline.stages.depth.gel.settings import CHANGE, SLOPES
+from pipeline.stages.depth.gel.settings import CHANGE
 
 Verdict = Literal["press", "none", "uncertain"]
 
@@ -79,19 +77,6 @@ class Change:
     is_smooth: bool = False
 
 
-def make_unexplained_change(verdict: Verdict, shape: tuple[int, ...] = (1, 1)) -> Change:
-    """A verdict without a dent on blocks of this shape (rows, cols)."""
-    nothing = freeze(np.zeros(shape, np.float32))
-    return Change(
-        verdict=verdict,
-        dent_evidence=0.0,
-        light_evidence=0.0,
-        dent_mm=nothing,
-        dent_grey=freeze(np.zeros((*shape, 3), np.float32)),
-        load=nothing,
-    )
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChangeParams:
     """Parameters of the node."""
@@ -105,8 +90,7 @@ class FrameChange:
 
     press: Change
     rest: drift.RestImage
-    # (rows, cols) what printed markers hide of the image; None = not known
-    markers: Mask | None = None
+    markers: Mask | None  # (rows, cols) what printed markers hide of the image, if there are any
 
 
 _SMOOTH_DENT = (
@@ -146,22 +130,18 @@ def detect_press(
 
 def observe_change(image: Image, reference: Image, rest: RestState) -> FrameChange:
     """Press or drift between two images (rows, cols, 3), and the rest image of the first."""
-    if rest.light is None:  # no light to explain a change by: what drift leaves is a press
-        still = drift.estimate_rest_image(image, reference)
-        limit_grey = rest.source.limits.no_contact_change
-        window = change_detection.detect_change(
-            image, still.image_8bit, limit_grey, rest.pixel_mm, SLOPES
-        )
-        return FrameChange(
-            press=make_unexplained_change("none" if window is None else "press"), rest=still
-        )
-    exposed = drift.remove_exposure(image, drift.estimate_exposure(image, reference))
+    still = drift.estimate_rest_image(image, reference)
+    exposed = drift.remove_exposure(image, still.exposure)
     printed = rest.source.markers
     markers = None if printed is None else freeze(detect_markers(exposed, printed, rest.pixel_mm))
-    still = drift.estimate_rest_image(image, reference)
-    press = explain_change(
-        exposed, reference, rest.source, rest.light, rest.pixel_mm, markers, still
-    )
+
+    def compare(before: Image) -> Floats:
+        return coarse_light.compute_block_change(
+            exposed, before, printed, rest.pixel_mm, markers
+        ).ravel()
+
+    model = _make_model(reference, rest.source, rest.light, rest.pixel_mm)
+    press = _explain(compare, reference, still.image_8bit, model)
     if press.is_smooth:
         still = drift.estimate_rest_image(image, reference, press.dent_grey)
     return FrameChange(press=press, rest=still, markers=markers)
@@ -185,43 +165,15 @@ def _upsample_dent(press: Change, shape: tuple[int, int], least_mm: float) -> tu
     return np.asarray(indentation, np.float32), (load > CHANGE.load_share * weighted_mean) & deep
 
 
-def explain_change(
-    image: Image,
-    reference: Image,
-    source: SensorSpec,
-    light: Floats,
-    pixel_mm: float,
-    markers: Mask | None = None,
-    still: drift.RestImage | None = None,
+def _explain(
+    compare: Callable[[Image], Floats], reference: Image, still: Image, model: ChangeModel
 ) -> Change:
-    """Whether the change between two images (rows, cols, 3) is a press, in this coarse light (rows,
-    cols, 3, 2).
+    """What explains the change (n,) of the blocks in grey levels that `compare` returns of an
+    image (rows, cols, 3) before it.
 
-    `markers` (rows, cols), what printed markers hide of the first, is computed where it is None.
-    `still`: the second as most of the first shows it.
+    `still`: the reference as most of the image shows it.
     """
-    model = make_model(reference, source, light, pixel_mm)
-    change = coarse_light.compute_block_change(
-        image, reference, source.markers, pixel_mm, markers
-    ).ravel()
-
-    def compare_with_rest() -> Floats:
-        if still is None or still.drift is None:
-            return change
-        return coarse_light.compute_block_change(
-            image, still.image_8bit, source.markers, pixel_mm, markers
-        ).ravel()
-
-    return compare_explanations(change, model, compare_with_rest)
-
-
-def compare_explanations(
-    change: Floats, model: ChangeModel, compare_with_rest: Callable[[], Floats] | None = None
-) -> Change:
-    """The explanation of a change (n,) of the blocks in grey levels.
-
-    `compare_with_rest` returns it without the drift that most of the image shows.
-    """
+    change = compare(reference)
     prior = model.drift
     pull = prior.columns.T @ change
     energy = float(change @ change)
@@ -232,39 +184,36 @@ def compare_explanations(
     n = change.size
     evidence = _compute_evidence(n, of_dent, model.dent, drift, misfit, CHANGE.pressure_stds)
     light = _compute_evidence(n, of_light, model.light, drift, misfit, CHANGE.light_scales)
-    shape = model.basis.heights.shape[:2]
-    alone = replace(
-        make_unexplained_change("none", shape), dent_evidence=evidence, light_evidence=light
-    )
+    verdict: Verdict = "none"
+    fit = None
     cost = float(drift @ prior.precision @ drift) / 2
-    if evidence + cost < CHANGE.none_evidence:
-        return alone
-    fit = _fit_dent(change, of_dent, pull, model, CHANGE.stiffness)
-    unlikely = max(0.0, cost - float(fit.drift @ prior.precision @ fit.drift) / 2)
-    evidence += unlikely
-    verdict = decide(evidence, light)
-    if (
-        verdict == "none"
-        and unlikely > CHANGE.unlikely_drift
-        and light < CHANGE.light_ratio_certain * evidence
-    ):
-        verdict = "uncertain"
-    if verdict != "press":
-        return replace(alone, verdict=verdict, dent_evidence=evidence)
-    is_smooth = _is_smooth(fit, model.basis)
-    if is_smooth:
-        rests = [change] if compare_with_rest is None else [compare_with_rest(), change]
-        for left in rests:  # no drift at all is the likeliest
+    if evidence + cost >= CHANGE.none_evidence:
+        fit = _fit_dent(change, of_dent, pull, model, CHANGE.stiffness)
+        unlikely = max(0.0, cost - float(fit.drift @ prior.precision @ fit.drift) / 2)
+        evidence += unlikely
+        verdict = decide(evidence, light)
+        certain = light >= CHANGE.light_ratio_certain * evidence
+        if verdict == "none" and unlikely > CHANGE.unlikely_drift and not certain:
+            verdict = "uncertain"
+    basis = model.basis
+    pressures = np.zeros(basis.heights.shape[-1], np.float32)
+    dent_grey = np.zeros(n, np.float32)
+    is_smooth = False
+    if fit is not None and verdict == "press":
+        is_smooth = _is_smooth(fit, basis)
+        for before in (still, reference) if is_smooth else ():  # no drift at all is the likeliest
+            left = compare(before)
             pulls = model.dent.columns.T @ left, prior.columns.T @ left
             held = _fit_dent(left, *pulls, model, CHANGE.still_stiffness)
             fit = _hold_drift(fit, held)
+        pressures, dent_grey, *_ = fit
     return Change(
         verdict=verdict,
         dent_evidence=evidence,
         light_evidence=light,
-        dent_mm=freeze(model.basis.heights @ fit.pressures),
-        dent_grey=freeze(fit.dent_grey.reshape(*shape, 3)),
-        load=freeze(model.basis.loads @ fit.pressures),
+        dent_mm=freeze(basis.heights @ pressures),
+        dent_grey=freeze(dent_grey.reshape(*basis.heights.shape[:2], 3)),
+        load=freeze(basis.loads @ pressures),
         is_smooth=is_smooth,
     )
 
@@ -363,23 +312,11 @@ def _compute_evidence(
     return float((-0.5 * n * np.log(noise / (misfit / n + floor)) - 0.5 * occam).max())
 
 
-_models: Memo[tuple[str, ...], ChangeModel] = Memo(4)
-
-
-def make_model(reference: Image, source: SensorSpec, light: Floats, pixel_mm: float) -> ChangeModel:
-    """The model of all changes of a reference image (rows, cols, 3), cached."""
-    key = (
-        compute_cached_digest(reference),
-        compute_cached_digest(source),
-        compute_cached_digest(light),
-        str(pixel_mm),
-    )
-    return _models.get_or_make(key, lambda: _make_model(reference, source, light, pixel_mm))
-
-
+@derive_once
 def _make_model(
     reference: Image, source: SensorSpec, light: Floats, pixel_mm: float
 ) -> ChangeModel:
+    """The model of all changes of a reference image (rows, cols, 3)."""
     basis = coarse_light.make_dent_basis(source, pixel_mm)
     drift = coarse_light.make_drift_prior(reference, source, pixel_mm)
     columns = coarse_light.make_dent_columns(light, basis)

@@ -15,11 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.calibration.markers import detect_markers, remove_printed_markers
+from pipeline.calibration.slope_model import compute_positions
 from pipeline.core.arrays import Doubles, Floats, Image, Mask, freeze
 from pipeline.core.derived import derive_once
-from pipeline.core.digests import compute_cached_digest
 from pipeline.core.geometry.camera import Camera
-from pipeline.core.memo import Memo
 from pipeline.physics import gel as gel_layer
 from pipeline.physics import optics
 from pipeline.sensors.parts import Gel, Markers
@@ -99,29 +98,16 @@ def compute_block_change(
     ).astype(np.float32)
 
 
-_reference_markers: Memo[tuple[str, Markers, float], Mask] = Memo(4)
-
-
+@derive_once
 def _detect_reference_markers(reference: Image, markers: Markers, pixel_mm: float) -> Mask:
-    return _reference_markers.get_or_make(
-        (compute_cached_digest(reference), markers, pixel_mm),
-        lambda: freeze(detect_markers(reference, markers, pixel_mm)),
-    )
+    return freeze(detect_markers(reference, markers, pixel_mm))
 
 
+@derive_once
 def describe_light(source: SensorSpec) -> Floats:
     """Colour change (rows, cols, 3, 2) of each block, in grey levels by a slope of 1 to the
     right and down.
     """
-    return _described.get_or_make(
-        compute_cached_digest(source), lambda: _differentiate_light(source)
-    )
-
-
-_described: Memo[str, Floats] = Memo(8)
-
-
-def _differentiate_light(source: SensorSpec) -> Floats:
     level = np.zeros(source.camera.shape, np.float32)
     step = level + np.float32(REST.slope_step)
     block = compute_block_px(source.camera.shape)
@@ -137,7 +123,8 @@ def _differentiate_light(source: SensorSpec) -> Floats:
 
 def make_dent_basis(source: SensorSpec, pixel_mm: float) -> DentBasis:
     """The dents of a sensor's gel, cached."""
-    return _make_dent_basis(source.camera, source.gel or CHANGE.default_gel, pixel_mm)
+    assert source.gel is not None
+    return _make_dent_basis(source.camera, source.gel, pixel_mm)
 
 
 @derive_once
@@ -226,12 +213,7 @@ def make_drift_prior(reference: Image, source: SensorSpec, pixel_mm: float) -> D
         compute_block_means(np.asarray(a, np.float32), block) for a in (still, by_x, by_y)
     )
     rows, cols = mean.shape[:2]
-    half = max(rows, cols) / 2
-    y, x = np.meshgrid(
-        (np.arange(rows) - (rows - 1) / 2) / half,
-        (np.arange(cols) - (cols - 1) / 2) / half,
-        indexing="ij",
-    )
+    x, y = np.meshgrid(*compute_positions((rows, cols)))
     columns = np.zeros((rows, cols, 3, 14), np.float32)
     for colour in range(3):
         columns[:, :, colour, 4 * colour : 4 * colour + 4] = np.stack(
@@ -297,6 +279,7 @@ def _estimate_norm(curvature: Floats) -> float:
     return float(vector @ (curvature @ vector))
 
 
+@derive_once
 def estimate_light(
     touches: tuple[Image, ...], reference: Image, source: SensorSpec, pixel_mm: float
 ) -> Floats:
@@ -304,26 +287,9 @@ def estimate_light(
 
     Described light without any.
     """
-    if not touches:
-        return describe_light(source)
-    key = (
-        compute_cached_digest(touches),
-        compute_cached_digest(reference),
-        compute_cached_digest(source),
-        str(pixel_mm),
-    )
-    return _instance_lights.get_or_make(
-        key, lambda: _fit_light(touches, reference, source, pixel_mm)
-    )
-
-
-_instance_lights: Memo[tuple[str, ...], Floats] = Memo(8)
-
-
-def _fit_light(
-    touches: tuple[Image, ...], reference: Image, source: SensorSpec, pixel_mm: float
-) -> Floats:
     described = describe_light(source)
+    if not touches:
+        return described
     basis = make_dent_basis(source, pixel_mm)
     drift = make_drift_prior(reference, source, pixel_mm)
     changes = [

@@ -5,9 +5,7 @@ from typing import cast
 
 import numpy as np
 
-from pipeline.calibration import near_led_prior
 from pipeline.core.arrays import Floats, Image, Mask, median, percentile
-from pipeline.core.errors import StageWarning
 from pipeline.core.progress import Progress
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthMap
@@ -22,11 +20,6 @@ from pipeline.stages.depth.gel.settings import CONTACT, ContactSettings
 from pipeline.stages.depth.gel.slopes import FrameSlopes, describe_mirroring
 from pipeline.stages.depth.gel.surface import FrameSurface
 from pipeline.stages.depth.illumination.light import FrameLight
-
-_WEAK_SHADING = StageWarning(
-    "the LEDs hardly shade slopes where the sensor is touched: sizes and depths may be wrong by "
-    "half; calibrate"
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,9 +78,6 @@ def detect_contact(
         )
     else:
         indentation[here] = z * window.blend_weight
-    by_near_leds = used is not None and used.model in {"field", "near"}
-    if by_near_leds and near_led_prior.has_weak_shading(touched, change.rest.image, source):
-        notes.append(_WEAK_SHADING)
     return make_gel_depth(
         indentation,
         touched,

@@ -28,10 +28,10 @@ from functools import cached_property
 
 import numpy as np
 
+from pipeline.calibration.slope_model import compute_positions
 from pipeline.core.arrays import Doubles, Floats, Image, freeze
-from pipeline.core.digests import compute_cached_digest
+from pipeline.core.derived import derive_once
 from pipeline.core.errors import StageWarning
-from pipeline.core.memo import Memo
 from pipeline.stages.depth.gel.coarse_light import compute_block_means
 from pipeline.stages.depth.gel.settings import CHANGE
 
@@ -90,6 +90,7 @@ class RestImage:
     image: Floats  # (rows, cols, 3) grey levels
     image_8bit: Image  # the same in 8 bits
     drift: Drift | None  # None = unknown
+    exposure: float  # gain of the camera since the reference, where it is larger than a drift
     notes: tuple[str, ...]
 
 
@@ -141,7 +142,7 @@ def estimate_rest_image(
 
     `dent_grey` as `fit_drift` takes it.
     """
-    drift, foreign = fit_drift(image, reference, dent_grey)
+    drift, foreign, exposure = fit_drift(image, reference, dent_grey)
     warning = StageWarning(
         "most of the image differs from the reference, so depth may be wrong: record a new "
         "reference of this sensor"
@@ -152,12 +153,17 @@ def estimate_rest_image(
             image=freeze(reference.astype(np.float32)),
             image_8bit=reference,
             drift=None,
+            exposure=exposure,
             notes=notes,
         )
     picture = apply_drift(reference, drift)
     grey = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
     return RestImage(
-        image=freeze(picture), image_8bit=freeze(grey), drift=drift, notes=notes + drift.notes
+        image=freeze(picture),
+        image_8bit=freeze(grey),
+        drift=drift,
+        exposure=exposure,
+        notes=notes + drift.notes,
     )
 
 
@@ -170,26 +176,26 @@ def describe_no_contact(still: RestImage) -> str:
 
 def fit_drift(
     image: Image, reference: Image, dent_grey: Floats | None = None
-) -> tuple[Drift | None, bool]:
-    """(drift from `reference` to `image` to remove, None if unknown.
-
-    Whether they may be of two sensor instances).
+) -> tuple[Drift | None, bool, float]:
+    """(drift from `reference` to `image` to remove, None if unknown; whether they may be of two
+    sensor instances; the gain of the camera, where it is larger than a drift, else 1).
 
     `dent_grey` (rows, cols, 3) of any blocks is the change by a dent, which is no drift.
     """
     import cv2
 
-    block = _compute_block_px(image)
+    block = max(CHANGE.drift_block_min_px, round(max(image.shape) / CHANGE.drift_blocks_along))
     if min(image.shape[:2]) < 4 * block:
-        return None, False
-    now, still = _compute_blocks(image, reference)
+        return None, False, 1.0
+    sums = _sum_reference(reference, block)
+    now = compute_block_means(image, block)
+    still = sums.still
     exposure = _compare_exposure(now, still)
     if dent_grey is not None and dent_grey.any():
         now = now - np.float32(exposure) * cv2.resize(
             dent_grey, now.shape[1::-1], interpolation=cv2.INTER_LINEAR
         )
     change = np.abs(now - still.mean.reshape(now.shape)).max(axis=2)
-    sums = _sum_reference(reference, block)
     still = still if exposure == 1.0 else sums.compute_blocks(np.zeros(2), exposure)
     residual = now - still.mean.reshape(now.shape)
     agrees = _compute_agreement_grey(residual)
@@ -198,8 +204,8 @@ def fit_drift(
         agrees <= CHANGE.drift_agreement_grey
         and float((change < agrees).mean()) > 1.0 - CHANGE.drift_agreement_gain[0]
     ):
-        return None, foreign
-    place = _make_positions(*now.shape[:2])
+        return None, foreign, exposure
+    place = np.stack(np.meshgrid(*compute_positions(now.shape[:2])), -1).reshape(-1, 2)
     shift = np.zeros(2)
     solution = np.zeros(14)
     weight = np.ones(len(place), np.float32)
@@ -230,24 +236,17 @@ def fit_drift(
         or agree < CHANGE.drift_agreement_min
         or share == 0.0
     ):
-        return None, foreign
+        return None, foreign, exposure
     gain = 1.0 + share * (exposure * (1.0 + own[:, 0]) - 1.0)
     own = share * own
     shift = share * shift
-    return Drift(
+    fitted = Drift(
         gain=gain,
         offset_grey=own[:, 1],
         ramp_grey=own[:, 2:],
         shift_px=(float(shift[0]), float(shift[1])),
-    ), False
-
-
-def estimate_exposure(image: Image, reference: Image) -> float:
-    """The gain of the camera between two images (rows, cols, 3), where it is larger than a drift.
-
-    Else 1.
-    """
-    return _compare_exposure(*_compute_blocks(image, reference))
+    )
+    return fitted, False, exposure
 
 
 def remove_exposure(image: Image, exposure: float) -> Image:
@@ -257,16 +256,6 @@ def remove_exposure(image: Image, exposure: float) -> Image:
         if exposure == 1.0
         else np.clip(np.rint(image * np.float32(1.0 / exposure)), 0, 255).astype(np.uint8)
     )
-
-
-def _compute_block_px(image: Image) -> int:
-    return max(CHANGE.drift_block_min_px, round(max(image.shape) / CHANGE.drift_blocks_along))
-
-
-def _compute_blocks(image: Image, reference: Image) -> tuple[Floats, _Blocks]:
-    """Block means (rows, cols, 3) of an image, and the blocks of its reference."""
-    block = _compute_block_px(image)
-    return compute_block_means(image, block), _sum_reference(reference, block).still
 
 
 def _compare_exposure(means: Floats, reference: _Blocks) -> float:
@@ -326,7 +315,7 @@ def apply_drift(reference: Image, drift: Drift) -> Floats:
     moved = (
         reference.astype(np.float32) if small else _shift_image(reference, np.array(drift.shift_px))
     )
-    along_x, along_y = (_make_axis(n, max(rows, cols)).astype(np.float32) for n in (cols, rows))
+    along_x, along_y = compute_positions((rows, cols))
     gain, offset, ramp = (
         a.astype(np.float32) for a in (drift.gain, drift.offset_grey, drift.ramp_grey)
     )
@@ -340,25 +329,20 @@ def apply_drift(reference: Image, drift: Drift) -> Floats:
     )
 
 
-_references: Memo[tuple[str, int], _ReferenceSums] = Memo(4)
-
-
+@derive_once
 def _sum_reference(reference: Image, block: int) -> _ReferenceSums:
-    """The sums of a reference image (rows, cols, 3), cached; its border is replicated."""
+    """The sums of a reference image (rows, cols, 3); its border is replicated."""
     import cv2
 
-    def make() -> _ReferenceSums:
-        margin = math.ceil(2 * CHANGE.drift_shift_max_px) + 2
-        sums = cv2.integral(
-            cv2.copyMakeBorder(reference, margin, margin, margin, margin, cv2.BORDER_REPLICATE),
-            sdepth=cv2.CV_64F,
-        )
-        shape = (reference.shape[0] // block, reference.shape[1] // block)
-        return _ReferenceSums(
-            sums=freeze(np.asarray(sums, np.float64)), margin=margin, block=block, shape=shape
-        )
-
-    return _references.get_or_make((compute_cached_digest(reference), block), make)
+    margin = math.ceil(2 * CHANGE.drift_shift_max_px) + 2
+    sums = cv2.integral(
+        cv2.copyMakeBorder(reference, margin, margin, margin, margin, cv2.BORDER_REPLICATE),
+        sdepth=cv2.CV_64F,
+    )
+    shape = (reference.shape[0] // block, reference.shape[1] // block)
+    return _ReferenceSums(
+        sums=freeze(np.asarray(sums, np.float64)), margin=margin, block=block, shape=shape
+    )
 
 
 def _shift_image(reference: Image, shift_px: Doubles) -> Floats:
@@ -374,19 +358,6 @@ def _shift_image(reference: Image, shift_px: Doubles) -> Floats:
         borderMode=cv2.BORDER_REPLICATE,
     )
     return np.asarray(moved, np.float32)
-
-
-def _make_axis(n: int, longer: int) -> Doubles:
-    """Pixel positions (n,), -1 to 1 along the longer side."""
-    return np.asarray((np.arange(n) - (n - 1) / 2) * (2.0 / longer), np.float64)
-
-
-def _make_positions(rows: int, cols: int) -> Floats:
-    """Positions (rows x cols, 2), right and down."""
-    y, x = np.meshgrid(
-        _make_axis(rows, max(rows, cols)), _make_axis(cols, max(rows, cols)), indexing="ij"
-    )
-    return np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float32)
 
 
 def _solve(

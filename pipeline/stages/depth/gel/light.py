@@ -8,7 +8,7 @@ change the light. That of a recording is cached on disk, as its fit takes as lon
 from dataclasses import replace
 from typing import cast
 
-from pipeline.calibration.calibration_table import Calibration, make_built_in
+from pipeline.calibration.calibration_table import make_built_in
 from pipeline.core import disk_store
 from pipeline.core.arrays import Image
 from pipeline.core.digests import compute_cached_digest
@@ -53,7 +53,8 @@ def estimate_light(
         window = make_changed_image(image, rest, change, rest.calibration).window
         if rest.calibration.covers(window.changed, (window.rows.start, window.cols.start)):
             return FrameLight(illumination=None, calibration=rest.calibration)
-        rest = replace(rest, calibration=describe_as_built_in(rest))
+        described = replace(make_built_in(rest.source), pixel_mm=rest.pixel_mm)
+        rest = replace(rest, calibration=described)
         notes = (_NOT_COVERED,)
     reference = cast("Image", frame.reference)
     model = choose_for_recording(frame.context_frames, reference, rest, progress)
@@ -71,11 +72,6 @@ def estimate_light(
         to = f"{n} touches of the recording" if model.from_context else "this touch"
         notes = (*notes, f"measured with this sensor's LEDs, fitted to {to}")
     return FrameLight(illumination=model, calibration=rest.calibration, notes=notes)
-
-
-def describe_as_built_in(rest: RestState) -> Calibration:
-    """The table of the sensor's description, with the calibration's pixel width."""
-    return replace(make_built_in(rest.source), pixel_mm=rest.calibration.pixel_mm)
 
 
 def choose_for_recording(

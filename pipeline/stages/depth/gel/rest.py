@@ -36,8 +36,7 @@ class RestState:
 
     source: SensorSpec  # with the frame's own camera
     calibration: Calibration  # the table of the sensor's description where none is given
-    # (rows, cols, 3, 2) coarse light of the instance; None for a sensor without optics
-    light: Floats | None
+    light: Floats  # (rows, cols, 3, 2) coarse light of the instance
     notes: tuple[str, ...]
 
     @property
@@ -50,7 +49,7 @@ class RestState:
         """Whether surfaces are corrected by light: not where a table was fitted to presses,
         which holds its own.
         """
-        return self.source.optics is not None and self.calibration.is_built_in
+        return self.calibration.is_built_in
 
 
 def describe_rest(
@@ -76,10 +75,6 @@ def describe_rest(
     reference = cast("Image", frame.reference)
     table = calibration if calibration is not None else make_built_in(seen_by)
     check_calibration(table, source.name, image)
-    light = None
-    if source.optics is not None:
-        light = coarse_light.estimate_light(
-            frame.context_frames, reference, seen_by, table.pixel_mm
-        )
+    light = coarse_light.estimate_light(frame.context_frames, reference, seen_by, table.pixel_mm)
     notes = instance_check.check_sensor_instance(table, reference)
     return RestState(source=seen_by, calibration=table, light=light, notes=notes)

@@ -85,11 +85,7 @@ def describe_reference_mismatch(frame: TactileFrame, source: SensorSpec) -> str:
 
     "" where it does not.
     """
-    problem = (
-        ""
-        if source.optics is None
-        else compare_colours(cast("Image", frame.reference), source).problem
-    )
+    problem = compare_colours(cast("Image", frame.reference), source).problem
     return f"the reference image is not that of a {source.name}: {problem}" if problem else ""
 
 

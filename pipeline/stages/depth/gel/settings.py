@@ -7,10 +7,6 @@ as much again. Grey levels are those of 8-bit images; slopes are in mm/mm; share
 
 from dataclasses import dataclass
 
-from pipeline.sensors.parts import Gel
-
-_USUAL_GEL = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RestSettings:
@@ -46,8 +42,6 @@ class ChangeSettings:
     knots_along: int = 20
     # standard deviation of a blob over the distance of two: the sum of all is flat to 1 %
     blob_share: float = 0.6
-    # of a sensor that describes none
-    default_gel: Gel = _USUAL_GEL
     unmarked_min: float = 0.2  # share of a block that markers must leave visible
     # of the non-negative fit: the misfit changes by less than 1 % beyond
     pressure_iterations: int = 150

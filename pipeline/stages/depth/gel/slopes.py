@@ -7,7 +7,6 @@ from typing import cast
 
 import numpy as np
 
-from pipeline.calibration import calibration_table
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.core.arrays import Floats, Image, Mask
 from pipeline.core.errors import CalibrationError, StageWarning
@@ -50,8 +49,7 @@ class ChangedImage:
     source: SensorSpec
     calibration: Calibration
     smoothing_px: float
-    # (rows, cols) what printed markers hide of the image; None = not known
-    markers: Mask | None = None
+    markers: Mask | None  # (rows, cols) what printed markers hide of the image, if there are any
 
     @cached_property
     def patches(self) -> tuple[ImagePatch, ImagePatch]:
@@ -129,11 +127,8 @@ def measure_slopes(
     changed = make_changed_image(
         cast("Image", frame.image), rest, change, light.calibration, params
     )
-    slopes = (
-        look_up_slopes(changed.patches[1], light.calibration)
-        if light.illumination
-        else _look_up_window(changed)
-    )
+    patch, cells = changed.patches
+    slopes = look_up_slopes(cells if light.illumination else patch, light.calibration)
     _check_slopes(*slopes, rest.source)
     notes = _warn_of_image(changed)
     return FrameSlopes(changed=changed, gx=slopes[0], gy=slopes[1], notes=notes)
@@ -157,7 +152,6 @@ def make_changed_image(
         limit_grey,
         calibration.pixel_mm,
         change.press.dent_mm,
-        SLOPES,
     )
     return ChangedImage(
         image=image,
@@ -190,22 +184,6 @@ def _warn_of_image(changed: ChangedImage) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _look_up_window(changed: ChangedImage) -> tuple[Floats, Floats]:
-    """Slopes (gx, gy) (rows, cols) of the window by the calibration table alone."""
-    window = changed.window
-    here = (window.rows, window.cols)
-    gx, gy = calibration_table.compute_slopes(
-        changed.calibration,
-        changed.image[here],
-        changed.reference.image[here],
-        window.changed,
-        (window.rows.start, window.cols.start),
-        markers=changed.source.markers,
-        smoothing_px=changed.smoothing_px,
-    )
-    return gx, gy
-
-
 def _check_slopes(gx: Floats, gy: Floats, source: SensorSpec) -> None:
     """Raise CalibrationError for slopes that are not finite."""
     if not math.isfinite(float(gx.sum()) + float(gy.sum())):
@@ -225,7 +203,7 @@ def describe_mirroring(reference: Image, source: SensorSpec, changed: ChangedIma
     d(gy)/dx; in a mirrored image one of the two is reversed, and half of what a dent shows belongs
     to no surface.
     """
-    how = None if source.optics is None else compare_colours(reference, source).possible_mirroring
+    how = compare_colours(reference, source).possible_mirroring
     if how is None or not looks_mirrored(changed, how):
         return ""
     return f"the images look mirrored {how}: only then are the touch's slopes those of a surface"

@@ -68,7 +68,7 @@ class FieldLight(Light):
 
 def make_field_light(coefficients: Doubles, patch: ImagePatch, source: SensorSpec) -> FieldLight:
     """The shading field of `coefficients` (m,) over a patch."""
-    places = _compute_positions(patch.x_px, patch.y_px, source.camera.shape)
+    places = slope_model.locate(patch.x_px, patch.y_px, source.camera.shape)
     field = expand_field(coefficients, *places)
     field /= slope_model.compute_gain(patch.reference)[..., None]
     return FieldLight(
@@ -149,7 +149,7 @@ def compute_known_share(
     shape = source.camera.shape
     block = compute_block_px(shape)
     x, y = ((np.arange(n) + 0.5) * block - 0.5 for n in dent_mm.shape[::-1])
-    u, v = _compute_positions(x, y, shape)
+    u, v = slope_model.locate(x, y, shape)
     dent = np.array(dent_mm, np.float32)
     nothing = np.zeros((*dent.shape, 3), np.float32)
     slopes = compute_slopes(dent, block * pixel_mm)
@@ -295,7 +295,7 @@ def _sample_surface(
     )
     clipped = clip_surface(surface_mm * np.float32(factor), patch, light, SURFACE.bulge_mm)
     z = np.asarray(cv2.GaussianBlur(clipped, (0, 0), width), np.float32)
-    u, v = _compute_positions(patch.x_px, patch.y_px, light.source.camera.shape)
+    u, v = slope_model.locate(patch.x_px, patch.y_px, light.source.camera.shape)
     return DentSamples(u, v, *compute_slopes(z, patch.pixel_mm), z, q, seen)
 
 
@@ -303,14 +303,3 @@ def _find_clear_cells(patch: ImagePatch) -> tuple[Floats, Mask]:
     """Relative change q (rows, cols, 3), and the cells (rows, cols) in which it is no noise."""
     q = patch.change * slope_model.compute_gain(patch.reference)
     return q, patch.changed & (np.abs(q).max(axis=2) > LIGHT.min_relative_change)
-
-
-def _compute_positions(
-    x_px: Floats | Doubles, y_px: Floats | Doubles, shape: tuple[int, int]
-) -> tuple[Floats, Floats]:
-    """Positions (u, v) of columns and rows, as `slope_model.compute_positions` has them."""
-    rows, cols = shape
-    half = np.float32(0.5 * max(rows, cols))
-    u = (x_px - np.float32(0.5 * (cols - 1))) / half
-    v = (y_px - np.float32(0.5 * (rows - 1))) / half
-    return u.astype(np.float32), v.astype(np.float32)

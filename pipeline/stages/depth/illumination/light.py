@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.calibration import slope_model
 from pipeline.calibration.calibration_table import Calibration
-from pipeline.calibration.markers import detect_markers, inpaint_markers, remove_printed_markers
+from pipeline.calibration.markers import inpaint_markers, remove_printed_markers
 from pipeline.core.arrays import Floats, Image, Mask
 from pipeline.sensors.spec import Markers, SensorSpec
 from pipeline.stages.depth.change_detection import ImageWindow
@@ -52,13 +52,11 @@ def extract_patch(
     smoothing_px: float,
     markers: Markers | None,
     pixel_mm: float,
-    detected: Mask | None = None,
+    detected: Mask | None,
 ) -> ImagePatch:
     """The window of an image (rows, cols, 3).
 
-    Printed markers, now and in the reference, are inpainted.
-
-    `detected` (rows, cols), what markers hide of the image, is computed where it is None.
+    Printed markers, now (`detected` (rows, cols)) and in the reference, are inpainted.
     """
     import cv2
 
@@ -66,10 +64,9 @@ def extract_patch(
     light = np.array(reference[here], np.float32)
     change = image[here].astype(np.float32) - light
     unmarked = np.ones(window.changed.shape, np.float32)
-    if markers is not None:
+    if markers is not None and detected is not None:
         printed, bright = remove_printed_markers(reference, markers, pixel_mm)
-        now = detect_markers(image[here], markers, pixel_mm) if detected is None else detected[here]
-        hidden = printed[here] | now
+        hidden = printed[here] | detected[here]
         change = inpaint_markers(change, hidden, markers, pixel_mm)
         light = np.array(bright[here])
         unmarked = (~hidden).astype(np.float32)
@@ -143,13 +140,9 @@ def upsample_surface(surface_mm: Floats, by: int, shape: tuple[int, ...]) -> Flo
 
 def look_up_slopes(patch: ImagePatch, calibration: Calibration) -> tuple[Floats, Floats]:
     """Slopes (gx, gy) (rows, cols) in mm/mm that the calibration table gives for the patch."""
-    half = 0.5 * max(calibration.rows, calibration.cols)
-    u = (patch.x_px - 0.5 * (calibration.cols - 1)) / half
-    v = (patch.y_px - 0.5 * (calibration.rows - 1)) / half
+    places = slope_model.locate(patch.x_px, patch.y_px, (calibration.rows, calibration.cols))
     change = patch.change * slope_model.compute_gain(patch.reference)
-    return slope_model.evaluate(
-        calibration.model, change, u.astype(np.float32), v.astype(np.float32), patch.changed
-    )
+    return slope_model.evaluate(calibration.model, change, *places, patch.changed)
 
 
 def blur_change(change: Floats, patch: ImagePatch, lens_blur_px: float) -> Floats:

@@ -17,7 +17,7 @@ fitted to eight is as good as the true one.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,17 +25,16 @@ from numpy.typing import NDArray
 from pipeline.core.arrays import Doubles, Floats
 from pipeline.physics import optics
 from pipeline.physics.optics import compute_slopes
-from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.gel.settings import LIGHT, SURFACE
 from pipeline.stages.depth.illumination.led_light import (
+    LedLight,
     compute_led_prior_root,
     make_led_light,
     shift_optics,
 )
 from pipeline.stages.depth.illumination.light import (
     ImagePatch,
-    Light,
     RenderedChange,
     TouchObservation,
     blur_change,
@@ -46,20 +45,6 @@ from pipeline.stages.depth.illumination.surface_refinement import clip_surface, 
 from pipeline.stages.depth.poisson import Integrator, solve_weighted_slopes
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _LedModel:
-    """Deviations (m,) from a sensor's description as light over a patch."""
-
-    source: SensorSpec
-    prior_root: Doubles  # (m, m)
-
-    def make_light(self, deviations: Doubles, patch: ImagePatch) -> Light:
-        return make_led_light(self.source, self.shift(deviations), patch, trusted=True)
-
-    def shift(self, deviations: Doubles) -> Optics:
-        return shift_optics(optics.require_optics(self.source), deviations)
-
-
 def fit_leds(source: SensorSpec, touches: Sequence[TouchObservation]) -> Doubles | None:
     """Deviations (m,) of the instance's LEDs (`led_light.shift_optics`).
 
@@ -67,10 +52,8 @@ def fit_leds(source: SensorSpec, touches: Sequence[TouchObservation]) -> Doubles
 
     Zero where the touches do not differ from the description.
     """
-    model = _LedModel(
-        source=source, prior_root=compute_led_prior_root(optics.require_optics(source))
-    )
-    precision = np.linalg.inv(model.prior_root @ model.prior_root.T)
+    root = compute_led_prior_root(optics.require_optics(source))
+    precision = np.linalg.inv(root @ root.T)
     deviations = np.zeros(len(precision))
     normal = precision
     noise = 0.0
@@ -80,7 +63,7 @@ def fit_leds(source: SensorSpec, touches: Sequence[TouchObservation]) -> Doubles
         noise += LIGHT.misfit_noise_grey * float((share[..., 0] * touch.patch.changed).sum())
         change += sum_change_grey(touch.patch)
     for iteration in range(LIGHT.fit_iterations + 1):
-        touches, misfit = _refine_surfaces(model, deviations, touches)
+        touches, misfit = _refine_surfaces(source, deviations, touches)
         excess = max(0.0, misfit - noise) / max(change, 1.0)
         score = (
             float(deviations @ precision @ deviations) / LIGHT.max_deviance
@@ -89,7 +72,7 @@ def fit_leds(source: SensorSpec, touches: Sequence[TouchObservation]) -> Doubles
         if score > LIGHT.hopeless[iteration]:
             return None
         if iteration < LIGHT.fit_iterations:
-            systems = [_linearise(model, deviations, touch) for touch in touches]
+            systems = [_linearise(source, root, deviations, touch) for touch in touches]
             normal = precision + sum(system[0] for system in systems)
             step = np.linalg.solve(
                 normal, sum(system[1] for system in systems) - precision @ deviations
@@ -101,8 +84,13 @@ def fit_leds(source: SensorSpec, touches: Sequence[TouchObservation]) -> Doubles
     return np.zeros_like(deviations) if is_as_described else deviations
 
 
+def _make_light(source: SensorSpec, deviations: Doubles, patch: ImagePatch) -> LedLight:
+    shifted = shift_optics(optics.require_optics(source), deviations)
+    return make_led_light(source, shifted, patch, trusted=True)
+
+
 def _refine_surfaces(
-    model: _LedModel, deviations: Doubles, touches: Sequence[TouchObservation]
+    source: SensorSpec, deviations: Doubles, touches: Sequence[TouchObservation]
 ) -> tuple[list[TouchObservation], float]:
     """The touches with their surfaces refined in this light, and the sum of their misfits."""
     refined = list[TouchObservation]()
@@ -111,7 +99,7 @@ def _refine_surfaces(
         surface, misfit = refine_surface(
             touch.surface_mm,
             touch.patch,
-            model.make_light(deviations, touch.patch),
+            _make_light(source, deviations, touch.patch),
             touch.integrate,
             LIGHT.fit_refinements,
             replace(SURFACE, cg_steps=LIGHT.fit_cg_steps),
@@ -122,13 +110,13 @@ def _refine_surfaces(
 
 
 def _linearise(
-    model: _LedModel, deviations: Doubles, touch: TouchObservation
+    source: SensorSpec, root: Doubles, deviations: Doubles, touch: TouchObservation
 ) -> tuple[Doubles, Doubles]:
     """The normal equations (m, m), (m,) of the deviations, from what no change of the surface
     explains.
     """
     patch = touch.patch
-    light = model.make_light(deviations, touch.patch)
+    light = _make_light(source, deviations, patch)
     surface = clip_surface(touch.surface_mm, patch, light, SURFACE.bulge_mm)
     slopes = compute_slopes(surface, patch.pixel_mm)
     rendered = light.render(surface, *slopes)
@@ -136,14 +124,13 @@ def _linearise(
     weight = _compute_colour_weights(residual, patch) * patch.unmarked_share**2
     blurred = blur_change(rendered.change, patch, light.blur_px)
     columns = np.zeros((len(deviations), *blurred.shape), np.float32)
-    sizes = LIGHT.rate_step * np.sqrt((model.prior_root**2).sum(axis=1))
+    sizes = LIGHT.rate_step * np.sqrt((root**2).sum(axis=1))
     for k, size in enumerate(sizes):
         shifted = deviations.copy()
         shifted[k] += size
-        # this sensor's light does not depend on it
-        if model.shift(shifted) == model.shift(deviations):
+        other = _make_light(source, shifted, patch)
+        if other.optics == light.optics:  # this sensor's light does not depend on it
             continue
-        other = model.make_light(shifted, patch)
         columns[k] = (
             blur_change(other.render(surface, *slopes).change, patch, other.blur_px) - blurred
         )
