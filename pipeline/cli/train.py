@@ -50,7 +50,7 @@ def train(
     """Train on examples that are simulated on the fly, or on recorded pairs.
 
     Ctrl-C and SIGTERM keep the state, a kill loses a minute at most; the same command with --resume
-    continues.
+    continues. Under `torchrun` each process takes one device and all train together.
 
     Args:
         recipe: Name of a shipped recipe, or a .toml file; with --pairs the default starts from
@@ -102,8 +102,9 @@ def train(
         command=shlex.join(["tactoscope", *sys.argv[1:]]),
     )
     run_with_progress_bar(run)
-    _print_model_card(export_run(out, out / WEIGHTS_FILE))
-    print_line(f"weights and model card are in {os.fspath(out / WEIGHTS_FILE)}")
+    if os.environ.get("RANK", "0") == "0":
+        _print_model_card(export_run(out, out / WEIGHTS_FILE))
+        print_line(f"weights and model card are in {os.fspath(out / WEIGHTS_FILE)}")
     return 0
 
 
@@ -128,7 +129,7 @@ def run_with_progress_bar(run: TrainingRun) -> None:
 
     Ctrl-C and SIGTERM raise KeyboardInterrupt between two steps.
     """
-    console = Console(stderr=True)
+    console = Console(stderr=True, quiet=os.environ.get("RANK", "0") != "0")
     log = logging.getLogger("tactoscope")
     handler = _ConsoleHandler(console)
     log.addHandler(handler)

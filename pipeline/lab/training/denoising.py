@@ -20,7 +20,7 @@ import numpy as np
 
 from pipeline.core.arrays import Floats
 from pipeline.core.params import setting
-from pipeline.lab.training.precision import unwrap_network
+from pipeline.lab.training.distributed import unwrap_network
 from pipeline.lab.training.recorded_pairs import RecordedPair, derive_contact
 from pipeline.lab.training.simulated_touches import (
     BUBBLE,

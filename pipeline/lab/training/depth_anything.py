@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.core.arrays import Floats, Image, Mask
 from pipeline.core.errors import SettingProblem
 from pipeline.core.params import setting
-from pipeline.lab.training.precision import unwrap_network
+from pipeline.lab.training.distributed import unwrap_network
 from pipeline.lab.training.recorded_pairs import RecordedPair, derive_contact
 from pipeline.lab.training.task import Task, weigh_terms
 from pipeline.physics.sensor_images import render_reference, render_sensor_image

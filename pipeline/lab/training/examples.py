@@ -13,6 +13,7 @@ import numpy as np
 
 from pipeline.core.params import check_range
 from pipeline.core.processes import WorkerPool
+from pipeline.lab.training.distributed import ProcessGroup
 from pipeline.lab.training.recipe import TrainingSettings
 from pipeline.lab.training.task import SPLITS, Split, Task
 from pipeline.lab.workers import map_ahead
@@ -39,14 +40,13 @@ class ExampleSource:
     ) -> None:
         self._task = task
         self._make_batch = partial(make_batch, task, seed, n=batch)
-        self._batch = batch
         self._pool = pool
         self._ahead = ahead
         self.check: Callable[[], None] = lambda: None
 
-    def iterate_batches(self, first: int) -> Generator[Example, None, None]:
-        """Endless batches from number `first` on."""
-        return self._map(self._make_batch, count(first * self._batch, self._batch))
+    def iterate_batches(self, first: int, stride: int) -> Generator[Example, None, None]:
+        """Endless batches that begin at example `first`, `first + stride` and so on."""
+        return self._map(self._make_batch, count(first, stride))
 
     def make_validation_set(self, n: int) -> dict[Split, list[Example]]:
         """The first `n` validation examples of every split, or as many as there are.
@@ -93,33 +93,36 @@ def make_batch(task: Task, seed: int, start: int, n: int) -> Example:
 
 
 def iterate_cached_batches(
-    source: ExampleSource, settings: TrainingSettings, device: Any, first: int
+    source: ExampleSource, settings: TrainingSettings, group: ProcessGroup, first: int
 ) -> Generator[dict[str, Tensor], None, None]:
     """Batches from step `first` on, sampled from the first `settings.n_cached_examples` examples,
     which are held on the device: for a GPU that trains faster than processors make examples.
 
-    They are made once, at the start of every part of a run. The examples of a step depend on seed
-    and step alone, so that a resumed run continues like an uninterrupted one.
+    They are made once, at the start of every part of a run. Each of several processes holds its own
+    share of them. The examples of a step depend on seed and step alone, so that a resumed run
+    continues like an uninterrupted one.
     """
     import torch
 
-    n_batches = -(-settings.n_cached_examples // settings.batch)
+    stride = settings.batch * group.world_size
+    n_batches = -(-settings.n_cached_examples // stride)
     n = n_batches * settings.batch
     pool: dict[str, Tensor] = {}
-    with closing(source.iterate_batches(0)) as batches:
+    with closing(source.iterate_batches(group.rank * settings.batch, stride)) as batches:
         for k, batch in enumerate(islice(batches, n_batches)):
             for name, array in batch.items():
                 tensor = torch.from_numpy(array)
                 if tensor.ndim >= _N_AXES and tensor.is_floating_point():
                     tensor = tensor.half()
                 if name not in pool:
-                    shape = n, *tensor.shape[1:]
-                    pool[name] = torch.empty(shape, dtype=tensor.dtype, device=device)
-                pool[name][k * settings.batch :][: settings.batch] = tensor.to(device)
+                    pool[name] = torch.empty(
+                        (n, *tensor.shape[1:]), dtype=tensor.dtype, device=group.device
+                    )
+                pool[name][k * settings.batch :][: settings.batch] = tensor.to(group.device)
     for step in count(first):
-        seeds = np.random.SeedSequence([settings.seed, step, 0, 1])
+        seeds = np.random.SeedSequence([settings.seed, step, group.rank, 1])
         rng = torch.Generator().manual_seed(int(seeds.generate_state(1)[0]))
-        indices = torch.randint(n, (settings.batch,), generator=rng).to(device)
+        indices = torch.randint(n, (settings.batch,), generator=rng).to(group.device)
         yield {
             name: to_channels_last(t[indices].float() if t.dtype == torch.float16 else t[indices])
             for name, t in pool.items()

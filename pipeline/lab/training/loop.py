@@ -20,13 +20,13 @@ from pipeline.core.errors import FileProblem, NotConverged
 from pipeline.core.files import check_folder
 from pipeline.core.progress import SILENT, Cancelled, Progress
 from pipeline.lab.training import run_folder
+from pipeline.lab.training.distributed import ProcessGroup, join_process_group, wrap_precision
 from pipeline.lab.training.examples import (
     ExampleSource,
     iterate_cached_batches,
     open_example_source,
     to_tensors,
 )
-from pipeline.lab.training.precision import wrap_precision
 from pipeline.lab.training.recipe import Optimiser, Recipe, load_initial_weights
 from pipeline.lab.training.recorded_pairs import use_pairs
 from pipeline.lab.training.run_folder import TrainingState
@@ -85,8 +85,11 @@ def train(run: TrainingRun, progress: Progress = SILENT) -> TrainingState:
     task = use_pairs(run.recipe.settings, run.recipe.pairs)
     for note in task.collect_notes():
         log.warning("%s", note)
-    with open_example_source(task, settings.seed, settings.batch, run.n_workers) as source:
-        return _Training(run, now, task, source, progress).run()
+    with (
+        join_process_group() as group,
+        open_example_source(task, settings.seed, settings.batch, run.n_workers) as source,
+    ):
+        return _Training(run, now, task, group, source, progress).run()
 
 
 class _Training:
@@ -97,6 +100,7 @@ class _Training:
         run: TrainingRun,
         now: TrainingState,
         task: Task,
+        group: ProcessGroup,
         source: ExampleSource,
         progress: Progress,
     ) -> None:
@@ -104,7 +108,7 @@ class _Training:
 
         self._run = run
         self._now = now
-        self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        self._group = group
         self._source = source
         self._progress = progress
         self._task = task
@@ -113,7 +117,7 @@ class _Training:
         torch.manual_seed(self._settings.seed)
         arguments = dict(recipe.network)
         kind = str(arguments.pop("kind"))
-        self._network = use_channels_last(build_network(kind, arguments)).to(self._device)
+        self._network = use_channels_last(build_network(kind, arguments)).to(group.device)
         if self._settings.initial_weights and not now.step:
             self._load_initial_weights(kind)
         self._average = copy_for_averaging(self._network)
@@ -122,11 +126,14 @@ class _Training:
             self._network.load_state_dict(now.network_tensors)
             self._average.load_state_dict(now.averaged_tensors)
             self._optimiser.load_state_dict(now.optimiser_state)
-        self._wrapped = wrap_precision(self._network, self._settings.precision)
+        self._wrapped = group.wrap_distributed(
+            wrap_precision(self._network, self._settings.precision, group.device)
+        )
         self._held_out: dict[Split, list[Example]] = {}
-        if self._device.type == "cuda":
-            now.device = torch.cuda.get_device_name(self._device)
-        source.check = self._check_stop
+        if group.device.type == "cuda":
+            now.device = torch.cuda.get_device_name(group.device)
+        if group.world_size == 1:  # several processes stop together, after a step
+            source.check = self._check_stop
         self._start_s = time.monotonic() - now.trained_s
         self._saved_s = time.monotonic()
 
@@ -148,32 +155,36 @@ class _Training:
 
     def _run_steps(self) -> None:
         now = self._now
+        group = self._group
+        stride = self._settings.batch * group.world_size
         times = self._recipe.validation.n_evaluations
-        fraction = self._compute_fraction()
-        with closing(self._batches()) as batches:
-            while fraction < 1.0:
+        fraction = group.average_over_processes(self._compute_fraction())[0]
+        with closing(self._batches(stride)) as batches:
+            while not self._is_over(fraction):
                 stop = self._find_stop(fraction)
                 loss, terms = self._backpropagate(next(batches), fraction)
+                mean_loss, any_stop, next_fraction = group.average_over_processes(
+                    loss, float(stop is not None), self._compute_fraction(ahead=1)
+                )
                 now.step += 1
-                now.n_examples += self._settings.batch
-                next_fraction = min(self._compute_fraction(), 1.0)
-                self._update_weights(loss, terms)
-                if math.floor(next_fraction * times) > math.floor(fraction * times):
+                now.n_examples += stride
+                self._update_weights(mean_loss, terms)
+                if math.floor(min(next_fraction, 1.0) * times) > math.floor(fraction * times):
                     self._validate()
-                fraction = next_fraction
-                if stop is not None:
-                    raise stop
+                fraction = min(next_fraction, 1.0)
+                if any_stop:
+                    raise stop or Cancelled
                 if time.monotonic() > self._saved_s + SAVE_INTERVAL_S:
                     self._warn_if_full(self._save)
 
-    def _batches(self) -> Generator[dict[str, Tensor], None, None]:
+    def _batches(self, stride: int) -> Generator[dict[str, Tensor], None, None]:
         """Batches on the device, from this step on.
 
         Making cached examples does not count as training time.
         """
         if self._settings.n_cached_examples:
             cached = iterate_cached_batches(
-                self._source, self._settings, self._device, self._now.step
+                self._source, self._settings, self._group, self._now.step
             )
             begin_s = time.monotonic()
             try:
@@ -183,14 +194,20 @@ class _Training:
             yield batch
             yield from cached
             return
-        with closing(self._source.iterate_batches(self._now.step)) as batches:
+        first = self._now.step * stride + self._group.rank * self._settings.batch
+        with closing(self._source.iterate_batches(first, stride)) as batches:
             for made in batches:
-                yield to_tensors(made, self._device)
+                yield to_tensors(made, self._group.device)
 
-    def _compute_fraction(self) -> float:
-        """Share of the run that is done."""
+    def _is_over(self, fraction: float) -> bool:
         if self._run.max_minutes is None:
-            return self._now.step / self._settings.steps
+            return self._now.step >= self._settings.steps
+        return fraction >= 1.0
+
+    def _compute_fraction(self, ahead: int = 0) -> float:
+        """Share of the run that is done after `ahead` more steps."""
+        if self._run.max_minutes is None:
+            return (self._now.step + ahead) / self._settings.steps
         return (time.monotonic() - self._start_s) / (60.0 * self._run.max_minutes)
 
     def _check_stop(self) -> None:
@@ -213,11 +230,14 @@ class _Training:
     def _backpropagate(
         self, batch: dict[str, Tensor], fraction: float
     ) -> tuple[float, dict[str, Any]]:
-        """Loss of a batch and its terms; leaves the gradient in the network."""
+        """Loss of a batch and its terms.
+
+        Leaves the gradient, averaged over all processes, in the network.
+        """
         import torch
 
         # of dropout and noise in the loss
-        seeds = np.random.SeedSequence([self._settings.seed, self._now.step, 0])
+        seeds = np.random.SeedSequence([self._settings.seed, self._now.step, self._group.rank])
         torch.manual_seed(int(seeds.generate_state(1)[0]))
         rate = compute_learning_rate(self._recipe.optimiser, self._now.step, fraction)
         set_learning_rate(self._optimiser, rate)
@@ -266,10 +286,15 @@ class _Training:
             now.n_summed = 0
 
     def _validate(self) -> None:
-        """Add the metrics of the averaged weights on the validation examples, draw the curves."""
+        """Add the metrics of the averaged weights on the validation examples and draw the curves.
+
+        In process 0.
+        """
         import torch
 
         now = self._now
+        if self._group.rank:
+            return
         self._held_out = self._held_out or self._source.make_validation_set(
             self._recipe.validation.n_examples
         )
@@ -298,10 +323,12 @@ class _Training:
             log.warning("%s; training continues and tries again", problem)
 
     def _save(self) -> None:
-        """Write state and curves."""
+        """Write state and curves; in process 0."""
         now = self._now
         self._saved_s = time.monotonic()
         now.trained_s = self._saved_s - self._start_s
+        if self._group.rank:
+            return
         now.network_tensors = self._network.state_dict()
         now.averaged_tensors = self._average.state_dict()
         now.optimiser_state = self._optimiser.state_dict()
@@ -362,10 +389,11 @@ def update_average(mean: nn.Module, network: nn.Module, decay: float, step: int)
     import torch
 
     share = 1.0 - min(decay, (1.0 + step) / (10.0 + step))
-    new = network.state_dict()
     with torch.no_grad():
-        for name, average in mean.state_dict().items():
+        for average, new in zip(
+            mean.state_dict().values(), network.state_dict().values(), strict=True
+        ):
             if average.is_floating_point():
-                average.lerp_(new[name], share)
+                average.lerp_(new, share)
             else:
-                average.copy_(new[name])
+                average.copy_(new)

@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.core.arrays import Floats
 from pipeline.core.errors import SettingProblem
 from pipeline.core.params import setting
-from pipeline.lab.training.precision import unwrap_network
+from pipeline.lab.training.distributed import unwrap_network
 from pipeline.lab.training.recorded_pairs import RecordedPair
 from pipeline.lab.training.simulated_touches import (
     BUBBLE,

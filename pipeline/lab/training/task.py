@@ -72,8 +72,9 @@ class Task(Protocol):
     ) -> tuple[Tensor, dict[str, Any]]:
         """The loss, a mean over the examples, and its named terms (numbers or scalar tensors).
 
-        `network` is only called: it may be wrapped for its precision.
-        `precision.unwrap_network` gives its configuration. Its output is float32.
+        `network` is only called: it may be wrapped for several processes.
+        `distributed.unwrap_network` gives its configuration. Its output is float32 in any
+        precision.
         """
         ...
 

@@ -128,8 +128,8 @@ def test_an_example_depends_on_seed_and_index_alone():
         examples.open_example_source(task, 7, 4, 0) as here,
         examples.open_example_source(task, 7, 4, 2) as there,
     ):
-        alone = here.iterate_batches(2)
-        shared = there.iterate_batches(2)
+        alone = here.iterate_batches(8, 4)
+        shared = there.iterate_batches(8, 4)
         for _ in range(5):
             one = next(alone)
             other = next(shared)
