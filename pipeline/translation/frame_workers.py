@@ -211,7 +211,7 @@ def _compute_simulated_touch(opened: Shared) -> None:
         )
         pose = membrane = None
         for index in (_TOUCHED, _TOUCHED + 1):
-            frame, _ = simulate_moment(plan, index).frames[0]
+            frame, _ = simulate_moment(plan, index)[0]
             given = {"previous_membrane": membrane}
             results = translation.evaluate(frame, previous=pose, given=given)
             outputs = {name: result.output for name, result in results.items()}
