@@ -335,7 +335,7 @@ def _record(translation: Translation, reader: LiveReader) -> Measurement:
 def _measure_recording(notes: list[str]) -> Iterator[Measurement]:
     """Processor ms a touched frame of `translate --all`, and frames a second of both cores."""
     sensors = ("--sensors", "gelslim,soft_bubble", "--tools", "cross", "--sequence", "slide")
-    choices = {"each frame alone": (), "followed": ("--follow",)}
+    choices = {"each frame alone": ("--no-follow",), "followed": ()}
     taken: dict[str, list[tuple[float, float]]] = {name: [] for name in choices}
     words = ("--sensor", "gelslim", "--target", "soft_bubble", "--route", _ROUTE, "--all")
     with tempfile.TemporaryDirectory() as folder:
