@@ -1,6 +1,7 @@
 """How many frames a second of a live sensor are shown, and how old; and of a recording's frames?
 
     python -m benchmarks.live --json FILE
+    python -m benchmarks.live --recording 10    (minutes; the row of the recording alone)
 
 A stream of 30 Hz, contacts half of the time, translated by T2D2 and by worker processes at two
 rates; the peer is one process that does all of every frame anew. Errors are those of the source's
@@ -20,6 +21,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -30,6 +32,7 @@ from benchmarks.harness.results import BenchmarkResult, Measurement
 from benchmarks.harness.timing import Requirement, Timing, build_measurement, summarize_times
 from pipeline.core.values.frames import TactileFrame, Truth
 from pipeline.core.values.results import DepthMap
+from pipeline.io import hdf5
 from pipeline.io.live.reader import LiveReader
 from pipeline.io.live.recorder import LiveRecorder
 from pipeline.io.live.source import LiveFrame
@@ -55,6 +58,7 @@ _PEER = "one process, cold"
 _NO_PEER = "none"
 _RECORDED_HZ = 60.0
 _RECORDED_S = 15.0
+_NOISE_GREY = 0.8  # standard deviation: ten minutes take 10 GB
 
 
 class _StoredSource:
@@ -279,7 +283,7 @@ def _watch_alone(translation: Translation, reader: LiveReader, stored: _StoredSo
 
 
 class _NumberedSource:
-    """Images of 640 x 480 px at 60 Hz."""
+    """Images of 640 x 480 px at 60 Hz; the first pixel of each is its number."""
 
     touching_object = None
     title = "numbered"
@@ -287,7 +291,7 @@ class _NumberedSource:
 
     def __init__(self) -> None:
         rng = np.random.default_rng(0)
-        self._image = rng.normal(120.0, 2.0, (640, 480, 3)).astype(np.uint8)
+        self._image = rng.normal(120.0, _NOISE_GREY, (640, 480, 3)).astype(np.uint8)
         self._start_s = 0.0
         self.number = 0
 
@@ -297,15 +301,17 @@ class _NumberedSource:
     def read(self) -> LiveFrame:
         time.sleep(max(0.0, self._start_s + self.number / _RECORDED_HZ - time.monotonic()))
         self.number += 1
-        return LiveFrame(
-            image=self._image.copy(), time_s=time.monotonic(), sequence_number=self.number
-        )
+        image = self._image.copy()
+        image[0, 0] = [self.number >> 16 & 255, self.number >> 8 & 255, self.number & 255]
+        return LiveFrame(image=image, time_s=time.monotonic(), sequence_number=self.number)
 
     def close(self) -> None:
         pass
 
 
-def _record(translation: Translation, reader: LiveReader) -> Measurement:
+def _record(
+    translation: Translation, reader: LiveReader, seconds: float = _RECORDED_S
+) -> Measurement:
     """Frames lost by a recording beside a live chain that takes all it can."""
     source = _NumberedSource()
     with tempfile.TemporaryDirectory() as folder:
@@ -315,21 +321,50 @@ def _record(translation: Translation, reader: LiveReader) -> Measurement:
         try:
             _poll(live, _WARM_UP[1], 10)
             fast.start()
-            _poll(live, _RECORDED_S)
+            for _ in range(max(1, round(seconds / _RECORDED_S))):
+                _poll(live, min(seconds, _RECORDED_S))
         finally:
             live.close()
             fast.stop(1.0)
         recorder.close(60.0)
-    lost = recorder.n_dropped
+        lost = _count_gaps(recorder.path)
     return build_measurement(
         f"recording 640 x 480 px at 60 Hz beside the live chain: frames lost of "
         f"{recorder.n_written + lost}",
-        ours=Timing(median_ms=1e3 * _RECORDED_S / max(recorder.n_written, 1), p95_ms=math.nan),
+        ours=Timing(median_ms=1e3 * seconds / max(recorder.n_written, 1), p95_ms=math.nan),
         ours_error=float(lost),
         unit="frames",
         bar=Requirement(max_error=0.0),
         peer=_NO_PEER,
     )
+
+
+def _count_gaps(path: Path) -> int:
+    """Frames that a file lacks between its first and its last number."""
+    with closing(hdf5.read(path)) as recording:
+        stream = recording.streams[0]
+        ends = [stream.frame(index).image[0, 0].tolist() for index in (0, stream.n_frames - 1)]
+        first, last = (red << 16 | green << 8 | blue for red, green, blue in ends)
+        return last - first + 1 - stream.n_frames
+
+
+def _record_alone(minutes: float) -> None:
+    """Print the frames lost by a recording of some minutes, and the memory that it takes."""
+    stored = _StoredSource("digit")
+    reader = LiveReader(stored)
+    mount(_LIVE, lambda: reader.make_recording(_LIVE))
+    reader.start()
+    while not reader.has_reference:
+        time.sleep(0.01)
+    translation = open_translation(Request(recording=_LIVE, target="gelslim", route=_ROUTE))
+    row = _record(translation, reader, 60.0 * minutes)
+    reader.stop(1.0)
+    most_kb = [
+        resource.getrusage(who).ru_maxrss
+        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    ]
+    memory = f"at most {most_kb[0] >> 10} MB, a worker {most_kb[1] >> 10} MB"
+    print(f"{row.question}: {row.ours_error:g}; {memory}; load {os.getloadavg()[0]:.1f}")
 
 
 def _measure_recording(notes: list[str]) -> Iterator[Measurement]:
@@ -380,5 +415,7 @@ def _run(*words: object) -> tuple[float, float]:
 
 
 if __name__ == "__main__":
+    if sys.argv[1:2] == ["--recording"]:
+        sys.exit(_record_alone(float(sys.argv[2])))
     file = Path(sys.argv[2]) if sys.argv[1:2] == ["--json"] else None
     sys.exit(run_benchmarks(["live"], file, None, strict=False))

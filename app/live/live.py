@@ -79,6 +79,7 @@ class LiveController(Feature):
         self.reader = make_reader(source, partner)
         self.reader.start()
         self.is_following = True
+        self._shown_partner = -1
         self.live_bar.show_source(self.reader.title)
         self.live_bar.show_state(following=True, recording=False)
         self._timer.start()

@@ -93,9 +93,10 @@ class PairedReader(LiveReader):
         return (*super().make_streams(), *self.partner.make_streams())
 
     def find_partner(self, index: int) -> TactileFrame | None:
-        """The partner's frame of the time of a frame; None where it took none."""
+        """The partner's frame of the time of a frame; None where it took none, or none is here."""
         one, other = self.make_streams()
-        partner = int(pair_frames(one, other).partners[index])
+        partners = pair_frames(one, other).partners.tolist()
+        partner = partners[index] if index < len(partners) else NO_PARTNER
         return None if partner == NO_PARTNER else other.frame(partner)
 
 

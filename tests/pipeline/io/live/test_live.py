@@ -309,7 +309,7 @@ class _Stream:
 
 
 def test_a_digit_image_is_rotated_as_by_its_driver_and_the_end_of_its_stream_is_a_loss(tmp_path):
-    bgr = np.zeros((240, 320, 3), np.uint8)
+    bgr = np.full((240, 320, 3), (20, 40, 60), np.uint8)
     bgr[0, 0] = (255, 0, 0)  # blue, top left of the raw image
     stream = _Stream(bgr)
     source = UsbCameraSource("DIGIT", by_id=_node(tmp_path), opener=lambda node, kind: stream)

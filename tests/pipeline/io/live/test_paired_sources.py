@@ -110,6 +110,7 @@ def test_a_partner_that_dies_and_returns_is_said_and_both_are_recorded(tmp_path,
         wait_until(lambda: reader.n_frames > n + 20)
         assert reader.status().n_unpaired > n_unpaired
         assert reader.find_partner(reader.n_frames - 1) is None
+        assert reader.find_partner(10**6) is None
         assert "without a partner; partner lost" in reader.status().describe()
         other_ended.clear()
         wait_until(lambda: reader.status().message == "")
