@@ -217,12 +217,12 @@ def _seen_part(points: NDArray[np.floating]) -> tuple[slice, slice]:
     """Return the box of rows and columns that have a point: a small touch in a large image is
     not thinned.
     """
-    seen = np.isfinite(points[..., 2])
-    row = np.flatnonzero(seen.any(axis=1))
-    col = np.flatnonzero(seen.any(axis=0))
-    if row.size < 2 or col.size < 2:
+    import cv2
+
+    x, y, wide, high = cv2.boundingRect(np.isfinite(points[..., 2]).astype(np.uint8))
+    if min(wide, high) < 2:
         return slice(None), slice(None)
-    return slice(int(row[0]), int(row[-1]) + 1), slice(int(col[0]), int(col[-1]) + 1)
+    return slice(y, y + high), slice(x, x + wide)
 
 
 def _surface(points: NDArray[np.floating], stride: int) -> _Surface:

@@ -221,8 +221,8 @@ def test_every_folder_of_real_data_opens_by_two_clicks(
     controller = bubble_window
     controller.open_path(real_data / folder)
     table = controller.window.folder
-    if table.model.paths:  # it holds several, and Enter opens one
-        table.recording_chosen.emit(table.model.paths[0])
+    if table.paths:  # it holds several, and Enter opens one
+        table.recording_chosen.emit(table.paths[0])
     wait_until_shown(controller, LIMIT_S)
     if mend is not None:
         mend(controller, real_data)
