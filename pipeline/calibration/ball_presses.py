@@ -60,45 +60,38 @@ class BallSlopeProfile:
         return np.stack([-dx * fall, -dy * fall])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Neighbourhood:
-    """Slopes by a calibration table around one press."""
-
-    x: Doubles  # (rows, cols) of the image
-    y: Doubles
-    slopes: Floats  # (2, rows, cols)
-
-    @classmethod
-    def evaluate(cls, model: SlopeModel, press: BallPress) -> _Neighbourhood:
-        c = press.circle
-        rows, cols = press.change.shape[:2]
-        reach = RING_RADII[-1] * c.radius_px + 4.0
-        r0, r1 = (min(max(0, round(c.y_px + d * reach)), rows) for d in (-1, 1))
-        c0, c1 = (min(max(0, round(c.x_px + d * reach)), cols) for d in (-1, 1))
-        u, v = slope_model.compute_positions((rows, cols))
-        part = np.ascontiguousarray(press.change[r0:r1, c0:c1])
-        every = np.ones(part.shape[:2], np.bool_)
-        y, x = np.mgrid[r0:r1, c0:c1].astype(np.float64)
-        slopes = slope_model.evaluate(model, part, u[c0:c1], v[r0:r1], every)
-        return cls(x=x, y=y, slopes=np.stack(slopes))
+def _evaluate_around(model: SlopeModel, press: BallPress) -> tuple[Doubles, Doubles, Floats]:
+    """Columns and rows (rows, cols) of the image around a press, and the slopes (2, rows, cols)
+    there by a calibration table.
+    """
+    c = press.circle
+    rows, cols = press.change.shape[:2]
+    reach = RING_RADII[-1] * c.radius_px + 4.0
+    r0, r1 = (min(max(0, round(c.y_px + d * reach)), rows) for d in (-1, 1))
+    c0, c1 = (min(max(0, round(c.x_px + d * reach)), cols) for d in (-1, 1))
+    u, v = slope_model.compute_positions((rows, cols))
+    part = np.ascontiguousarray(press.change[r0:r1, c0:c1])
+    every = np.ones(part.shape[:2], np.bool_)
+    y, x = np.mgrid[r0:r1, c0:c1].astype(np.float64)
+    return x, y, np.stack(slope_model.evaluate(model, part, u[c0:c1], v[r0:r1], every))
 
 
 def refine_circle(model: SlopeModel, press: BallPress, ball: BallSlopeProfile) -> Circle:
     """The circle whose ball fits the slopes of a calibration table: two robust Gauss-Newton steps
     over centre and radius.
     """
-    around = _Neighbourhood.evaluate(model, press)
+    x, y, slopes = _evaluate_around(model, press)
 
     def compute_slopes(p: Doubles) -> Doubles:
-        return ball.compute_slopes(around.x - p[0], around.y - p[1], p[2]).ravel()
+        return ball.compute_slopes(x - p[0], y - p[1], p[2]).ravel()
 
     first = press.circle.radius_px
     place = np.array([press.circle.x_px, press.circle.y_px, first])
     for _ in range(2):
         now = compute_slopes(place)
         jacobian = np.stack([compute_slopes(place + one) - now for one in np.eye(3)], axis=1)
-        off = around.slopes.ravel() - now
-        near = np.hypot(around.x - place[0], around.y - place[1]) < RING_RADII[-1] * place[2]
+        off = slopes.ravel() - now
+        near = np.hypot(x - place[0], y - place[1]) < RING_RADII[-1] * place[2]
         weight = np.tile(near.ravel(), 2) * np.minimum(
             1.0, _SLOPE_HUBER / np.maximum(np.abs(off), 1e-6)
         )
@@ -118,11 +111,11 @@ def estimate_common_profile(
     """
     shares: list[Doubles] = []
     for press in presses:
-        around = _Neighbourhood.evaluate(model, press)
-        dx = around.x - press.circle.x_px
-        dy = around.y - press.circle.y_px
+        x, y, slopes = _evaluate_around(model, press)
+        dx = x - press.circle.x_px
+        dy = y - press.circle.y_px
         distance = np.maximum(np.hypot(dx, dy), 1e-6)
-        radial = -(around.slopes[0] * dx + around.slopes[1] * dy) / distance
+        radial = -(slopes[0] * dx + slopes[1] * dy) / distance
         r = np.minimum(distance, 0.95 * ball_px)
         share = radial * np.sqrt(ball_px**2 - r * r) / r
         ring = np.rint(distance / press.circle.radius_px / RING_RADII[1]).astype(np.intp)

@@ -70,7 +70,6 @@ class PressSet:
     ball: BallSlopeProfile
     pixel_mm: float
     prior: ShadingFieldPrior
-    seed: int  # of the pixel samples
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -93,7 +92,6 @@ def find_presses(
     *,
     pixel_mm: float,
     progress: Progress,
-    seed: int = 0,
 ) -> PressSet:
     """The presses of one ball among images (rows, cols, 3), without outliers.
 
@@ -111,7 +109,6 @@ def find_presses(
         ball=BallSlopeProfile(radius_px=ball_px),
         pixel_mm=pixel_mm,
         prior=near_led_prior.compute_prior(sensor, pixel_mm, reference.shape[:2]),
-        seed=seed,
     )
     known, model = _refine_circles(start, progress)
     errors = np.array([compute_slope_error(model, p, known.ball) for p in known.presses])
@@ -173,7 +170,7 @@ def fit_table(known: PressSet, *, quick: bool = False) -> SlopeModel:
 
     Many presses tell more than a field can: a polynomial of the slopes that it leaves is added.
     """
-    rng = np.random.default_rng(known.seed)
+    rng = np.random.default_rng(0)
     field = shading_field.update_field(
         known.prior, [sample_surface(p, known.ball, known.pixel_mm, rng) for p in known.presses]
     )
@@ -191,7 +188,6 @@ def fit_table(known: PressSet, *, quick: bool = False) -> SlopeModel:
     samples = SlopeSamples(change=change, u=u, v=v, slopes=slopes)
     more = slope_model.fit(
         replace(samples, slopes=slopes - slope_model.predict(base, samples)),
-        np.ones(len(u), np.float32),
         colour_degree=base.colour_degree,
         position_degree=_POSITION_DEGREE,
         ridge=_RIDGE,
@@ -208,7 +204,7 @@ def cross_validate(known: PressSet, step: Callable[[float], None]) -> Doubles:
     """
     n = len(known.presses)
     errors = np.full(n, np.nan)
-    folds = np.array_split(np.random.default_rng(known.seed).permutation(n), min(n, _FOLDS))
+    folds = np.array_split(np.random.default_rng(0).permutation(n), min(n, _FOLDS))
     for done, fold in enumerate(folds if n > 1 else ()):
         model = fit_table(known.drop_presses({int(i) for i in fold}))
         for i in fold:

@@ -217,7 +217,6 @@ def _invert_optics(sensor: SensorSpec) -> SlopeModel:
     samples = SlopeSamples(change=change, u=u_all, v=v_all, slopes=g)
     return slope_model.fit(
         samples,
-        np.ones(len(g), np.float32),
         colour_degree=_DEGREES[0],
         position_degree=_DEGREES[1],
         ridge=1e-7,

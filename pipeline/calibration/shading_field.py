@@ -126,7 +126,6 @@ def fit_slope_model(
     )
     return slope_model.fit(
         samples,
-        np.ones(count, np.float32),
         colour_degree=_COLOUR_DEGREE,
         position_degree=POSITION_DEGREE,
         ridge=1e-6,

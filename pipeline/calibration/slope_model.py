@@ -133,7 +133,6 @@ def compute_features(samples: SlopeSamples, colour_degree: int, position_degree:
 
 def fit(
     samples: SlopeSamples,
-    weights: Floats,
     *,
     colour_degree: int,
     position_degree: int,
@@ -149,7 +148,7 @@ def fit(
     f = compute_features(samples, colour_degree, position_degree)
     target = samples.slopes
     solution: Doubles = np.zeros((f.shape[1], 2))
-    w = weights
+    w = np.ones(len(f), np.float32)
     place = np.array([j + i for j, i in _list_position_powers(position_degree)])
     stiffer = (
         _RIDGE_GROWTH ** (place[:, None] + list_exponents(colour_degree).sum(axis=1)[None, :] - 1.0)
@@ -164,7 +163,7 @@ def fit(
             np.linalg.solve(normal, (weighted.T @ target).astype(np.float64)), np.float64
         )
         residual = np.linalg.norm(f @ solution.astype(np.float32) - target, axis=1)
-        w = weights * np.minimum(1.0, huber / np.maximum(residual, 1e-6)).astype(np.float32)
+        w = np.minimum(1.0, huber / np.maximum(residual, 1e-6)).astype(np.float32)
     table = np.zeros(
         (position_degree + 1, position_degree + 1, len(list_exponents(colour_degree)), 2),
         np.float32,

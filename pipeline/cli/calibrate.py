@@ -32,7 +32,6 @@ def balls(
     pixel_mm: float | None = None,
     pattern: str = "*",
     stream: str = "",
-    seed: int = 0,
 ) -> int:
     """Fit, save and report a calibration table.
 
@@ -47,13 +46,10 @@ def balls(
         pixel_mm: Width of a pixel on the gel; default: the sensor description's.
         pattern: File names of the folder to use, such as `ball_6.310mm_*`.
         stream: Name of the stream, if the presses are a recording with several.
-        seed: Seed of the fit; the same seed gives the same table.
     """
     check_range("--diameter-mm", diameter_mm, 0.1, MAX_BALL_DIAMETER_MM, "mm")
     if pixel_mm is not None:
         check_range("--pixel-mm", pixel_mm, 1e-4, 10.0, "mm")
-    if seed < 0:
-        raise SettingProblem(f"--seed must be 0 or more, got {seed}")
     if not pattern:
         raise SettingProblem("--pattern is empty; '*' takes every image")
     check_folder_for(out)
@@ -74,7 +70,6 @@ def balls(
             diameter_mm,
             pixel_mm=pixel_mm,
             progress=progress,
-            seed=seed,
         )
     path = save(table, out)
     _print_report(table, [Path(frame.origin).name for frame in frames])

@@ -50,7 +50,6 @@ def calibrate_sensor(
     *,
     pixel_mm: float | None = None,
     progress: Progress = SILENT,
-    seed: int = 0,
 ) -> Calibration:
     """The calibration of `sensor` from images (rows, cols, 3) of presses of one ball.
 
@@ -66,7 +65,6 @@ def calibrate_sensor(
         diameter_mm,
         pixel_mm=plain.pixel_mm,
         progress=progress,
-        seed=seed,
     )
 
     def measure(index: int, calibration: Calibration) -> tuple[float, bool]:

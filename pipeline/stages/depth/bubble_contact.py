@@ -15,7 +15,7 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import contact, membrane_load
 
 _MEDIAN_PX = 5  # of the median that removes single outliers: the widest that OpenCV has for floats
-_SMOOTHING_MM = 1.25  # shorter waves of a taut membrane are smaller than a depth camera's noise
+SMOOTHING_MM = 1.25  # shorter waves of a taut membrane are smaller than a depth camera's noise
 _CURVATURE_MM = 1.5
 _CERTAIN_SHARE = 0.35  # of the peak pressure; with less, noise joins the contact
 _CANDIDATE_SHARE = 0.15  # of the peak: leaves out 2 % of a contact at most
@@ -24,7 +24,7 @@ _CANDIDATE_MARGIN_MM = 1.6
 _WORKING_PIXELS_MAX = 25_000  # more would only resolve noise
 # of the untouched membrane of soft_bubble.toml: pressure over tension; no result depends on its
 # exact value
-_USUAL_CURVATURE_PER_MM = 0.027
+USUAL_CURVATURE_PER_MM = 0.027
 _GAP_MM = 1.2  # of a contact, closed
 _LOAD_MIN = 1.0  # times the inner pressure: a flat face carries 1, an edge 10 and more
 
@@ -41,7 +41,7 @@ def estimate_indentation(
     indentation unsmoothed.
     """
     noise_factor = smoothing_px if smoothing_px > 0 else 1.0
-    smooth = denoise_displacement(moved, noise_factor * _SMOOTHING_MM / source.pixel_mm)
+    smooth = denoise_displacement(moved, noise_factor * SMOOTHING_MM / source.pixel_mm)
     candidates = _detect_candidates(smooth, least_mm, source.pixel_mm)
     if candidates.any():
         smooth, touched = _solve_load(moved, seen, candidates, smooth, source, noise_factor)
@@ -131,7 +131,7 @@ def _solve_load(
         small_candidates > 0.0,
         start,
         pixel_mm=source.pixel_mm * by,
-        curvature_per_mm=_USUAL_CURVATURE_PER_MM,
+        curvature_per_mm=USUAL_CURVATURE_PER_MM,
         noise_factor=noise_factor,
     )
     closed = cv2.morphologyEx(

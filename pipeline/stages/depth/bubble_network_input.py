@@ -14,15 +14,17 @@ import numpy as np
 from pipeline.calibration.contact_circles import find_largest_part
 from pipeline.core.arrays import Floats, Mask, freeze
 from pipeline.core.derived import derive_once
-from pipeline.stages.depth.bubble_contact import denoise_displacement
+from pipeline.stages.depth.bubble_contact import (
+    SMOOTHING_MM,
+    USUAL_CURVATURE_PER_MM,
+    denoise_displacement,
+)
 
 N_CHANNELS = 5
 WORKING_PIXEL_MM = 0.406  # pixel width of the training data, within a third either way
-_SMOOTHING_MM = 1.25
 _REST_SMOOTHING_MM = 5.0  # standard deviation of the mean that estimates the reference membrane
 _ROUGHNESS_MM = 2.0  # shorter structure of a reference membrane is camera noise
 _ROUGHNESS_MAX_MM = 1.5
-_USUAL_CURVATURE_PER_MM = 0.027  # of a reference bubble: pressure over tension (soft_bubble.toml)
 # of the polynomial dome, and of the pixels it is fitted to
 _DOME_DEGREE = 6
 _DOME_STEP_PX = 4
@@ -50,7 +52,7 @@ def make_network_input(
 
     0 or filled in where not `seen`.
     """
-    smooth = denoise_displacement(moved_mm, _SMOOTHING_MM / pixel_mm)
+    smooth = denoise_displacement(moved_mm, SMOOTHING_MM / pixel_mm)
     measured = seen.astype(np.float32)
     fine = (moved_mm - smooth) * measured
     channels = np.stack(
@@ -74,7 +76,7 @@ def _compute_load(smooth: Floats, pixel_mm: float) -> Floats:
     curvature = np.asarray(
         cv2.Laplacian(smooth, cv2.CV_32F, ksize=1, borderType=cv2.BORDER_REFLECT), np.float32
     )
-    loads = curvature / np.float32(pixel_mm**2 * _USUAL_CURVATURE_PER_MM * _LOADS)
+    loads = curvature / np.float32(pixel_mm**2 * USUAL_CURVATURE_PER_MM * _LOADS)
     return np.clip(loads, -_CHANNEL_LIMIT, _CHANNEL_LIMIT).astype(np.float32)
 
 

@@ -190,9 +190,7 @@ def test_the_compiled_polynomial_equals_the_fitted_one():
         v=np.repeat(v, 7),
         slopes=rng.normal(0, 0.3, (42, 2)).astype(np.float32),
     )
-    model = slope_model.fit(
-        samples, np.ones(42, np.float32), colour_degree=2, position_degree=1, ridge=0.01
-    )
+    model = slope_model.fit(samples, colour_degree=2, position_degree=1, ridge=0.01)
     gx, gy = slope_model.evaluate(
         model, samples.change.reshape(6, 7, 3), u, v, np.ones((6, 7), bool)
     )

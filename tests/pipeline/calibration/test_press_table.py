@@ -126,7 +126,6 @@ def test_places_far_from_presses_are_not_covered():
         ball=BallSlopeProfile(radius_px=50.0),
         pixel_mm=0.06,
         prior=ShadingFieldPrior(mean=np.zeros(1), precision=np.eye(1)),
-        seed=0,
     )
     assert compute_coverage_map(known).all()
     left = known.drop_presses({i for i, c in enumerate(everywhere) if c.x_px > 160})

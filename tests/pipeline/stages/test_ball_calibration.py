@@ -179,7 +179,6 @@ def at_places(shape):
         ball=BallSlopeProfile(radius_px=50.0),
         pixel_mm=0.06,
         prior=ShadingFieldPrior(mean=np.zeros(1), precision=np.eye(1)),
-        seed=0,
     )
 
 

@@ -9,14 +9,17 @@ from pipeline.core.cached_kernels import FAST, kernel
 
 
 @kernel(fastmath=FAST)
-def descend_pressures(curvature, pull, iterations, settled, pressures, ahead, stepped):
+def descend_pressures(curvature, pull, iterations, settled, pressures):
     """Move `pressures` (m,) to the least of p.G.p / 2 - c.p over p >= 0; return the iterations.
 
-    `curvature` G (m, m) is symmetric, `pull` is c. Ends with a step that moves no pressure by more
-    than the share `settled` of the largest. ahead, stepped (m,): scratch. Rows of pressures that
-    are zero are skipped: most are.
+    Accelerated projected gradients with restarts (FISTA; Beck and Teboulle 2009; O'Donoghue and
+    Candes 2015). `curvature` G (m, m) is positive definite, with a largest eigenvalue of at most 1;
+    `pull` is c. Ends with a step that moves no pressure by more than the share `settled` of the
+    largest. Rows of pressures that are zero are skipped: most are.
     """
     n = len(pull)
+    ahead = np.empty(n, np.float32)
+    stepped = np.empty(n, np.float32)
     zero = np.float32(0.0)
     momentum = 1.0
     for i in range(n):

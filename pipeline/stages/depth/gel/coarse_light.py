@@ -173,23 +173,6 @@ def _compute_blob_response(
     return np.arange(n // 2, dtype=np.float64) * step_mm, height, np.gradient(height, step_mm)
 
 
-def solve_pressures(curvature: Floats, pull: Floats, iterations: int) -> Floats:
-    """The p >= 0 (m,) of least p.G.p / 2 - c.p, by accelerated projected gradients with restarts
-    (FISTA).
-
-    `curvature` G (m, m) is positive definite, with a largest eigenvalue of at most 1. (Beck and
-    Teboulle 2009; O'Donoghue and Candes 2015.)
-    """
-    from pipeline.stages.depth.gel.change_kernels import descend_pressures
-
-    pressures = np.zeros_like(pull)
-    scratch = np.empty((2, len(pull)), np.float32)
-    descend_pressures(
-        curvature, pull, iterations, CHANGE.pressure_settled, pressures, scratch[0], scratch[1]
-    )
-    return pressures
-
-
 def make_dent_columns(light: Floats, basis: DentBasis) -> Floats:
     """The change (n, m) of all blocks and colours by each pressure."""
     colours = (
@@ -250,6 +233,8 @@ def fit_dent(
     `of_dent`, `pull`: columns^T change of dent and drift; `by_drift` (14, m), `curvature` (m, m):
     columns^T columns.
     """
+    from pipeline.stages.depth.gel.change_kernels import descend_pressures
+
     projection = _invert(max(CHANGE.noise_grey**2, drift_cost) * drift.precision + drift.curvature)
     left = curvature - by_drift.T @ (projection @ by_drift).astype(np.float32)
     unit = np.asarray(
@@ -260,7 +245,10 @@ def fit_dent(
     left[np.diag_indices_from(left)] += np.float32(1e-4)
     right = (of_dent - by_drift.T @ (projection @ pull)).astype(np.float32) * unit
     right -= np.float32(CHANGE.pressure_cost) * right.max()
-    pressures = unit * solve_pressures(left / length, right / length, CHANGE.pressure_iterations)
+    pressures = np.zeros_like(right)
+    most = CHANGE.pressure_iterations
+    descend_pressures(left / length, right / length, most, CHANGE.pressure_settled, pressures)
+    pressures *= unit
     return np.asarray(pressures, np.float32), np.asarray(
         projection @ (pull - by_drift @ pressures), np.float64
     )
