@@ -7,6 +7,7 @@ import locale
 import logging
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,29 +46,24 @@ def open_window(
     from app.shutdown import ShutdownHandler
 
     application = make_application()
-    first = AUTO_FRAME if frame is None else frame
-    if request is None:
-        opens_sample = SAMPLE_RECORDING.exists() and (frame is not None or tour is not None)
-        session = Session(recording=SAMPLE_RECORDING if opens_sample else None, frame=first)
-    else:
-        fields = {name: getattr(request, name) for name in REQUEST_FIELDS}
-        methods = dict(request.methods)
-        weights = dict(request.weights)
-        session = Session(
-            **fields, offsets=request.offsets, methods=methods, weights=weights, frame=first
-        )
+    session = Session(frame=AUTO_FRAME if frame is None else frame)
+    if request is not None:
+        fields = {name: getattr(request, name) for name in (*REQUEST_FIELDS, "offsets")}
+        chosen = {"methods": dict(request.methods), "weights": dict(request.weights)}
+        session = replace(session, **fields, **chosen)
+    elif SAMPLE_RECORDING.exists() and (frame is not None or tour is not None):
+        session = replace(session, recording=SAMPLE_RECORDING)
     controller = show_window(session, restore=tour is None)
     shutdown = ShutdownHandler(controller)
-    if tour is None:
-        PreloadController(controller)
     try:
-        if tour is None:
-            # closed while it was made: no end
-            code = application.exec() if controller.window.isVisible() else 0
-        else:
+        if tour is not None:
             from app.shell.tour import run_tour
 
             code = run_tour(controller, tour, show_frame=frame)
+        else:
+            PreloadController(controller)
+            # closed while it was made: no end
+            code = application.exec() if controller.window.isVisible() else 0
         return shutdown.code or code
     finally:
         shutdown.restore_signal_handlers()
@@ -148,9 +144,8 @@ def show_window(
         session = session.with_device(preferences.device)
     apply_theme(theme)
     catalogue = catalogue or BUILT_IN
-    window = MainWindow(
-        [("source", "Source"), *((stage.name, stage.title) for stage in catalogue.stages)]
-    )
+    titles = {stage.name: stage.title for stage in catalogue.stages}
+    window = MainWindow({"source": "Source", **titles})
     controller = SessionController(window, catalogue)
     controller.session = controller.session.with_device(session.device)
     autosave = connect(controller, theme)
@@ -161,16 +156,14 @@ def show_window(
     _wait_until_exposed(window)
     if with_scene:
         QTimer.singleShot(0, controller.views.scene.open)
-    if session.recording is not None and (
-        is_rollout_folder(session.recording)
-        or is_track_folder(session.recording)
-        or list_recordings(session.recording)
-    ):
-        controller.open_path(session.recording)
-    elif session.recording is not None:
-        controller.saved_session = session  # what the command line asks for is no change
-        controller.show_session(session)
-        controller.recording_opened.emit(session.recording)
+    path = session.recording
+    if path is not None:
+        if is_rollout_folder(path) or is_track_folder(path) or list_recordings(path):
+            controller.open_path(path)
+        else:
+            controller.saved_session = session  # what the command line asks for is no change
+            controller.show_session(session)
+            controller.recording_opened.emit(path)
     if restore:
         autosave.offer_recovery()
     logging.getLogger("tactoscope").info("Tactoscope is ready")

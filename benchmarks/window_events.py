@@ -132,7 +132,7 @@ def rest(instrument: Any, application: Any, limit_s: float = 240.0) -> None:
 def _events(instrument: Any, application: Any, clock: _Clock) -> Iterator[Measurement]:
     window = instrument.window
     clock.begin()
-    for drawer in window.drawers.all_drawers:
+    for drawer in window.drawers:
         with clock.event():
             drawer.toggleViewAction().trigger()
         _let_pass(application, 0.5)

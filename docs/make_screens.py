@@ -41,7 +41,7 @@ def look(instrument: SessionController) -> None:
 
 def drawers(instrument: SessionController) -> None:
     """All drawers open."""
-    for drawer in instrument.window.drawers.all_drawers:
+    for drawer in instrument.window.drawers:
         drawer.show()
     tour.wait_for_idle(instrument)
 
@@ -56,7 +56,7 @@ def steps(instrument: SessionController) -> None:
 
 def section(instrument: SessionController) -> None:
     """A line through all panes, and its curves."""
-    for drawer in instrument.window.drawers.all_drawers:
+    for drawer in instrument.window.drawers:
         drawer.hide()
     tour.command(instrument, "section_line")
     tour.wait_for_idle(instrument)

@@ -13,7 +13,6 @@ from app.align.alignment_jobs import AlignmentAssessment, BeforeAfter, DragPrevi
 from app.align.alignment_refinement import RefinementController
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
-from app.session.state import Session
 from app.window.jobs import JobReporter
 from app.window.logs import log
 from pipeline.core.arrays import Doubles
@@ -29,7 +28,7 @@ from pipeline.sensors.alignment import (
     save_alignment,
 )
 from pipeline.translation.alignment.score import AlignmentScore
-from pipeline.translation.translate import Translation
+from pipeline.views.view import to_xyz
 from widgets.style.styling import make_single_shot_timer
 
 _ASSESS_DELAY_MS = 120  # frames shown for less are not assessed: the user is playing or browsing
@@ -54,7 +53,6 @@ class AlignmentController(Feature):
         self._recording: Path | None = None
         self._assessment: AlignmentAssessment | None = None
         self._score: AlignmentScore | None = None
-        self._assess_ticket = 0
         self._is_visible = False
         self._assess_timer = make_single_shot_timer(self, _ASSESS_DELAY_MS, self._assess)
         self._connect()
@@ -62,12 +60,7 @@ class AlignmentController(Feature):
     def _connect(self) -> None:
         controller = self._controller
         panel = self._panel
-        controller.frame_shown.connect(self._frame_shown)
         self.refinement.proposal_changed.connect(self._proposal_changed)
-        controller.job.delivered.connect(self._show_part)
-        controller.job.finished.connect(self._show_last_part)
-        controller.job.failed.connect(self._end_assessment)
-        controller.job.cancelled.connect(self._end_assessment)
         panel.drag_started.connect(self._begin_drag)
         panel.offset_changed.connect(self._drag)
         panel.drag_ended.connect(self._end_drag)
@@ -81,39 +74,32 @@ class AlignmentController(Feature):
     @property
     def is_idle(self) -> bool:
         """Whether the dock is up to date."""
-        return not (
-            self._panel.dragging
-            or self._assess_timer.isActive()
-            or self._assess_ticket
-            or self.refinement.is_refining
+        return self._controller.job.is_settled and not (
+            self._panel.dragging or self._assess_timer.isActive() or self.refinement.is_refining
         )
 
     @property
     def contact_centre_mm(self) -> Doubles | None:
         """Centre of contact (3,) mm in the target frame under the offsets; None if not assessed."""
-        return (
-            None
-            if self._assessment is None
-            else rigid.apply(self.offsets.to_matrix(), self._assessment.pivot_mm)
-        )
+        if self._assessment is None:
+            return None
+        return rigid.apply(self.offsets.to_matrix(), self._assessment.pivot_mm)
 
-    def show_session(self, session: Session) -> None:
+    def show_session(self) -> None:
         """Show a session's offsets, unless a drag is running; nothing of the recording before."""
+        session = self._session
         if session.recording != self._recording:
             self._recording = session.recording
-            self._assessment = None
-            self._score = None
-            self._panel.show_empty()
+            self.show_translation()
         if not self._panel.dragging:
             self.offsets = session.offsets
             self._panel.show_values(session.offsets.values)
             self._show_pivot()
-        self.refinement.show_session(session)
 
     def save_alignment(self, path: Path) -> None:
         """Write the alignment with its offsets as TOML; errors go to the banner."""
-        opened = self._controller.views.translation
-        session = self._controller.session
+        opened = self._translation
+        session = self._session
         try:
             if opened is None:
                 raise SettingProblem("no alignment to save; open a recording first")
@@ -144,7 +130,8 @@ class AlignmentController(Feature):
         if not visible:
             self._assess_timer.stop()
 
-    def _frame_shown(self, _: int) -> None:
+    def show_frame(self) -> None:
+        """Assess a frame that stays."""
         if self._is_visible and not self._panel.dragging:
             self._assess_timer.start()
 
@@ -165,14 +152,14 @@ class AlignmentController(Feature):
                 )
             return alignment_jobs.assess_alignment(evaluator, session, report)
 
-        self._assess_ticket = controller.submit_priority(work)
+        controller.submit_priority(work, self._show_part)
 
     def _proposal_changed(self) -> None:
         """Show a proposed refinement against the current alignment, until it is accepted or
         discarded.
         """
         if self.refinement.proposal is not None:
-            self._frame_shown(0)
+            self.show_frame()
         elif not self._controller.is_closed:
             self._controller.refresh()
 
@@ -180,11 +167,10 @@ class AlignmentController(Feature):
         self._assess_timer.stop()
         self._window.timeline.play(on=False)
         self._panel.mark_ghosts(self._score)
-        offsets = self._controller.session.offsets
+        offsets = self._session.offsets
         if self._assessment is not None and not any(offsets.rotation_deg):
-            x, y, z = (float(v) for v in self._assessment.pivot_mm)
             # a translation does not depend on the pivot
-            offsets = replace(offsets, pivot_mm=(x, y, z))
+            offsets = replace(offsets, pivot_mm=to_xyz(self._assessment.pivot_mm))
         self.offsets = offsets
         self._axis = ""
         self._show_pivot()
@@ -214,67 +200,49 @@ class AlignmentController(Feature):
         self._preview_drag()
 
     def _preview_drag(self) -> None:
-        controller = self._controller
         self._show_pivot()
         self.dragged.emit(self.offsets, None)
-        session = replace(controller.session, offsets=self.offsets)
-        evaluator = controller.evaluator
-        controller.submit_priority(
-            lambda report: alignment_jobs.preview_drag(evaluator, session, report)
+        session = replace(self._session, offsets=self.offsets)
+        evaluator = self._controller.evaluator
+        self._controller.submit_priority(
+            lambda report: alignment_jobs.preview_drag(evaluator, session, report), self._show_part
         )
 
     def _end_drag(self) -> None:
         """Make the whole drag one undo step; without a change the stages are computed again."""
-        controller = self._controller
         self.dragged.emit(None, None)
-        if self.offsets.values == controller.session.offsets.values:
-            controller.refresh()
-            return
-        controller.change(f"move alignment ({self._axis})", offsets=self.offsets)
+        if self.offsets.values == self._session.offsets.values:
+            self._controller.refresh()
+        else:
+            self._change(f"move alignment ({self._axis})", offsets=self.offsets)
 
     def _set_pivot_to_contact(self) -> None:
         if self._assessment is not None:
-            offsets = self._controller.session.offsets.with_pivot(self._assessment.pivot_mm)
-            self._controller.change("set pivot to contact", offsets=offsets)
+            offsets = self._session.offsets.with_pivot(self._assessment.pivot_mm)
+            self._change("set pivot to contact", offsets=offsets)
 
-    def _show_last_part(self, ticket: int, part: object) -> None:
-        self._show_part(ticket, part)
-        self._end_assessment(ticket)
+    def show_translation(self) -> None:
+        """Show nothing of the alignment before."""
+        self._assessment = self._score = None
+        self._panel.show_empty()
 
-    def _end_assessment(self, ticket: int, _: object = None) -> None:
-        """The assessment has ended."""
-        if ticket == self._assess_ticket:
-            self._assess_ticket = 0
-
-    def _show_part(self, ticket: int, part: object) -> None:
-        if isinstance(part, Translation):
-            self._assessment = self._score = None
-            self._panel.show_empty()
-        elif (
-            isinstance(part, BeforeAfter)
-            and ticket == self._assess_ticket
-            and self.refinement.proposal is not None
-        ):
-            self._controller.views.show_wipe(part.before, part.after)
+    def _show_part(self, part: BeforeAfter | DragPreview | AlignmentAssessment) -> None:
+        if isinstance(part, BeforeAfter):
+            if self.refinement.proposal is not None:
+                self._views.show_wipe(part.before, part.after)
         elif isinstance(part, DragPreview) and self._panel.dragging:
-            self._controller.views.show_drag_preview(part.preview, part.observation_view)
+            self._views.show_drag_preview(part.preview, part.observation_view)
             self.dragged.emit(self.offsets, part.layers)
             self._show_score(part.score)
-        elif (
-            isinstance(part, AlignmentAssessment)
-            and ticket == self._assess_ticket
-            and not self._panel.dragging
-        ):
+        elif isinstance(part, AlignmentAssessment) and not self._panel.dragging:
             self._show_judged(part)
 
     def _show_judged(self, assessment: AlignmentAssessment) -> None:
         self._assessment = assessment
-        opened = self._controller.views.translation
-        if opened is not None:
-            target = opened.target
-            self._panel.show_ready(
-                target.title, _DEPTH_GAUGE_MM[target.sensor_kind.display_group], target.pixel_mm
-            )
+        if self._translation is not None:
+            target = self._translation.target
+            full_mm = _DEPTH_GAUGE_MM[target.sensor_kind.display_group]
+            self._panel.show_ready(target.title, full_mm, target.pixel_mm)
         self._panel.show_score(assessment.score, assessment.no_score_reason)
         self._score = assessment.score
         if assessment.sensitivities or assessment.score is None:
@@ -287,17 +255,15 @@ class AlignmentController(Feature):
 
     def _show_pivot(self) -> None:
         """Show the origin of the alignment and the pivot of its rotations."""
-        opened = self._controller.views.translation
+        opened = self._translation
         assessment = self._assessment
         offsets = self.offsets
         self.contact_moved.emit()
         if opened is None or assessment is None:
             return
-        contact = tuple(float(v) for v in assessment.pivot_mm)
+        contact = to_xyz(assessment.pivot_mm)
         pivot = offsets.pivot_mm if any(offsets.rotation_deg) else contact
-        elsewhere = max(abs(a - b) for a, b in zip(pivot, contact, strict=True)) > _SAME_PIVOT_MM
+        elsewhere = not np.allclose(pivot, contact, rtol=0.0, atol=_SAME_PIVOT_MM)
         self._panel.show_pivot(pivot, opened.target.title, elsewhere=elsewhere)
-        file = self._controller.session.alignment
-        self._panel.show_origin(
-            assessment.origin, edited=not offsets.is_zero, from_file=file is not None
-        )
+        from_file = self._session.alignment is not None
+        self._panel.show_origin(assessment.origin, edited=not offsets.is_zero, from_file=from_file)

@@ -33,9 +33,9 @@ class AlignmentGizmoController(Feature):
             gizmo.dragged.connect(alignment.drag_motion)
             gizmo.released.connect(controller.window.alignment.end_drag)
 
-    def show_session(self, *_: object) -> None:
+    def show_session(self) -> None:
         """Place the gizmos, or hide them."""
-        opened = self._controller.views.translation
+        opened = self._translation
         centre_mm = self._alignment.contact_centre_mm
         if opened is None or centre_mm is None or self._window.drawers.alignment.isHidden():
             self.on_image.show_at(None)
@@ -46,12 +46,12 @@ class AlignmentGizmoController(Feature):
             if self._view.preview is None
             else partial(self._project_on_image, opened.target.camera, centre_mm)
         )
-        scene = self._controller.views.scene
+        scene = self._views.scene
         view_from_target = find_scene_places(opened.alignment, opened.alignment).view_from_target
 
         def project(points_mm: Doubles) -> Doubles:
             return scene.project_points(
-                self._controller.views.page_views["scene"],
+                self._views.places["scene"],
                 rigid.apply(view_from_target, centre_mm + points_mm),
             )
 

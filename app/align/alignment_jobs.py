@@ -3,6 +3,7 @@ frames.
 """
 
 from dataclasses import dataclass, replace
+from typing import cast
 
 from app.document.evaluator import Evaluator
 from app.document.requests import get_depth_params, make_request
@@ -15,7 +16,7 @@ from pipeline.stages.target_depth.surface_projection import ProjectionParams
 from pipeline.translation.alignment.refine import Refinement, refine_on_recording
 from pipeline.translation.alignment.score import AlignmentScore, Sensitivity
 from pipeline.translation.translate import Translation, open_translation
-from pipeline.translation.truth_view import TruthView, build_observation_view
+from pipeline.translation.truth_view import TruthView
 from pipeline.views.image_views import TARGET_DEPTH
 from pipeline.views.layers import Layer
 from pipeline.views.preview import Preview, add_observed_outline, enlarge_preview
@@ -37,9 +38,8 @@ class DragPreview:
 class AlignmentAssessment:
     """Agreement of one frame, and the sensitivity of each axis once computed."""
 
-    index: int
     score: AlignmentScore | None
-    sensitivities: tuple[Sensitivity, ...]
+    sensitivities: tuple[Sensitivity, ...] = ()
     no_score_reason: str  # why `score` is None
     origin: str  # where the alignment without offsets comes from
     pivot_mm: Doubles  # (3,) target frame
@@ -72,13 +72,10 @@ def draw_before_and_after(
     context = opened.make_preview_context({}, session.display)
 
     def draw_preview(offsets: Offsets) -> Preview:
-        preview = TARGET_DEPTH.make_preview(
-            frame.project_touch(offsets.apply_to(opened.alignment), params)[0], context
-        )
-        if frame.paired_touch is not None:
-            view = build_observation_view(
-                preview, frame.paired_touch.target, opened.target, session.display
-            )
+        depth, _ = frame.project_touch(offsets.apply_to(opened.alignment), params)
+        preview = TARGET_DEPTH.make_preview(depth, context)
+        view = frame.view_observation(preview, session.display)
+        if view is not None:
             preview = view.difference_to_truth or preview
         # The outline of the prediction would lie over both sides of the wipe; the observed one fits
         # both.
@@ -103,16 +100,9 @@ def preview_drag(evaluator: Evaluator, session: Session, report: JobReporter) ->
     context = opened.make_preview_context({}, session.display)
     small = TARGET_DEPTH.make_preview(depth, context)
     preview = enlarge_preview(small, opened.target.camera.shape)
-    observed = (
-        None
-        if frame.paired_touch is None
-        else build_observation_view(
-            preview, frame.paired_touch.target, opened.target, session.display
-        )
-    )
     return DragPreview(
         preview=add_observed_outline(preview, frame.observed_outline_px),
-        observation_view=observed,
+        observation_view=frame.view_observation(preview, session.display),
         layers=TARGET_DEPTH.make_layers(depth, context, small),
         score=score,
     )
@@ -129,20 +119,15 @@ def assess_alignment(
     alignment = session.offsets.apply_to(opened.alignment)
     params = get_projection_params(session)
     first = AlignmentAssessment(
-        index=frame.index,
         score=frame.compute_score(alignment, params),
-        sensitivities=(),
         no_score_reason=frame.unavailable_reason,
         origin=_describe_origin(opened),
         pivot_mm=frame.compute_pivot_mm(opened.alignment),
     )
     report.deliver(first)
-    return replace(
-        first,
-        sensitivities=frame.compute_sensitivities(
-            alignment, params, frame.compute_pivot_mm(alignment), report
-        ),
-    )
+    pivot_mm = frame.compute_pivot_mm(alignment)
+    found = frame.compute_sensitivities(alignment, params, pivot_mm, report)
+    return replace(first, sensitivities=found)
 
 
 def propose_refinement(session: Session, report: JobReporter) -> RefinementProposal:
@@ -170,18 +155,13 @@ def propose_refinement(session: Session, report: JobReporter) -> RefinementPropo
 def get_projection_params(session: Session) -> ProjectionParams:
     """Return the projection parameters of the session's target depth method."""
     is_splat = session.methods.get("target_depth") == POINT_SPLAT.name
-    params = session.get_params(POINT_SPLAT if is_splat else SURFACE)
-    assert isinstance(params, ProjectionParams)
-    return params
+    return cast("ProjectionParams", session.get_params(POINT_SPLAT if is_splat else SURFACE))
 
 
 def _describe_origin(opened: Translation) -> str:
     if opened.request.alignment is not None:
         return opened.request.alignment.name
     other = opened.recording.find_partner(opened.stream.name, opened.target.name)
-    recorded = (
-        None
-        if other is None
-        else opened.recording.target_from_source(opened.stream.name, other.name)
-    )
-    return "as described by the sensors" if recorded is None else "as recorded"
+    if other and opened.recording.target_from_source(opened.stream.name, other.name) is not None:
+        return "as recorded"
+    return "as described by the sensors"

@@ -24,7 +24,7 @@ class RefinementController(BackgroundController):
     def __init__(self, controller: SessionController) -> None:
         self._box = controller.window.alignment.refine
         super().__init__("refine", controller, self._box.run_bar)
-        self._session: Session | None = None  # that is refined
+        self._refined: Session | None = None
         self.proposal: RefinementProposal | None = None
         self._box.run_bar.start_button.clicked.connect(self.start_refinement)
         self._box.accept.clicked.connect(self.accept)
@@ -33,14 +33,14 @@ class RefinementController(BackgroundController):
     @property
     def is_refining(self) -> bool:
         """Whether a refinement is running."""
-        return self._session is not None and self.proposal is None
+        return self._refined is not None and self.proposal is None
 
     def start_refinement(self) -> None:
         """Refine the alignment of the open recording."""
-        session = self._controller.session
-        if self._controller.views.translation is None:
+        session = self._session
+        if self._translation is None:
             return
-        self._session = session
+        self._refined = session
         self.proposal = None
         self._box.show_message("opening the recording")
         self.start(lambda report: alignment_jobs.propose_refinement(session, report))
@@ -50,21 +50,21 @@ class RefinementController(BackgroundController):
         proposal = self.proposal
         self.discard()
         if proposal is not None:
-            self._controller.change("refine alignment", offsets=proposal.offsets)
+            self._change("refine alignment", offsets=proposal.offsets)
 
     def discard(self) -> None:
         """Drop the proposal, or the running refinement."""
         had_proposal = self.proposal is not None
-        self._session = None
+        self._refined = None
         self.proposal = None
         self.abandon()
         self._box.show_message()
         if had_proposal:
             self.proposal_changed.emit()
 
-    def show_session(self, session: Session) -> None:
+    def show_session(self) -> None:
         """Drop a proposal for another recording or alignment."""
-        if self._session is not None and make_request(session) != make_request(self._session):
+        if self._refined is not None and make_request(self._session) != make_request(self._refined):
             self.discard()
 
     def show_progress(self, fraction: float, text: str) -> None:
@@ -76,7 +76,7 @@ class RefinementController(BackgroundController):
         """Show the proposal in the box."""
         if isinstance(result, RefinementProposal):
             self.proposal = result
-            opened = self._controller.views.translation
+            opened = self._translation
             self._box.show_result(result.refinement, "" if opened is None else opened.target.name)
             self.proposal_changed.emit()
 
@@ -86,5 +86,5 @@ class RefinementController(BackgroundController):
 
     def show_cancelled(self) -> None:
         """Show in the box that the alignment is unchanged."""
-        self._session = None
+        self._refined = None
         self._box.show_message("cancelled; alignment unchanged")

@@ -7,11 +7,8 @@ from pathlib import Path
 
 from PyQt6.QtWidgets import QInputDialog
 
-from app.document.autosave import AutosaveController
-from app.document.feature import Feature
 from app.document.session_controller import SessionController
 from app.export.export import ExportController
-from app.window import dialogs
 from app.window.jobs import JobReporter
 from pipeline.core.errors import SettingProblem, escape_text
 from pipeline.translation.translate import Translation
@@ -25,41 +22,29 @@ _QUESTION = (
 )
 
 
-class BallCalibrationController(Feature):
-    """Asks for the ball and a file, fits the table in the background, and uses it."""
+def ask_calibration(controller: SessionController, export: ExportController) -> None:
+    """Ask for the ball's diameter and the file to write, then calibrate."""
+    diameter_mm, accepted = QInputDialog.getDouble(
+        controller.window, "Calibrate here", _QUESTION, _DIAMETER_MM, _MIN_MM, _MAX_MM, 3
+    )
+    if accepted and (path := export.ask_save_path("save_calibration")):
+        calibrate(controller, export, diameter_mm, path)
 
-    def __init__(
-        self, controller: SessionController, export: ExportController, autosave: AutosaveController
-    ) -> None:
-        super().__init__(controller)
-        self._export = export
-        self._autosave = autosave
 
-    def ask(self) -> None:
-        """Ask for the ball's diameter and the file to write, then calibrate."""
-        diameter_mm, accepted = QInputDialog.getDouble(
-            self._window, "Calibrate here", _QUESTION, _DIAMETER_MM, _MIN_MM, _MAX_MM, 3
-        )
-        path = (
-            dialogs.ask_save_path(self._window, "save_calibration", self._autosave.dialog_folder)
-            if accepted
-            else None
-        )
-        if path is not None:
-            self.calibrate(diameter_mm, path)
+def calibrate(
+    controller: SessionController, export: ExportController, diameter_mm: float, path: Path
+) -> None:
+    """Fit and write the table of the open recording; it becomes the session's calibration."""
+    opened = controller.views.translation
+    if opened is None:
+        return
 
-    def calibrate(self, diameter_mm: float, path: Path) -> None:
-        """Fit and write the table of the open recording; it becomes the session's calibration."""
-        opened = self._controller.views.translation
-        if opened is None:
-            return
+    def use_table(quality: str) -> str:
+        controller.change("calibrate", calibration=path)
+        return f"calibration written to {escape_text(path.name)}: {quality}"
 
-        def use_table(quality: object) -> str:
-            self._controller.change("calibrate", calibration=path)
-            return f"calibration written to {escape_text(path.name)}: {quality}"
-
-        work = partial(calibrate_recording, opened, diameter_mm, path)
-        self._export.start_writing("calibrating", work, path, describe=use_table)
+    work = partial(calibrate_recording, opened, diameter_mm, path)
+    export.start_writing("calibrating", work, path, describe=use_table)
 
 
 def calibrate_recording(

@@ -2,7 +2,7 @@
 visible.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -12,7 +12,6 @@ from app.compare.variant_jobs import (
     format_compare_command,
     label_axes,
     list_axes,
-    open_variant,
 )
 from app.document.background_controller import BackgroundController
 from app.document.evaluator import Evaluator
@@ -66,18 +65,12 @@ class ComparisonController(BackgroundController):
         self._is_visible = False
         self._summary = ""
         self._shown_settings = (ComparisonSettings(), None)  # when the page was last updated
-        self._builders: Mapping[str, Callable[[Session], ComparisonSteps | str]] = {
-            "methods": self._build_methods,
-            "two": self._build_pair,
-        }
         window = controller.window
         page.choice_changed.connect(self._choose)
         page.grid.start_button.clicked.connect(self._start_grid)
         page.grid.grid.cell_chosen.connect(self._use_cell)
         for tab in page.tile_tabs:
             tab.grid.readout_changed.connect(window.show_pixel)
-        controller.frame_shown.connect(self._update)
-        controller.closing.connect(self._close)
         window.connect_command("cancel", self.cancel)
         window.connect_command("reset_view", self._reset_view)
         window.connect_command("set_variant_settings", self.set_variant_settings)
@@ -86,15 +79,15 @@ class ComparisonController(BackgroundController):
 
     def set_variant_settings(self) -> None:
         """Hold the current settings as variant B."""
-        self._set_variant(self._controller.session)
+        self._set_variant(self._session)
 
     def set_variant_recording(self, path: Path) -> None:
         """Hold another recording with the current settings as variant B."""
-        self._set_variant(self._controller.session.with_updates(recording=path))
+        self._set_variant(self._session.with_updates(recording=path))
 
     def clear_variant(self) -> None:
         """Remove variant B."""
-        self._controller.change("clear B", variant=None)
+        self._change("clear B", variant=None)
 
     def release_memory(self) -> None:
         """Drop cached results, and networks that no column uses, unless the page is visible."""
@@ -110,9 +103,9 @@ class ComparisonController(BackgroundController):
         self.job.submit(lambda _: release_free_memory())
 
     def _set_variant(self, session: Session) -> None:
-        now = self._controller.session
+        now = self._session
         if now.recording is not None:
-            self._controller.change(
+            self._change(
                 "keep as B",
                 variant=replace(session, variant=None),
                 comparison=replace(now.comparison, tab="two"),
@@ -122,7 +115,7 @@ class ComparisonController(BackgroundController):
     def _choose(self) -> None:
         """Store the page's choices in the session."""
         page = self._page
-        session = self._controller.session
+        session = self._session
         old = session.comparison
         stage = old.stage if page.stage_box.currentIndex() < 0 else page.stage_box.choice
         if old.stage == LAST_STAGE and page.stage_box.currentIndex() == page.stage_box.count() - 1:
@@ -132,20 +125,18 @@ class ComparisonController(BackgroundController):
             order=page.order_box.choice,
             stage=stage,
         )
-        self._controller.change("choose in Compare", comparison=new)
+        self._change("choose in Compare", comparison=new)
 
     def _build_methods(self, session: Session) -> ComparisonSteps:
         def run(report: JobReporter) -> Iterator[Comparison]:
-            variant, frame = open_variant("", self._evaluators[0], session, report)
-            order = session.comparison.order
-            display = session.display
+            translation, frame = self._evaluators[0].open_frame(session, report)
             return compare_methods(
                 self._method_runner,
-                variant.translation,
+                translation,
                 frame,
                 session.params,
-                display,
-                order,
+                session.display,
+                session.comparison.order,
                 report,
             )
 
@@ -160,27 +151,26 @@ class ComparisonController(BackgroundController):
             params={**session.variant.params, "display": session.display},
         )
         stage = self._page.stage_box.choice
-        opened = self._controller.views.translation
+        opened = self._translation
         has_mesh = opened is not None and opened.mesh is not None
         differences = describe_differences(
             session, other, self._controller.catalogue, has_mesh=has_mesh
         )
-        differs = "; ".join(differences) or _NO_DIFFERENCE
+
+        def open_variant(of: Session, report: JobReporter) -> Variant:
+            at = 0 if of is session else 1
+            translation, _ = self._evaluators[at].open_frame(of, report)
+            return Variant(label="AB"[at], translation=translation, params=of.params)
 
         def run(report: JobReporter) -> Iterator[Comparison]:
-            first, frame = open_variant("A", self._evaluators[0], session, report)
-
-            def open_second() -> Variant:
-                return open_variant("B", self._evaluators[1], other, report)[0]
-
             return compare_pair(
                 self._shared_runner,
-                first,
-                open_second,
-                frame,
+                open_variant(session, report),
+                lambda: open_variant(other, report),
+                session.frame,
                 session.display,
                 stage,
-                differs,
+                "; ".join(differences) or _NO_DIFFERENCE,
                 report,
                 second_may_fail=True,
             )
@@ -189,17 +179,21 @@ class ComparisonController(BackgroundController):
 
     def _parse_plan(self) -> GridPlan:
         """Return the plan of the grid's controls; raises SettingProblem."""
-        opened = self._controller.views.translation
         tab = self._page.grid
-        if opened is None:
-            raise SettingProblem("there is nothing to compare; open a recording first")
-        base = Variant(label="", translation=opened, params=self._controller.session.params)
+        base = self._get_base()
         across, down = tab.axis_texts
         rows = parse_axis(base, down) if down else None
         return GridPlan(across=parse_axis(base, across), down=rows, metric=tab.metric_box.choice)
 
+    def _get_base(self) -> Variant:
+        """Return what is open; raises SettingProblem."""
+        opened = self._translation
+        if opened is None:
+            raise SettingProblem("there is nothing to compare; open a recording first")
+        return Variant(label="", translation=opened, params=self._session.params)
+
     def _start_grid(self) -> None:
-        session = self._controller.session
+        session = self._session
         tab = self._page.grid
         try:
             plan = self._parse_plan()
@@ -210,10 +204,10 @@ class ComparisonController(BackgroundController):
         tab.show_plan(plan, METRICS[plan.metric.partition(".")[2]].unit if plan.metric else "")
 
         def run(report: JobReporter) -> Iterator[Comparison]:
-            variant, frame = open_variant("", self._evaluators[0], session, report)
+            translation, frame = self._evaluators[0].open_frame(session, report)
             return compare_grid(
                 self._method_runner,
-                variant.translation,
+                translation,
                 frame,
                 session.params,
                 session.display,
@@ -227,11 +221,12 @@ class ComparisonController(BackgroundController):
         """Offer what the methods in use can try; drop a grid of another recording or frame."""
         controller = self._controller
         tab = self._page.grid
-        axes = list_axes(session, controller.methods, controller.catalogue, controller.sensor_kinds)
-        known = dict.fromkeys((DEFAULT_METRIC, *controller.window.frames.model.metrics))
+        methods, catalogue = controller.methods, controller.catalogue
+        axes = list_axes(session, methods, catalogue, controller.sensor_kinds)
+        known = dict.fromkeys((DEFAULT_METRIC, *self._window.frames.model.metrics))
         metrics = {name: describe_metric(name) for name in known if is_stage_error(name)}
         metric = tab.metric_box.choice if tab.metric_box.count() else DEFAULT_METRIC
-        labels = label_axes(axes, controller.methods, controller.catalogue)
+        labels = label_axes(axes, methods, catalogue)
         tab.offer_axes(axes, {**metrics, "": "time only"}, metric, labels)
         if self._grid is not None and _get_subject(self._grid[0]) != _get_subject(session):
             self.abandon()
@@ -241,17 +236,15 @@ class ComparisonController(BackgroundController):
 
     def _use_cell(self, row: int, col: int) -> None:
         """Use a cell's values in the session, as one change."""
-        opened = self._controller.views.translation
-        if self._grid is None or opened is None:
+        if self._grid is None:
             return
-        base = Variant(label="", translation=opened, params=self._controller.session.params)
         try:
-            variant = self._grid[1].build_variant(base, row, col)
+            variant = self._grid[1].build_variant(self._get_base(), row, col)
         except TouchError as error:
             self._page.grid.message.setText(str(error))
             return
         request = variant.translation.request
-        self._controller.change(
+        self._change(
             "use a cell of the grid",
             params=variant.params,
             methods=dict(request.methods),
@@ -261,7 +254,7 @@ class ComparisonController(BackgroundController):
 
     def format_command(self, opened: Translation, out: Path) -> str:
         """Return the command that writes what the page shows; raises SettingProblem."""
-        session = self._controller.session
+        session = self._session
         plan = None
         if session.comparison.tab == "grid":
             session, plan = self._grid or (session, self._parse_plan())
@@ -269,29 +262,20 @@ class ComparisonController(BackgroundController):
             raise SettingProblem(_NO_VARIANT)
         return format_compare_command(session, opened.stages[-1], opened.target.name, out, plan)
 
-    def _get_choices(self) -> tuple[object, ...]:
-        """The choices of the current tab."""
-        page = self._page
-        session = self._controller.session
-        choices = {
-            "methods": session.comparison.order,
-            "two": (page.stage_box.choice, session.variant),
-        }
-        return (page.current_name, choices.get(page.current_name))
-
-    def show_session(self, session: Session) -> None:
+    def show_session(self) -> None:
         """Cancel what is no longer visible, and update what is."""
+        session = self._session
         was_visible = self._is_visible
         self._is_visible = session.layout.name == "compare"
         if self._is_visible:
             self._release_timer.stop()
         elif was_visible:
             self._release_timer.start()
-        is_closed = self._controller.views.translation is None
+        is_closed = self._translation is None
         if is_closed:  # nothing of the recording before stays, if the next one does not open
             for tab in self._page.tile_tabs:
                 tab.show_comparison(Comparison(tiles=(), summary=""))
-        if session.layout.name != "compare" or is_closed:
+        if is_closed or not self._is_visible:
             self.abandon()
             self._requested = ()
         self._show_choices(session)
@@ -306,15 +290,12 @@ class ComparisonController(BackgroundController):
     def _show_choices(self, session: Session) -> None:
         settings = session.comparison
         self._page.show_choices(settings.tab, settings.order, settings.stage)
-        self._window.actions_by_name["clear_variant"].setEnabled(session.variant is not None)
+        self._actions["clear_variant"].setEnabled(session.variant is not None)
 
-    def _update(self, *_: object) -> None:
+    def _update(self) -> None:
         """Compute the current tab, unless it shows that already."""
-        controller = self._controller
-        page = self._page
-        session = controller.session
-        opened = controller.views.translation
-        if session.layout.name != "compare" or opened is None or controller.is_closed:
+        page, session, opened = self._page, self._session, self._translation
+        if not self._is_visible or opened is None or self._controller.is_closed:
             return
         stages = {name: opened.catalogue.stage(name).title for name in opened.stages}
         page.stage_box.offer({"": ALL_STAGES, **stages})
@@ -326,11 +307,13 @@ class ComparisonController(BackgroundController):
             self._follow_grid(session)
             return
         for tab in page.tile_tabs:
-            tab.grid.set_comparison_mode(controller.views.comparison_mode)
+            tab.grid.set_comparison_mode(self._views.comparison_mode)
         settings = session.with_updates(
             layout=Layout(), cameras_linked=True, comparison=ComparisonSettings(), variant=None
         )
-        requested = (*self._get_choices(), settings)
+        is_pair = page.current_name == "two"
+        choice = (page.stage_box.choice, session.variant) if is_pair else session.comparison.order
+        requested = (is_pair, choice, settings)
         if requested == self._requested:
             return
         old = self._requested[-1] if self._requested else None
@@ -341,7 +324,7 @@ class ComparisonController(BackgroundController):
             and requested[:-1] == self._requested[:-1]
         )
         self._requested = requested
-        steps = self._builders[page.current_name](session)
+        steps = self._build_pair(session) if is_pair else self._build_methods(session)
         if isinstance(steps, str):
             self.abandon()
             self._show(Comparison(tiles=(), summary=steps))
@@ -371,7 +354,13 @@ class ComparisonController(BackgroundController):
             f"cancelled; {self._summary}" if self._summary else "cancelled"
         )
 
-    def _close(self) -> None:
+    def show_frame(self) -> None:
+        """Compute the tab for it."""
+        self._update()
+
+    def close(self) -> None:
+        """End the run, and close what it read."""
+        super().close()
         for evaluator in self._evaluators:
             evaluator.close()
 

@@ -8,15 +8,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from app.document.evaluator import Evaluator
 from app.document.requests import make_request
 from app.session.layout import LAST_STAGE
 from app.session.state import REQUEST_FIELDS, Session
-from app.window.jobs import JobReporter
 from pipeline.core.graph import Method
 from pipeline.core.params import Setting, Value, list_settings
 from pipeline.lab.evaluation.grid_comparison import METHOD, WEIGHTS, GridPlan, format_value
-from pipeline.lab.evaluation.variants import Variant
 from pipeline.translation.catalogue import Catalogue
 from pipeline.translation.reports.export_request import format_options, format_settings
 
@@ -30,14 +27,6 @@ _EFFECTIVE_PARAMETERS = (
     "smoothing_px",
     "grazing_deg",
 )
-
-
-def open_variant(
-    label: str, evaluator: Evaluator, session: Session, report: JobReporter
-) -> tuple[Variant, int]:
-    """A session's variant and its frame; raises TouchError."""
-    translation, frame = evaluator.open_frame(session, report)
-    return Variant(label=label, translation=translation, params=session.params), frame
 
 
 def list_axes(
@@ -71,11 +60,8 @@ def list_axes(
     parameters.sort(key=lambda parameter: rank.get(parameter[0], len(rank)))
     axes = {title: values for _, title, values in parameters}
     for method in methods:
-        names = [
-            m.name
-            for m in catalogue.list_choices(method.stage)
-            if m.fits(sensor_kinds.get(method.key, ""))
-        ]
+        kind = sensor_kinds.get(method.key, "")
+        names = [m.name for m in catalogue.list_choices(method.stage) if m.fits(kind)]
         if len(names) > 1:
             axes[f"{method.stage}.{METHOD}"] = ", ".join(names)
         if method.weights is not None:
@@ -112,13 +98,10 @@ def suggest_values(value: Value, setting: Setting) -> tuple[Value, ...]:
         return setting.sweep
     if isinstance(value, str):
         return (value,)
-    base = value or (setting.step or 1.0)
-    values = sorted(
-        {min(max(base * factor, setting.low), setting.high) for factor in _FACTORS} | {float(value)}
-    )
-    return (
-        tuple(dict.fromkeys(round(v) for v in values)) if isinstance(value, int) else tuple(values)
-    )
+    base = value or setting.step or 1.0
+    tried = [min(max(base * factor, setting.low), setting.high) for factor in _FACTORS]
+    make = round if isinstance(value, int) else float
+    return tuple(sorted({make(one) for one in (*tried, value)}))
 
 
 def format_compare_command(
@@ -128,13 +111,8 @@ def format_compare_command(
 
     `last_stage` and `target` are the opened ones.
     """
-    words = [
-        "tactoscope",
-        "compare",
-        *_list_options(session, target),
-        "--frame",
-        str(session.frame),
-    ]
+    options = _list_options(session, target)
+    words = ["tactoscope", "compare", *options, "--frame", str(session.frame)]
     settings = session.comparison
     if plan is not None:
         for option, axis in zip(("--across", "--down"), plan.axes, strict=False):
@@ -143,15 +121,16 @@ def format_compare_command(
     elif settings.tab == "methods":
         words += ["--order", settings.order]
     elif session.variant is not None:
-        words += [
-            "--stage",
-            last_stage if settings.stage == LAST_STAGE else settings.stage or "all",
-        ]
-        words += ["--variant", shlex.join(_list_options(session.variant, target))]
-    display = [
-        word for line in format_settings({"display": session.display}) for word in ("--set", line)
-    ]
-    return shlex.join([*words, *display, "--out", os.fspath(out.absolute())])
+        stage = last_stage if settings.stage == LAST_STAGE else settings.stage or "all"
+        other = shlex.join(_list_options(session.variant, target))
+        words += ["--stage", stage, "--variant", other]
+    words += list_set_options({"display": session.display})
+    return shlex.join([*words, "--out", os.fspath(out.absolute())])
+
+
+def list_set_options(params: Mapping[str, object]) -> list[str]:
+    """List `--set NAME=VALUE` for every changed parameter."""
+    return [word for line in format_settings(params) for word in ("--set", line)]
 
 
 def _spell(value: Value) -> str:
@@ -168,10 +147,10 @@ def _list_options(session: Session, target: str) -> list[str]:
         for key, value in session.params.items()
         if key != "display" and list_settings(value)
     }
-    return [
-        *format_options(request),
-        *(word for line in format_settings(params) for word in ("--set", line)),
-    ]
+    return [*format_options(request), *list_set_options(params)]
+
+
+_NOTHING = "nothing"  # of a stage that a route has not
 
 
 def describe_differences(
@@ -180,56 +159,39 @@ def describe_differences(
     """List as `name: one | other` everything that the results of a frame depend on and that
     differs; `has_mesh` decides the route of a session that names none.
     """
-    texts = [
-        _format_pair(name.replace("_", " "), getattr(one, name), getattr(other, name))
-        for name in REQUEST_FIELDS
-        if getattr(one, name) != getattr(other, name)
+    a, b = (_list_values(session, catalogue, has_mesh=has_mesh) for session in (one, other))
+    names = [
+        name for name in dict.fromkeys((*a, *b)) if a.get(name, "nothing") != b.get(name, "nothing")
     ]
-    if one.offsets != other.offsets:
-        texts.append("alignment offsets differ")
-    methods = tuple(
-        {m.stage: m for m in catalogue.methods(route.name, session.methods)}
-        for session in (one, other)
-        for route in (catalogue.route(session.route, has_mesh=has_mesh),)
-    )
-    for stage in dict.fromkeys((*methods[0], *methods[1])):
-        a, b = (by_stage.get(stage) for by_stage in methods)
-        if a is None or b is None or a.key != b.key:
-            texts.append(
-                _format_pair(
-                    catalogue.stage(stage).title,
-                    "nothing" if a is None else a.title,
-                    "nothing" if b is None else b.title,
-                )
-            )
-        else:
-            title = catalogue.stage(stage).title
-            texts += _compare_params(a, title, one, other)
-    if one.weights != other.weights:
-        texts.append("weights differ")
+    texts: list[str] = []
+    for name in names:
+        stage, _, setting = name.partition(", ")
+        if name in ("alignment offsets", "weights"):
+            texts.append(f"{name} differ")
+        elif not setting or stage not in names:  # those of two methods are not compared
+            pair = (_format_value(of.get(name, _NOTHING)) for of in (a, b))
+            texts.append(f"{name}: {' | '.join(pair)}")
     return tuple(texts)
 
 
-def _compare_params(method: Method, title: str, one: Session, other: Session) -> list[str]:
-    a, b = (list_settings(session.get_params(method)) for session in (one, other))
-    return [
-        _format_pair(f"{title}, {a[name][1].label.lower()}", a[name][0], b[name][0])
-        for name in a
-        if a[name][0] != b[name][0]
-    ]
-
-
-def _format_pair(name: str, one: object, other: object) -> str:
-    return f"{name}: {_format_value(one)} | {_format_value(other)}"
+def _list_values(session: Session, catalogue: Catalogue, *, has_mesh: bool) -> dict[str, object]:
+    """What is open, the method of every stage, and its parameters."""
+    values: dict[str, object] = {
+        name.replace("_", " "): getattr(session, name) for name in REQUEST_FIELDS
+    }
+    values["alignment offsets"] = session.offsets
+    route = catalogue.route(session.route, has_mesh=has_mesh)
+    for method in catalogue.methods(route.name, session.methods):
+        stage = catalogue.stage(method.stage).title
+        values[stage] = method.title
+        for value, setting in list_settings(session.get_params(method)).values():
+            values[f"{stage}, {setting.label.lower()}"] = value
+    return values | {"weights": session.weights}
 
 
 def _format_value(value: object) -> str:
     if isinstance(value, Path):
         return value.name
-    return (
-        f"{value:g}"
-        if isinstance(value, float)
-        else "as recorded"
-        if value in ("", None)
-        else str(value)
-    )
+    if isinstance(value, float):
+        return f"{value:g}"
+    return "as recorded" if value in ("", None) else str(value)

@@ -5,10 +5,9 @@ geometry.
 import contextlib
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import TypeVar
 
-from PyQt6.QtCore import QByteArray
-from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QMenu, QMessageBox, QWidget
 
 from app.document.feature import Feature
@@ -22,13 +21,11 @@ from app.window.jobs import LatestJob
 from app.window.logs import log
 from pipeline.core.errors import TouchError, escape_text
 from pipeline.io.mounts import is_mounted
-from pipeline.translation.translate import Translation
-from widgets.style.notification_bar import NotificationBar
+from widgets.style.notification_bar import Choice, NotificationBar
 from widgets.style.styling import make_single_shot_timer
 
 AUTOSAVE_DELAY_MS = 15_000  # from the first unsaved change: the most that a crash loses
 _Answer = QMessageBox.StandardButton
-_MINUTE_S = 60.0
 T = TypeVar("T")
 
 
@@ -46,13 +43,9 @@ class AutosaveController(Feature):
         self._window.add_notification(self.notification)
         self.recent_menu = QMenu("Open recent", self._window)
         self.recent_menu.aboutToShow.connect(self._fill_recent_menu)
-        self._window.menus["File"].insertMenu(
-            self._window.actions_by_name["open_mesh"], self.recent_menu
-        )
+        self._window.menus["File"].insertMenu(self._actions["open_mesh"], self.recent_menu)
         self._saves_geometry = False
         self._window.may_close = self.may_close
-        controller.job.delivered.connect(self._add_recent)
-        controller.closing.connect(self._close)
         controller.termination_requested.connect(self._prepare_recovery)
         self._job.failed.connect(self._show_failure)
 
@@ -79,7 +72,7 @@ class AutosaveController(Feature):
     @property
     def has_unsaved_changes(self) -> bool:
         """Whether parameters, methods, notes or offsets are not in the session file."""
-        current = _get_work(self._controller.session)
+        current = _get_work(self._session)
         saved = _get_work(self._controller.saved_session)
         is_default = current == _get_work(Session()) and self._controller.session_file is None
         return current != saved and not is_default
@@ -100,13 +93,11 @@ class AutosaveController(Feature):
     def restore_geometry(self) -> None:
         """Restore the geometry of the last window, and save it on close."""
         self._saves_geometry = True
-        geometry = self.preferences.window_geometry
-        if geometry is None:
-            self._window.maximize_if_tight()
+        if kept := self.preferences.window_geometry:
+            self._window.restoreGeometry(kept[0])
+            self._window.restoreState(kept[1])
         else:
-            self._window.restoreGeometry(geometry[0])
-            self._window.restoreState(geometry[1])
-        self._window.stay_on_screen()
+            self._window.maximize_if_tight()
 
     def offer_recovery(self) -> None:
         """Offer the newest session of a window that did not close normally, if any."""
@@ -148,53 +139,43 @@ class AutosaveController(Feature):
         def recover() -> None:
             assert session is not None
             self._controller.restore_session(session, "recover session")
-            recovery.discard_session(recoverable)
+            recovery.remove_recovery_file(recoverable.path)
             self.autosave_now()
 
         def discard() -> None:
-            recovery.discard_session(recoverable)
+            recovery.remove_recovery_file(recoverable.path)
             self.offer_recovery()
 
-        since = f"A window did not close normally {_format_age(recoverable.age_s)}."
+        choices: list[Choice] = [("Discard", discard)]
         if session is None:
-            text = f"{since} Its session cannot be recovered: {recoverable.problem}"
-            self.notification.show_notification(text, (("Discard", discard),), stays=True)
-            return
-        of = "" if session.recording is None else f" of '{escape_text(session.recording.name)}'"
-        self.notification.show_notification(
-            f"{since} Its session{of} can be recovered.",
-            (("Recover", recover), ("Discard", discard)),
-            stays=True,
-        )
+            what = f"Its session cannot be recovered: {recoverable.problem}"
+        else:
+            of = "" if session.recording is None else f" of '{escape_text(session.recording.name)}'"
+            what = f"Its session{of} can be recovered."
+            choices.insert(0, ("Recover", recover))
+        since = f"A window did not close normally {_format_age(recoverable.age_s)}."
+        self.notification.show_notification(f"{since} {what}", choices, stays=True)
 
-    def show_session(self, session: Session) -> None:
+    def show_session(self) -> None:
         """Mark unsaved changes in the title, and schedule an autosave."""
         self._window.setWindowModified(self.has_unsaved_changes)
-        if session.recording is not None and not self._timer.isActive():
+        if self._session.recording is not None and not self._timer.isActive():
             self._timer.start()
 
-    def _add_recent(self, _: int, part: object) -> None:
-        if isinstance(part, Translation) and part.request.recording.exists():
-            self.preferences.add_recent(part.request.recording)
+    def show_translation(self) -> None:
+        """Remember the recording as a recent file, unless it is live."""
+        recording = self._session.recording
+        if recording is not None and recording.exists():
+            self.preferences.add_recent(recording)
 
     def _fill_recent_menu(self) -> None:
         self.recent_menu.clear()
         for path in self.preferences.recent_files:
-            action = QAction(escape_text(path.name), self.recent_menu)
-            action.setToolTip(escape_text(str(path)))
-            action.triggered.connect(
-                lambda _checked=False, path=path: self._controller.open_path(path)
+            self.recent_menu.addAction(
+                escape_text(path.name), partial(self._controller.open_path, path)
             )
-            self.recent_menu.addAction(action)
-        if self.recent_menu.isEmpty():
-            empty = self.recent_menu.addAction("none")
-            assert empty is not None
-            empty.setEnabled(False)
-            return
         self.recent_menu.addSeparator()
-        clear = self.recent_menu.addAction("Clear list")
-        assert clear is not None
-        clear.triggered.connect(self.preferences.clear_recent)
+        self.recent_menu.addAction("Clear list", self.preferences.clear_recent)
 
     def _show_failure(self, _: int, error: object) -> None:
         log.error("autosave failed: %s", error)
@@ -202,40 +183,31 @@ class AutosaveController(Feature):
     def _prepare_recovery(self) -> None:
         self._to_recover = self._session_to_write() if self.has_unsaved_changes else None
 
-    def _close(self) -> None:
+    def close(self) -> None:
+        """Write what the next window needs."""
         self._job.close()
         if self._to_recover is None:
-            self.recovery_file.remove()
+            recovery.remove_recovery_file(self.recovery_file.path)
         else:
             # the process is ending: no one can act on an error
             with contextlib.suppress(TouchError, OSError):
                 self.recovery_file.write(self._to_recover)
+        self.recovery_file.unlock()
         if self._saves_geometry:
-            self.preferences.window_geometry = (
-                QByteArray(self._window.saveGeometry()),
-                QByteArray(self._window.saveState()),
-            )
-        self.preferences.write()
+            window = self._window
+            self.preferences.window_geometry = window.saveGeometry(), window.saveState()
+        self.preferences.sync()
 
 
 def _get_work(session: Session) -> Session:
     """Return only what counts as unsaved work; opened files do not."""
     params = {key: value for key, value in session.params.items() if key != DISPLAY_KEY}
-    return replace(
-        Session(),
-        params=params,
-        methods=session.methods,
-        offsets=session.offsets,
-        notes=session.notes,
-    )
+    work = {name: getattr(session, name) for name in ("methods", "offsets", "notes")}
+    return Session(params=params, **work)
 
 
 def _format_age(age_s: float) -> str:
-    for unit, seconds in (
-        ("day", 24 * 60 * _MINUTE_S),
-        ("hour", 60 * _MINUTE_S),
-        ("minute", _MINUTE_S),
-    ):
+    for unit, seconds in (("day", 86_400), ("hour", 3_600), ("minute", 60)):
         count = round(age_s / seconds)
         if count >= 1:
             return f"{count} {unit}{'s' if count > 1 else ''} ago"

@@ -32,18 +32,19 @@ class BackgroundController(Feature):
         self.job.finished.connect(self._handle_result)
         self.job.failed.connect(self._handle_failure)
         self.job.cancelled.connect(self._handle_cancellation)
-        controller.closing.connect(self.job.close)
         for bar in bars:
             bar.cancel_button.clicked.connect(self.cancel)
+
+    def close(self) -> None:
+        """End the thread."""
+        self.job.close()
 
     @property
     def is_busy(self) -> bool:
         """Whether a run has not ended yet."""
         return not self.job.is_settled
 
-    def start(
-        self, work: JobFunction, *, interrupt: bool = True, shows_progress: bool = True
-    ) -> None:
+    def start(self, work: JobFunction, *, interrupt: bool = True) -> None:
         """Run `work`; without `interrupt` the run before it finishes first, and shows its
         result.
         """
@@ -51,8 +52,7 @@ class BackgroundController(Feature):
         self._ticket = self.job.submit(work, interrupt=interrupt)
         if interrupt or not self._oldest_shown:
             self._oldest_shown = self._ticket
-        if shows_progress:
-            self._show_fraction(0.0)
+        self._show_fraction(0.0)
 
     def cancel(self) -> None:
         """Cancel the run; `show_cancelled` follows."""

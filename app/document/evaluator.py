@@ -6,8 +6,7 @@ from __future__ import annotations
 
 import logging
 import math
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from app.document.requests import (
@@ -18,7 +17,7 @@ from app.document.requests import (
     open_request,
 )
 from app.session.state import Session
-from app.views.stage_previews import PreviewCache, SourcePreview, add_thumbnails, summarise_frame
+from app.views.stage_previews import PreviewCache, summarise_frame
 from app.views.target_comparison import TargetComparison, build_target_comparison
 from app.window.jobs import JobReporter
 from pipeline.core.errors import SettingProblem, TouchError
@@ -31,7 +30,7 @@ from pipeline.stages.depth.photometric import DepthParams
 from pipeline.stages.networks.weights import Weights
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.colour_limits import fit_display
-from pipeline.translation.error_attribution import DEFAULT_METRIC, ErrorAttribution, attribute_error
+from pipeline.translation.error_attribution import DEFAULT_METRIC, attribute_error
 from pipeline.translation.force import measure_force
 from pipeline.translation.frame_selection import find_contact_frame
 from pipeline.translation.round_trip import measure_round_trip
@@ -67,24 +66,6 @@ class EvaluatedFrame:
     results: Mapping[str, StageResult]
     metrics: Mapping[str, float]
     summary: FrameSummary | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SummarisedFrame:
-    """Summary of a frame that is not on screen."""
-
-    index: int
-    settings: Session  # used for the computation
-    summary: FrameSummary
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MeasuredQuantities:
-    """Quantities of a frame that were measured on request; NaN where they could not be."""
-
-    index: int
-    settings: Session  # used for the computation
-    quantities: Mapping[str, float]
 
 
 class Evaluator:
@@ -123,7 +104,6 @@ class Evaluator:
         *,
         with_observation: bool = False,
         truth_of: tuple[str, ...] = (),
-        get_current: Callable[[], Translation | None] | None = None,
     ) -> EvaluatedFrame:
         """Compute `stages` of the session's frame, delivering each part as soon as it is done.
 
@@ -131,30 +111,18 @@ class Evaluator:
 
         `with_observation` outlines what the target sensor itself recorded, `truth_of` names
         the stages that are shown with their truth and the difference to it, where the recording
-        holds them. The translation is
-        delivered when it opens, and again if `get_current()` is another one by then: a newer
-        request drops the parts of an older one.
+        holds them. The translation is delivered every time: a newer request drops the parts of
+        an older one.
         """
-        delivered = self._delivered
         translation, index = self.open_frame(session, report)
-        if get_current is not None and delivered is self._delivered is not get_current():
-            report.deliver(self._delivered)
+        report.deliver(self._delivered)
         display = fit_display(translation, session.display, report, self._contact_frame)
         if session.frame < 0 or display != session.display:
             session = session.with_display(display)
             report.deliver(InitialView(index=index, display=display))
-        started_s = time.perf_counter()
         loaded = self._previews.load_frame(translation, index, session.display)
         truth = loaded.ground_truth
-        ms = 1e3 * (time.perf_counter() - started_s)
-        source = SourcePreview(
-            frame=loaded.frame,
-            ground_truth=truth,
-            preview=loaded.preview,
-            layers=(loaded.layer,),
-            read_ms=ms,
-        )
-        report.deliver(source)
+        report.deliver(loaded)
         results: dict[str, StageResult] = {}
         stages = tuple(name for name in translation.stages if name in stages)
         compared = tuple(name for name in stages if name in truth_of)
@@ -163,12 +131,10 @@ class Evaluator:
         def on_stage(result: StageResult) -> None:
             result = add_truth_warnings(result, truth)
             results[result.name] = result
-            compares = with_observation and result.name == _OUTLINED and "depth" in results
-            other = (
-                self._get_comparison(translation, index, results["depth"].output, session)
-                if compares
-                else None
-            )
+            other = None
+            if with_observation and result.name == _OUTLINED and "depth" in results:
+                depth = results["depth"].output
+                other = self._get_comparison(translation, index, depth, session)
             known = truths if result.name in compared else None
             report.deliver(
                 self._previews.draw_stage(result, results, translation, session, other, known)
@@ -177,15 +143,16 @@ class Evaluator:
         translation.evaluate(loaded.frame, stages, report, on_stage=on_stage)
         metrics = self._previews.compute_metrics(translation, results, index, truth)
         self._release_memory(results)
-        is_whole = set(results) == set(translation.stages)
-        summary = summarise_frame(results, metrics, translation) if is_whole else None
+        summary = None
+        if set(results) == set(translation.stages):
+            summary = summarise_frame(results, metrics, translation, loaded.preview)
         return EvaluatedFrame(
             index=index,
             settings=replace(session, target=translation.target.name).settings,
             frame=loaded.frame,
             results=results,
             metrics=metrics,
-            summary=None if summary is None else add_thumbnails(summary, loaded.preview),
+            summary=summary,
         )
 
     def _release_memory(self, results: Mapping[str, StageResult]) -> None:
@@ -236,7 +203,7 @@ class Evaluator:
 
     def evaluate_in_background(
         self, session: Session, index: int, report: JobReporter, *, completely: bool = False
-    ) -> SummarisedFrame:
+    ) -> FrameSummary:
         """Summarise a frame that is not on screen.
 
         A frame that fails has the error text as its summary.
@@ -247,77 +214,53 @@ class Evaluator:
         translation = self._open_in_background(session, report)
         try:
             frame = translation.stream.frame(index)
-            results = translation.evaluate(frame, progress=report)
-            metrics = translation.compute_metrics(results, index)
             truth = translation.read_ground_truth(index)
-            results = {name: add_truth_warnings(result, truth) for name, result in results.items()}
-            summary = summarise_frame(results, metrics, translation) or FrameSummary(
-                metrics=metrics
-            )
+            found = translation.evaluate(frame, progress=report)
+            results = {name: add_truth_warnings(result, truth) for name, result in found.items()}
+            metrics = translation.compute_metrics_against(results, truth)
             preview, _ = make_recorded_preview(frame, translation.source, session.display)
-            summary = add_thumbnails(summary, preview)
+            summary = summarise_frame(results, metrics, translation, preview)
             if completely:
-                round_trip = measure_round_trip(results, translation, report)
-                cause = _find_cause(translation, results, index, report)
+                more = measure_round_trip(results, translation, report)
                 summary = replace(
                     summary,
-                    metrics={**summary.metrics, **round_trip},
-                    cause=cause,
+                    metrics={**summary.metrics, **more},
+                    cause=_find_cause(translation, results, index, report),
                     is_complete=True,
                 )
             self._release_memory(results)
         except TouchError as error:
-            summary = FrameSummary(problem=str(error), is_complete=True)
-        return SummarisedFrame(
-            index=index,
-            settings=replace(session, target=translation.target.name).settings,
-            summary=summary,
-        )
+            return FrameSummary(problem=str(error), is_complete=True)
+        return summary
 
     def measure_force_in_background(
         self, session: Session, index: int, metric: str, report: JobReporter
-    ) -> MeasuredQuantities:
+    ) -> Mapping[str, float]:
         """Measure the force of a frame, which takes its depth alone.
 
         `metric` is NaN where that fails.
         """
         translation = self._open_in_background(session, report)
-        quantities: Mapping[str, float] = {metric: math.nan}
         try:
-            quantities |= measure_force(
-                translation.evaluate(index, ["depth"], report), index, translation
-            )
+            depth = translation.evaluate(index, ["depth"], report)
+            return {metric: math.nan, **measure_force(depth, index, translation)}
         except TouchError as error:
             log.info("frame %d has no force: %s", index, error)
-        settings = replace(session, target=translation.target.name).settings
-        return MeasuredQuantities(index=index, settings=settings, quantities=quantities)
+            return {metric: math.nan}
 
     def _open_in_background(self, session: Session, report: JobReporter) -> Translation:
         return replace(
             apply_session(session, self._open(session, report)), graph=self._background_graph
         )
 
-    def attribute_frame_error(
-        self, session: Session, metric: str, report: JobReporter
-    ) -> ErrorAttribution | None:
-        """Attribute the error `metric` of the session's frame to its stages.
-
-        None if the metric is unknown.
-        """
-        translation, index = self.open_frame(session, report)
-        return attribute_error(translation, index, metric, report)
-
     def _get_comparison(
         self, translation: Translation, index: int, depth: object, session: Session
     ) -> TargetComparison:
         assert isinstance(depth, DepthMap)
         key = (index, get_depth_params(session, translation.methods))
-        comparison = self._comparisons.get(key)
-        if comparison is None:
-            comparison = build_target_comparison(translation, *key, depth)
-            self._drop_if_live(translation)
-            self._comparisons.put(key, comparison)
-        return comparison
+        return self._comparisons.get_or_make(
+            key, lambda: build_target_comparison(translation, *key, depth)
+        )
 
     def _get_true_outputs(
         self, translation: Translation, index: int, stages: tuple[str, ...]
@@ -325,17 +268,9 @@ class Evaluator:
         """Return the same object for the same frame and stages, which is what the preview cache
         compares by.
         """
-        truths = self._truths.get((index, stages))
-        if truths is None:
-            truths = translation.read_true_outputs(index, stages)
-            self._drop_if_live(translation)
-            self._truths.put((index, stages), truths)
-        return truths
-
-    def _drop_if_live(self, translation: Translation) -> None:
-        """Keep only the newest frame of a live recording, whose zero and oldest frames change."""
-        if translation.recording.refresh is not None:
-            self._clear_truths()
+        return self._truths.get_or_make(
+            (index, stages), lambda: translation.read_true_outputs(index, stages)
+        )
 
     def _clear_truths(self) -> None:
         self._comparisons.clear()
@@ -350,11 +285,8 @@ class Evaluator:
     @property
     def weights_in_use(self) -> frozenset[str]:
         """Content digests of the weights that the open translation uses."""
-        opened = self._translation
-        all_weights = () if opened is None else opened.weights.values()
-        return frozenset(
-            weights.content_digest for weights in all_weights if isinstance(weights, Weights)
-        )
+        used = {} if self._translation is None else self._translation.weights
+        return frozenset(one.content_digest for one in used.values() if isinstance(one, Weights))
 
     def close(self) -> None:
         """Close the recording."""
@@ -365,7 +297,10 @@ class Evaluator:
     def _open(self, session: Session, report: JobReporter) -> Translation:
         request = make_request(session)
         if self._translation is not None and request == self._request:
-            self._translation = self._translation.reload_frames()
+            old = self._translation
+            self._translation = old.reload_frames()
+            if self._translation is not old:  # zero and oldest frames of a live recording change
+                self._clear_truths()
             return self._translation
         report.step(0.0, "opening the recording")
         translation = open_request(request, self._catalogue)
@@ -387,7 +322,6 @@ class Evaluator:
         for note in translation.notes:
             log.info("%s", note)
         self.unavailable = explain_unavailable(translation, report)
-        report.deliver(translation)
         return translation
 
 
@@ -405,7 +339,5 @@ def _find_cause(
         shares = attribute_error(translation, index, DEFAULT_METRIC, report)
         if shares is not None:
             return shares.main_cause
-    stage = translation.catalogue.stage
-    return next(
-        (stage(name).title.lower() for name, result in results.items() if result.warnings), ""
-    )
+    first = next((name for name, result in results.items() if result.warnings), "")
+    return first and translation.catalogue.stage(first).title.lower()

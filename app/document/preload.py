@@ -4,49 +4,47 @@ frame is shown.
 
 from collections.abc import Iterable
 
-from app.document.feature import Feature
+from app.document.background_controller import BackgroundController
 from app.document.session_controller import SessionController
-from app.session.state import Session
-from app.window.jobs import LatestJob
+from app.session.sample import SAMPLE_RECORDING
 from pipeline.core.progress import Progress
 from pipeline.stages.networks import network_factory
 from pipeline.stages.networks.onnx_predictor import FirstPassPredictor
 from pipeline.stages.networks.weights import Weights
 from widgets.style.styling import make_single_shot_timer
 
+_TOUCHING = 5  # frame of the sample
 _DELAY_MS = 700  # the window and its 3D views come first
 _SAMPLER_DELAY_MS = 1500  # after a frame; browsing comes first
 
 
-class PreloadController(Feature):
+class PreloadController(BackgroundController):
     """Loads packages and kernels on a thread of its own.
 
     Stops when a recording opens, which loads the same.
     """
 
     def __init__(self, controller: SessionController) -> None:
-        super().__init__(controller)
-        self.job = LatestJob("preload", self)
+        super().__init__("preload", controller)
         self.start_timer = make_single_shot_timer(
             self, _DELAY_MS, lambda: self.job.submit(preload_depth)
         )
         self.sampler_timer = make_single_shot_timer(self, _SAMPLER_DELAY_MS, self._preload_samplers)
-        controller.frame_shown.connect(self._preload_samplers_soon)
-        controller.session_shown.connect(self._stop)
-        controller.closing.connect(self.job.close)
-        if controller.session.recording is None:
+        if controller.session.recording is None and SAMPLE_RECORDING.exists():
             self.start_timer.start()
 
-    def _stop(self, session: Session) -> None:
-        if session.recording is not None:
+    def show_session(self) -> None:
+        """Stop as a recording opens."""
+        if self._session.recording is not None:
             self.start_timer.stop()
             self.job.cancel()
 
-    def _preload_samplers_soon(self, _: int) -> None:
+    def show_frame(self) -> None:
+        """Preload what sampling needs, once browsing has ended."""
         self.sampler_timer.start()
 
     def _preload_samplers(self) -> None:
-        opened = self._controller.views.translation
+        opened = self._translation
         if opened is not None and self._controller.is_idle and not self._window.timeline.is_playing:
             self.job.submit(lambda _: preload_samplers(opened.weights.values()))
 
@@ -63,25 +61,11 @@ def preload_samplers(weights: Iterable[object]) -> None:
 
 
 def preload_depth(report: Progress) -> None:
-    """Estimate the depth of a synthetic touch, to load packages and compile kernels. Raises
-    Cancelled.
+    """Estimate the depth of a touch of the sample, to load packages and compile kernels.
+
+    Raises Cancelled.
     """
-    import numpy as np
+    from pipeline.translation.translate import Request, open_translation
 
-    from pipeline.core.arrays import freeze
-    from pipeline.core.graph import Graph
-    from pipeline.core.values.frames import TactileFrame
-    from pipeline.physics import optics
-    from pipeline.sensors.spec import load_sensor
-    from pipeline.stages.depth.stage import PHYSICS
-
-    source = load_sensor("gelslim")
-    reference, (rows, cols) = optics.render_reference(source), source.camera.shape
-    y, x = np.mgrid[:rows, :cols].astype(np.float32) * source.pixel_mm
-    centre_mm = 0.5 * source.pixel_mm * np.array((rows, cols), np.float32)
-    dent = np.maximum(0.6 - ((y - centre_mm[0]) ** 2 + (x - centre_mm[1]) ** 2) / 12.0, 0.0)
-    image = optics.render(source, dent.astype(np.float32), seed=1)
-    frame = TactileFrame(sensor=source.name, image=freeze(image), reference=reference)
-    Graph((PHYSICS,)).evaluate(
-        (PHYSICS.stage,), {"frame": frame, "source": source, "calibration": None}, {}, report
-    )
+    with open_translation(Request(recording=SAMPLE_RECORDING, target="soft_bubble")) as opened:
+        opened.evaluate(_TOUCHING, ["depth"], report)

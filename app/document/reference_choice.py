@@ -4,7 +4,6 @@ from functools import partial
 
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
-from app.session.state import Session
 from pipeline.io.reference_estimate import MEDIAN, UNTOUCHED
 
 
@@ -13,7 +12,6 @@ class ReferenceController(Feature):
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self._actions = self._window.actions_by_name
         choose = controller.choose_reference_frames
         connect = controller.window.connect_command
         connect("reference_median", partial(choose, MEDIAN))
@@ -22,17 +20,17 @@ class ReferenceController(Feature):
         connect("reference_recorded", partial(choose, ""))
         for action in (action for name, action in self._actions.items() if "reference" in name):
             # a choice that changes nothing keeps its mark
-            action.triggered.connect(self._show_choice)
-        controller.job.delivered.connect(self._show_choice)
-        self._show_choice()
+            action.triggered.connect(self.show_session)
+        self.show_session()
 
-    def show_session(self, _session: Session) -> None:
+    def show_translation(self) -> None:
+        """Offer what fits the source."""
+        self.show_session()
+
+    def show_session(self) -> None:
         """Mark what the session chooses."""
-        self._show_choice()
-
-    def _show_choice(self, *_: object) -> None:
-        session = self._controller.session
-        opened = self._controller.views.translation
+        session = self._session
+        opened = self._translation
         frames = session.reference_frames
         chosen = {
             "reference_median": frames == MEDIAN,

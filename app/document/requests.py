@@ -48,14 +48,11 @@ def find_undo_target(
     It is the nearest index whose request is open. If a change after an undo has removed that one
     from the stack, it is the nearest earlier index that is not known to fail.
     """
+    requests = [make_request_if_open(session) for session in sessions]
     earlier = range(at - 1, -1, -1)
-    for index in (*earlier, *range(at + 1, len(sessions))):
-        if make_request_if_open(sessions[index]) in opened:
-            return index
-    return next(
-        (i for i in earlier if (req := make_request_if_open(sessions[i])) and req not in failing),
-        None,
-    )
+    there = [i for i in (*earlier, *range(at + 1, len(requests))) if requests[i] in opened]
+    untried = [i for i in earlier if requests[i] not in {None, *failing}]
+    return next(iter(there + untried), None)
 
 
 def get_depth_params(session: Session, methods: Sequence[Method]) -> DepthParams:

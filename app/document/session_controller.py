@@ -1,28 +1,27 @@
 """The session and its background computation: the newest request is the one on screen."""
 
 import time
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
-from PyQt6.QtCore import QTimer, pyqtSignal
+from PyQt6.QtCore import QSignalBlocker, QTimer, pyqtSignal
 
 from app.document.evaluator import EvaluatedFrame, Evaluator, InitialView
 from app.document.requests import Requests, find_undo_target, make_request, make_request_if_open
 from app.document.session_document import SessionDocument
 from app.document.stage_views import StageViews
-from app.session.state import Session
+from app.session.state import DISPLAY_KEY, Session
 from app.session.undo import list_sessions
 from app.views.pixel_trace import PixelProbe
 from app.views.stage_previews import SourcePreview, StagePreview
-from app.window.controls import map_sensor_kinds, show_controls
 from app.window.jobs import JobFunction, LatestJob
 from app.window.logs import LogRelay
 from app.window.main_window import MainWindow
 from pipeline.core.graph import Method
-from pipeline.core.params import list_settings
+from pipeline.core.params import Setting, Value, list_settings
 from pipeline.sensors.alignment import AlignmentMismatch
 from pipeline.stages.networks.samplers import raise_steps
 from pipeline.translation.catalogue import BUILT_IN, Catalogue, Route
@@ -40,6 +39,7 @@ class SessionController(SessionDocument):
 
     frame_shown = pyqtSignal(int)
     session_shown = pyqtSignal(object)  # Session; `app.shell.connections` lists all that follows
+    translation_shown = pyqtSignal()
     opening_cancelled = pyqtSignal()
     alignment_dropped = pyqtSignal(object)  # AlignmentMismatch
     remedies_changed = pyqtSignal()
@@ -63,6 +63,8 @@ class SessionController(SessionDocument):
         self._failed_requests: set[Request | None] = set()
         self._is_skipping = False  # over undo steps that need no computation
         self._dragged_key = ""  # method whose slider is held
+        # ticket of the newest short job, and what its parts and its result go to
+        self._short_job: tuple[int, Callable[[Any], object]] = 0, lambda _: None
         self.latest_frame: EvaluatedFrame | None = None  # the frame on screen
         self.failed_session = self.session  # that failed last
         self._stale_timer = make_single_shot_timer(self, _STALE_DELAY_MS, self.views.mark_stale)
@@ -77,32 +79,28 @@ class SessionController(SessionDocument):
         Where guidance would not act for lack of denoising steps, these are raised, and the status
         bar says so.
         """
-        method = next((method for method in self.methods if method.key == key), None)
-        given = params if method is None else raise_steps(self.session.get_params(method), params)
-        words = self._describe_params_change(
-            method, self.session.get_params(method) if method else None, given
-        )
+        words = "change display"
+        given = params
+        for method in self.methods:
+            if method.key == key:
+                old = self.session.get_params(method)
+                given = raise_steps(old, params)
+                words = self._describe_params_change(method, list_settings(old), given)
         self.change(words, key=f"params {key}", params={**self.session.params, key: given})
         if given != params:
             self.window.say(_STEPS_RAISED)
 
-    def _describe_params_change(self, method: Method | None, old: object, new: object) -> str:
+    def _describe_params_change(
+        self, method: Method, before: Mapping[str, tuple[Value, Setting]], new: object
+    ) -> str:
         """Return "change smoothing of depth" for one changed parameter, else the stage alone."""
-        if method is None:
-            return "change display"
-        before = list_settings(old)
-        after = list_settings(new)
         changed = [
             setting.label.lower()
-            for name, (value, setting) in after.items()
+            for name, (value, setting) in list_settings(new).items()
             if before[name][0] != value
         ]
-        stage = self.catalogue.stage(method.stage).title.lower()
-        return (
-            f"change {changed[0]} of {stage}"
-            if len(changed) == 1
-            else f"change parameters of {stage}"
-        )
+        what = changed[0] if len(changed) == 1 else "parameters"
+        return f"change {what} of {self.catalogue.stage(method.stage).title.lower()}"
 
     def hold_slider(self, key: str) -> None:
         """Compute drafts while a slider of a method is held; "" = it was let go."""
@@ -115,14 +113,13 @@ class SessionController(SessionDocument):
 
         The route's own method, or "" for it, clears the choice.
         """
-        others = {s: m for s, m in self.session.methods.items() if s != stage}
         default = self.route.methods.get(stage, "")
-        name = name or default
-        is_default = default == name
-        title = self.catalogue.method(stage, name).title
+        methods = {**self.session.methods, stage: name or default}
+        title = self.catalogue.method(stage, methods[stage]).title
+        if methods[stage] == default:
+            del methods[stage]
         self.change(
-            f"choose {title} for {self.catalogue.stage(stage).title.lower()}",
-            methods=others if is_default else {**others, stage: name},
+            f"choose {title} for {self.catalogue.stage(stage).title.lower()}", methods=methods
         )
 
     def show_session(self, session: Session) -> None:
@@ -150,14 +147,13 @@ class SessionController(SessionDocument):
     @property
     def session_to_save(self) -> Session:
         """The session with the current 3D cameras, section line and tick."""
-        cameras = self.views.cameras.get_cameras(self.views.scene)
+        cameras = self.views.get_cameras()
         return replace(self.session, cameras=cameras, section=self.section, tick=self.tick)
 
     def set_cameras(self, cameras: Mapping[str, tuple[float, ...]]) -> None:
         """Set the cameras of the 3D views, once the session's recording is open."""
-        self.views.cameras.request_cameras(
-            cameras, self.views.scene if self._is_open() and not self.requests.opening else None
-        )
+        is_open = self._is_open() and not self.requests.opening
+        self.views.set_cameras(cameras, is_open=is_open)
 
     def request_extra(self, extra: Literal["observation", "truth"], *, wanted: bool) -> None:
         """Compute the outline of the target's own touch or the truth of every stage as well, or
@@ -166,6 +162,10 @@ class SessionController(SessionDocument):
         if wanted != (extra in self._extras):
             self._extras ^= {extra}
             self.refresh()
+
+    def toggle_comparison_mode(self, mode: ComparisonMode) -> None:
+        """Choose how every column shows the truth, or no longer."""
+        self.set_comparison_mode("" if self.views.comparison_mode == mode else mode)
 
     def set_comparison_mode(self, mode: ComparisonMode) -> None:
         """Choose how every column shows the truth."""
@@ -179,23 +179,25 @@ class SessionController(SessionDocument):
         if self.session.recording is not None and not self.is_closed:
             self._request_stages(frozenset(), other_request=False)
 
-    def submit_priority(self, work: JobFunction, *, background: bool = False) -> int:
-        """Run a short job on the open recording instead of the stages.
+    def submit_priority(
+        self, work: JobFunction, then: Callable[[Any], object], *, background: bool = False
+    ) -> None:
+        """Run a short job on the open recording, if any, instead of the stages.
 
-        Returns its ticket, 0 if nothing is open.
+        `then` gets its parts and its result, unless another job takes its place.
 
         Running stages are dropped; `refresh` requests them again, and until then the controller is
         not idle. It counts as idle during a job in the `background`, which has the lowest priority.
         """
         if self.requests.opening or self.is_closed or self.views.translation is None:
-            return 0
+            return
         interrupt = self.requests.is_running or self.job.newest_ticket == self.requests.background
         old = self.requests
         self._end_request()
         self.views.mark_dropped()
         ticket = self.job.submit(work, interrupt=interrupt)
         self.requests = old.yield_to(ticket, background=background)
-        return ticket
+        self._short_job = ticket, then
 
     def cancel(self) -> None:
         """Cancel the computation, and clear the probe."""
@@ -223,9 +225,12 @@ class SessionController(SessionDocument):
         is_busy = self.job.is_busy and self.job.newest_ticket != self.requests.background
         return not is_busy and self.requests.state == "idle"
 
+    def _accepts(self, ticket: int) -> bool:
+        return not self.is_closed and self.requests.accepts(ticket)
+
     def handle_part(self, ticket: int, part: object) -> None:
         """Show a part of the result; parts of an older recording are dropped."""
-        if self.is_closed or not self.requests.accepts(ticket):
+        if not self._accepts(ticket):
             return
         before = self.requests
         self.requests = before.show_part(part.result.name if isinstance(part, StagePreview) else "")
@@ -245,6 +250,7 @@ class SessionController(SessionDocument):
             self._failed_requests = set()
             self.session = resolved
             self.views.show_translation(part, resolved)
+            self.translation_shown.emit()
             self._show_controls()
             if not visible.issuperset(self.window.visible_columns()):
                 self.refresh()  # the route has columns that the request did not include
@@ -254,16 +260,18 @@ class SessionController(SessionDocument):
                 self.job.skip_to_waiting()
             if isinstance(part, SourcePreview):
                 self.window.timeline.show_frame(self.session.frame, part.frame.time_s)
+        elif ticket == self._short_job[0]:
+            self._short_job[1](part)
         if ticket == self.requests.ticket:
             self.views.mark_running()
 
     def handle_frame(self, ticket: int, shown: object) -> None:
         """Show the summary of a finished frame."""
-        if (
-            self.is_closed
-            or not self.requests.accepts(ticket)
-            or not isinstance(shown, EvaluatedFrame)
-        ):
+        if not self._accepts(ticket):
+            return
+        if not isinstance(shown, EvaluatedFrame):
+            if ticket == self._short_job[0]:
+                self._short_job[1](shown)
             return
         self.latest_frame = shown
         self.views.show_frame_summary(shown, is_comparable=shown.settings == self.session.settings)
@@ -276,11 +284,7 @@ class SessionController(SessionDocument):
 
         If an open recording does not open with another file, undo that.
         """
-        if (
-            self.is_closed
-            or not self.requests.accepts(ticket)
-            or not isinstance(error, BaseException)
-        ):
+        if not self._accepts(ticket) or not isinstance(error, BaseException):
             return
         if ticket == self.requests.ticket:
             # else one frame is damaged
@@ -332,9 +336,7 @@ class SessionController(SessionDocument):
         if index is None:
             self.views.mark_cancelled()
             return
-        self._is_skipping = True
-        self.undo_stack.setIndex(index)
-        self._is_skipping = False
+        self._skip_to(index)
         self.show_session(sessions[index])
         if self.session.recording == failed.recording:
             self.choose_frame(failed.frame)
@@ -345,17 +347,23 @@ class SessionController(SessionDocument):
         False if the alignment itself was chosen last.
         """
         failed = self.session
-        index = self.undo_stack.index()
+        index = self.undo_stack.index() - 1
         text = self.undo_stack.undoText()
-        before = list_sessions(self.undo_stack)[index - 1] if index else failed
-        if before is failed or before.alignment != failed.alignment:
+        if index < 0:
             return False
-        self._is_skipping = True
-        self.undo_stack.setIndex(index - 1)
-        self._is_skipping = False
+        before = list_sessions(self.undo_stack)[index]
+        if before.alignment != failed.alignment:
+            return False
+        self._skip_to(index)
         self.session = before
         self.push_session(failed.with_updates(alignment=None), text)
         return True
+
+    def _skip_to(self, index: int) -> None:
+        """Go to a place of the undo stack; what lies between is not computed."""
+        self._is_skipping = True
+        self.undo_stack.setIndex(index)
+        self._is_skipping = False
 
     def _is_open(self) -> bool:
         return make_request_if_open(self.session) in self._open_requests
@@ -377,20 +385,46 @@ class SessionController(SessionDocument):
     @property
     def sensor_kinds(self) -> Mapping[str, str]:
         """Method key -> kind of sensor it reads; {} if nothing is open."""
-        return map_sensor_kinds(self.methods, self.catalogue, self.views.translation)
+        opened = self.views.translation
+        if opened is None:
+            return {}
+        stage = self.catalogue.stage
+        return {m.key: opened.sensor_kinds[stage(m.stage).sensor_role] for m in self.methods}
 
     def _show_controls(self) -> None:
-        opened = self.views.translation
-        unavailable = self.evaluator.unavailable
-        show_controls(
-            self.window,
-            self.session,
-            self.route,
-            self.methods,
-            self.catalogue,
-            opened,
-            unavailable,
-        )
+        """Show the session on the controls, without change signals.
+
+        Only the parameters for the sensors' kinds are shown; those that cannot act are greyed out.
+        """
+        window, session, opened = self.window, self.session, self.views.translation
+        window.timeline.show_frame(session.frame)
+        window.frames.show_frame(session.frame)
+        for stage in self.catalogue.stages:
+            for method in self.catalogue.list_choices(stage.name):
+                if method.kinds and opened is not None:
+                    window.columns[stage.name].enable_method(
+                        method.name, method.fits(opened.sensor_kinds[stage.sensor_role])
+                    )
+                window.parameters.show_params(method.key, session.get_params(method))
+        window.parameters.show_params(DISPLAY_KEY, session.display)
+        kinds = self.sensor_kinds
+        groups = {method.key: kinds.get(method.key, "") for method in self.methods}
+        window.parameters.show_groups({**groups, DISPLAY_KEY: ""})
+        for method in self.methods:
+            column = window.columns[method.stage]
+            column.show_method(method.name)
+            window.look.filmstrip.thumbnails[method.stage].show_method(column.method_title)
+            why_not = self.evaluator.unavailable.get(method.key, {})
+            window.parameters.show_unavailable(method.key, why_not)
+        chosen = {"source": session.source, "target": session.target, "route": self.route.name}
+        for name, value in chosen.items():
+            box = getattr(window, name)
+            with QSignalBlocker(box):
+                box.setCurrentIndex(max(0, box.findData(value)))
+        actions = window.actions_by_name
+        actions["link_cameras"].setChecked(session.cameras_linked)
+        actions["close_mesh"].setEnabled(session.mesh is not None)
+        actions["close_weights"].setEnabled(bool(session.weights))
 
     def _find_changed_stages(self, old: Session) -> Set[str] | None:
         """Return what a session change reaches first: stages or the alignment; None = all."""
@@ -414,7 +448,6 @@ class SessionController(SessionDocument):
         evaluate = partial(
             self.evaluator.evaluate_frame,
             with_observation="observation" in self._extras,
-            get_current=lambda: self.views.translation,
             truth_of=self._list_compared_stages(stages),
         )
         now_s = time.monotonic()
@@ -444,11 +477,10 @@ class SessionController(SessionDocument):
         """Return the session; while a parameter is dragged, with draft parameters from its stage
         on.
         """
-        methods = self.methods
-        first = next(
-            (i for i, method in enumerate(methods) if method.key == self._dragged_key), len(methods)
-        )
-        return self.session.with_draft_params(methods[first:])
+        keys = [method.key for method in self.methods]
+        if self._dragged_key not in keys:
+            return self.session
+        return self.session.with_draft_params(self.methods[keys.index(self._dragged_key) :])
 
     def _end_request(self) -> None:
         self.requests = self.requests.end()

@@ -132,17 +132,18 @@ class SessionDocument(QObject):
         """Open a session, mesh, source sensor, alignment, weights, calibration or recording,
         whichever `path` is.
         """
+        suffix = path.suffix.lower()
         if path.name.endswith(SESSION_SUFFIX):
             self.open_session(path)
-        elif path.suffix.lower() in dialogs.MESH_SUFFIXES:
+        elif suffix in dialogs.MESH_SUFFIXES:
             self.open_mesh(path)
-        elif path.suffix.lower() == dialogs.ALIGNMENT_SUFFIX and is_description(path):
+        elif suffix == dialogs.ALIGNMENT_SUFFIX and is_description(path):
             self.change("choose source", source=str(path), stream="")
-        elif path.suffix.lower() == dialogs.ALIGNMENT_SUFFIX:
+        elif suffix == dialogs.ALIGNMENT_SUFFIX:
             with self._problems_in_banner():
                 read_alignment(path)
                 self.change("open alignment", alignment=path)
-        elif path.suffix.lower() == dialogs.WEIGHTS_SUFFIX:
+        elif suffix == dialogs.WEIGHTS_SUFFIX:
             self.open_weights(path)
         elif is_calibration_file(path):
             self.change("open calibration", calibration=path)
@@ -164,17 +165,17 @@ class SessionDocument(QObject):
         """Open a recording; with `keeps_choices` its sensor and the files that go with it are
         those chosen before.
         """
-        own: Mapping[str, Any] = {} if keeps_choices else _AS_RECORDED
+        own = {} if keeps_choices else dict(_AS_RECORDED)
         self.previous_target = self.session.target
         if self.session.layout.name == "folder":
-            own = {**own, "layout": replace(self.session.layout, name="look")}
+            own["layout"] = replace(self.session.layout, name="look")
         self.change("open recording", key=f"open {path}", recording=path, frame=AUTO_FRAME, **own)
         self.recording_opened.emit(path)
 
     def open_trial(self, path: Path, fields: Mapping[str, Any], layout: Layout) -> None:
         """Open a rollout of a task with the `fields` that translate it as its controller did."""
-        new = {**_AS_RECORDED, "alignment": None, **fields}
-        self.change("open trial", key=f"open {path}", recording=path, frame=0, layout=layout, **new)
+        own = {**_AS_RECORDED, "alignment": None, "layout": layout, **fields}
+        self.change("open trial", key=f"open {path}", recording=path, frame=0, **own)
 
     def open_paths(self, paths: list[Path]) -> None:
         """Open dropped files: recordings first, then meshes and calibrations for them."""
@@ -216,10 +217,8 @@ class SessionDocument(QObject):
             self.session_file = path
             self._file_fingerprint = compute_fingerprint(path)
             self.restore_session(opened, "open session")
-            for sentence in (
-                *describe_removed_params(path),
-                *describe_changed_files(path, opened),
-            ):
+            changed = describe_changed_files(path, opened)
+            for sentence in (*describe_removed_params(path), *changed):
                 log.warning("%s", sentence)
                 self.window.banner.show_problem(sentence)
 

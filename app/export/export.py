@@ -3,11 +3,13 @@
 Written in the background, from their own files.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING, Any, cast
 
 from PyQt6.QtCore import QPoint, Qt, QUrl
 from PyQt6.QtGui import QDesktopServices
@@ -19,7 +21,7 @@ from app.document.background_controller import BackgroundController
 from app.document.requests import make_request
 from app.document.session_controller import SessionController
 from app.window import dialogs
-from app.window.jobs import JobFunction, JobReporter
+from app.window.jobs import JobFunction
 from pipeline.core.errors import TouchError, escape_text
 from pipeline.translation.reports.export_request import (
     PRESENTATION,
@@ -35,6 +37,15 @@ from widgets.export.export_dialog import ExportDialog
 from widgets.style.notification_bar import Choice, NotificationBar
 from widgets.style.styling import copy_text
 
+if TYPE_CHECKING:
+    from pipeline.translation.reports.export import ExportOutcome
+
+# title of what shows more than a stage
+_WHOLE_PANES = {
+    SHEET: "all, side by side",
+    SCENE: "both sensors and the object, 3D",
+    PRESENTATION: "presentation: source, 3D, touches",
+}
 _NOT_OPEN = "Nothing to export. Open a recording first."
 _BUSY = "An export is already running. Wait for it, or cancel it."
 
@@ -55,7 +66,7 @@ class ExportController(BackgroundController):
         self.dialog = ExportDialog(self._window)
         self._window.add_notification(self.notification)
         # see `start_writing`
-        self._written: tuple[Path, str, Callable[[object], str] | None] = Path(), "", None
+        self._written: tuple[Path, str, Callable[[Any], str] | None] = Path(), "", None
         self._window.connect_command("export", self.show_export_dialog)
         self._window.connect_command(
             "save_video", partial(self.show_export_dialog, PRESENTATION, ".webm")
@@ -66,7 +77,7 @@ class ExportController(BackgroundController):
         self._window.connect_command("export_bundle", self.ask_bundle)
         self.dialog.export_requested.connect(self._export_selected)
         self.dialog.command_requested.connect(self.copy_export_command)
-        for name, column in self._window.columns.items():
+        for name, column in self._columns.items():
             column.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
             column.customContextMenuRequested.connect(partial(self._show_menu, name))
 
@@ -79,33 +90,42 @@ class ExportController(BackgroundController):
         size: tuple[int, int] | None = None,
     ) -> ExportRequest:
         """Build the export of what is on screen to one file."""
-        session = self._controller.session
-        opened = self._controller.views.translation
+        session = self._session
+        opened = self._translation
         assert opened is not None
-        params = {method.stage: session.get_params(method) for method in opened.methods}
+        params = session.collect_params(opened.methods) | {"display": session.display}
         return ExportRequest(
             request=replace(make_request(session), offsets=session.offsets),
             pane=pane,
             content=cast("PaneContent", content),
-            settings=format_settings({**params, "display": session.display}),
+            settings=format_settings(params),
             frame=session.frame,
             frames=frames,
             size_px=size,
             path=path,
         )
 
+    def _check_open(self) -> bool:
+        """Return whether there is something to export; says so if not."""
+        if self._translation is None:
+            self.notification.show_notification(_NOT_OPEN)
+        return self._translation is not None
+
     def start_export(self, request: ExportRequest) -> None:
         """Write a file in the background."""
-        from pipeline.translation.reports.export import ExportOutcome, export_file
+        from pipeline.translation.reports.export import export_file
 
-        def describe(result: object) -> str:
-            problems = cast("ExportOutcome", result).problems
+        def describe(outcome: ExportOutcome) -> str:
+            problems = outcome.problems
             left_out = f"; {len(problems)} left out: {problems[0]}" if problems else ""
             return f"written: {escape_text(str(request.path))}{left_out}"
 
-        text = f"writing {escape_text(request.path.name)}"
         self.start_writing(
-            text, partial(export_file, request), request.path, format_command(request), describe
+            f"writing {escape_text(request.path.name)}",
+            partial(export_file, request),
+            request.path,
+            format_command(request),
+            describe,
         )
 
     def start_bundle(self, folder: Path, note: str) -> None:
@@ -113,13 +133,11 @@ class ExportController(BackgroundController):
         from pipeline.translation.reports.repro_bundle import write_bundle
 
         of = self.make_export_request(folder)
-
-        def work(report: JobReporter) -> None:
-            write_bundle(of.request, of.settings, of.frame, folder, note=note, progress=report)
-
         self.start_writing(
             "writing the repro bundle",
-            work,
+            lambda report: write_bundle(
+                of.request, of.settings, of.frame, folder, note=note, progress=report
+            ),
             folder,
             f"tactoscope replay {dialogs.quote_path(folder)}",
         )
@@ -133,23 +151,18 @@ class ExportController(BackgroundController):
         size: tuple[int, int] | None = None,
     ) -> None:
         """Copy the command that writes this export."""
-        if self._controller.views.translation is None:
-            self.notification.show_notification(_NOT_OPEN)
+        if not self._check_open():
             return
         content = content or self._content_on_screen(pane)
-        self._copy(
-            format_command(
-                self.make_export_request(Path(f"{pane}{suffix}"), pane, content, frames, size)
-            )
-        )
+        path = Path(f"{pane}{suffix}")
+        self._copy(format_command(self.make_export_request(path, pane, content, frames, size)))
 
     def copy_view_command(self) -> None:
         """Copy the command that reproduces the screen: all tiles or cells of Compare, else the
         panes.
         """
-        session = self._controller.session
-        opened = self._controller.views.translation
-        if session.layout.name != "compare" or opened is None:
+        opened = self._translation
+        if self._session.layout.name != "compare" or opened is None:
             self.copy_export_command(self._pane_on_screen())
             return
         try:
@@ -160,7 +173,7 @@ class ExportController(BackgroundController):
     def copy_section_command(self) -> None:
         """Copy the command that writes the curves of the section."""
         line = self._controller.section
-        if line is None or self._controller.views.translation is None:
+        if line is None or self._translation is None:
             return
         shown = self._window.visible_columns()
         pane = SHEET if set(shown) == set(self._window.route_columns) else ",".join(shown)
@@ -173,17 +186,12 @@ class ExportController(BackgroundController):
 
     def show_export_dialog(self, pane: str = "", suffix: str = ".png") -> None:
         """Ask what to export."""
-        opened = self._controller.views.translation
+        opened = self._translation
         if opened is None:
             self.notification.show_notification(_NOT_OPEN)
             return
-        panes = [
-            (SHEET, "all, side by side"),
-            (SCENE, "both sensors and the object, 3D"),
-            (PRESENTATION, "presentation: source, 3D, touches"),
-            (SOURCE, "source"),
-        ]
-        panes += [(name, opened.catalogue.stage(name).title.lower()) for name in opened.stages]
+        stages = [(name, opened.catalogue.stage(name).title.lower()) for name in opened.stages]
+        panes = [*_WHOLE_PANES.items(), (SOURCE, "source"), *stages]
         pane = pane or self._pane_on_screen()
         self.dialog.show_panes(panes, pane, self._content_on_screen(pane), suffix)
         self.dialog.show()
@@ -191,17 +199,15 @@ class ExportController(BackgroundController):
 
     def ask_bundle(self) -> None:
         """Ask for a note and a folder, then write the repro bundle."""
-        if self._controller.views.translation is None:
-            self.notification.show_notification(_NOT_OPEN)
+        if not self._check_open():
             return
         note, accepted = QInputDialog.getText(self._window, "Export repro bundle", "What it shows")
-        folder = (
-            dialogs.ask_save_path(self._window, "export_bundle", self._autosave.dialog_folder)
-            if accepted
-            else None
-        )
-        if folder is not None:
+        if accepted and (folder := self.ask_save_path("export_bundle")):
             self.start_bundle(folder, note)
+
+    def ask_save_path(self, command: str) -> Path | None:
+        """Ask where a command writes to; None if cancelled."""
+        return dialogs.ask_save_path(self._window, command, self._autosave.dialog_folder)
 
     def _export_selected(
         self, pane: str, content: str, suffix: str, frames: str, size: tuple[int, int] | None
@@ -212,8 +218,7 @@ class ExportController(BackgroundController):
 
     def ask_path(self, title: str, suffix: str) -> Path | None:
         """Ask for a file to write; None if nothing is open or the user cancels."""
-        if self._controller.views.translation is None:
-            self.notification.show_notification(_NOT_OPEN)
+        if not self._check_open():
             return None
         path = dialogs.ask_export_path(self._window, title, suffix, self._autosave.dialog_folder)
         if path is not None:
@@ -226,14 +231,16 @@ class ExportController(BackgroundController):
         work: JobFunction,
         path: Path,
         command: str = "",
-        describe: Callable[[object], str] | None = None,
+        describe: Callable[[Any], str] | None = None,
     ) -> None:
         """Write something in the background, unless an export is running.
 
         `command` writes the same, `describe` turns the result into a sentence.
         """
-        if self._controller.views.translation is None or self.job.is_busy:
-            self.notification.show_notification(_BUSY if self.job.is_busy else _NOT_OPEN)
+        if self.job.is_busy:
+            self.notification.show_notification(_BUSY)
+            return
+        if not self._check_open():
             return
         self.notification.show_notification(f"{text}…", stays=True)
         self._written = path, command, describe
@@ -242,14 +249,12 @@ class ExportController(BackgroundController):
     def show_result(self, result: object) -> None:
         """Offer the folder and the command of the written file."""
         path, command, describe = self._written
-        show_folder = partial(QDesktopServices.openUrl, QUrl.fromLocalFile(str(path.parent)))
-        choices: list[Choice] = (
-            [("Copy as command", partial(copy_text, command))] if command else []
-        )
-        self.notification.show_notification(
-            describe(result) if describe is not None else f"written: {escape_text(str(path))}",
-            (*choices, ("Show folder", show_folder)),
-        )
+        folder = QUrl.fromLocalFile(str(path.parent))
+        choices: list[Choice] = [("Show folder", partial(QDesktopServices.openUrl, folder))]
+        if command:
+            choices.insert(0, ("Copy as command", partial(copy_text, command)))
+        text = f"written: {escape_text(str(path))}" if describe is None else describe(result)
+        self.notification.show_notification(text, choices)
 
     def show_failure(self, error: BaseException) -> None:  # noqa: ARG002 - the banner shows it
         """Leave the place to the banner."""
@@ -265,23 +270,13 @@ class ExportController(BackgroundController):
         return (look.active_stage if look.isVisible() else "") or SHEET
 
     def _content_on_screen(self, pane: str) -> str:
-        mode = self._controller.views.comparison_mode
-        return (
-            mode
-            if pane not in (SHEET, SOURCE, SCENE, PRESENTATION) and mode in ("truth", "difference")
-            else "computed"
-        )
+        mode = self._views.comparison_mode
+        is_whole = pane in (*_WHOLE_PANES, SOURCE)
+        return mode if mode in ("truth", "difference") and not is_whole else "computed"
 
     def _show_menu(self, name: str, at: QPoint) -> None:
-        column = self._window.columns[name]
         menu = QMenu(self._window)
-        choices: tuple[tuple[str, Callable[[], None]], ...] = (
-            ("Export pane…", lambda: self.show_export_dialog(name)),
-            ("Copy as command", lambda: self.copy_export_command(name)),
-            ("Export repro bundle…", self.ask_bundle),
-        )
-        for text, function in choices:
-            action = menu.addAction(text)
-            assert action is not None
-            action.triggered.connect(function)
-        menu.popup(column.mapToGlobal(at))
+        menu.addAction("Export pane…", lambda: self.show_export_dialog(name))
+        menu.addAction("Copy as command", lambda: self.copy_export_command(name))
+        menu.addAction("Export repro bundle…", self.ask_bundle)
+        menu.popup(self._columns[name].mapToGlobal(at))

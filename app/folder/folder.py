@@ -39,8 +39,8 @@ class FolderController(BackgroundController):
         """Show the recordings of a folder, those that are known first."""
         self.folder = folder
         self._page.show_paths(folder, paths)
-        layout = replace(self._controller.session.layout, name="folder")
-        self._controller.change("open folder", layout=layout)
+        layout = replace(self._session.layout, name="folder")
+        self._change("open folder", layout=layout)
         self._window.offer_layout("folder", offered=True)
         self.start(partial(_read_rows, paths))
 

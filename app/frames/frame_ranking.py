@@ -5,13 +5,16 @@ With truth they are ranked by an error, without it by the round trip to the targ
 takes the depth of a frame alone, so that it comes before all else where it is chosen.
 """
 
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
 from PyQt6.QtCore import Qt
 
-from app.document.evaluator import MeasuredQuantities, SummarisedFrame
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
 from app.session.state import Session
-from pipeline.stages.metrics.stage_metrics import METRICS, ROUND_TRIP, describe_metric
+from pipeline.stages.metrics.stage_metrics import METRICS, ROUND_TRIP, Metric, describe_metric
 from pipeline.translation.error_attribution import DEFAULT_METRIC
 from pipeline.translation.force import list_force_metrics
 from widgets.frames.frame_summary import FRAME_FIGURES
@@ -32,11 +35,9 @@ class FrameRankingController(Feature):
         self._panel = self._window.frames
         # "" = as the recording has truth or not
         self._chosen_metric = ""
-        self._ticket = 0
         self._timer = make_single_shot_timer(self, _DELAY_MS, self._rank_next)
         controller.window.drawers.frames.visibilityChanged.connect(self._set_visible)
-        controller.frame_shown.connect(self._frame_shown)
-        controller.job.finished.connect(self._show_summary)
+        controller.job.finished.connect(self._go_on)
         self._panel.metric_box.chosen.connect(self._choose_metric)
         window = controller.window
         self._panel.model.dataChanged.connect(self._update_timeline_soon)
@@ -58,7 +59,7 @@ class FrameRankingController(Feature):
     @property
     def _has_truth(self) -> bool:
         """Whether the recording knows the depth of the target's touch."""
-        opened = self._controller.views.translation
+        opened = self._translation
         other = None if opened is None else opened.recording.stream_of_sensor(opened.target.name)
         return opened is None or (other is not None and other.has_truth)
 
@@ -73,7 +74,7 @@ class FrameRankingController(Feature):
     @property
     def _force_metrics(self) -> tuple[str, ...]:
         """The metrics of the open recording's force; empty without a contact model."""
-        opened = self._controller.views.translation
+        opened = self._translation
         return () if opened is None else list_force_metrics(opened)
 
     def _go_to_worst(self) -> None:
@@ -83,14 +84,12 @@ class FrameRankingController(Feature):
 
     def _set_note(self, frame: int, text: str) -> None:
         """Store the note of a frame in the session."""
-        others = {at: note for at, note in self._controller.session.notes.items() if at != frame}
-        self._controller.change(
-            f"note on frame {frame}", notes={**others, frame: text} if text else others
-        )
+        others = {at: note for at, note in self._session.notes.items() if at != frame}
+        self._change(f"note on frame {frame}", notes={**others, frame: text} if text else others)
 
-    def show_session(self, session: Session) -> None:
+    def show_session(self) -> None:
         """Show the notes in the frames table."""
-        self._panel.model.show_notes(session.notes)
+        self._panel.model.show_notes(self._session.notes)
 
     def _update_timeline_soon(self) -> None:
         if not self._timeline_timer.isActive():
@@ -101,13 +100,15 @@ class FrameRankingController(Feature):
         frame has.
         """
         model = self._panel.model
-        warnings = {
-            i: texts for i in range(model.rowCount()) if (texts := model.get_specific_warnings(i))
-        }
+        found = {i: model.get_specific_warnings(i) for i in range(model.rowCount())}
+        warnings = {i: texts for i, texts in found.items() if texts}
         values = model.get_values(self._metric) if model.rowCount() > 1 else ()
         self._window.timeline.errors.show_thumbnails(model.thumbnails)
         self._window.timeline.show_errors(
-            describe_metric(self._metric), values, warnings, is_quantity=self._is_quantity
+            describe_metric(self._metric),
+            values,
+            warnings,
+            is_quantity=self._figure.better == "neither",
         )
 
     @property
@@ -118,19 +119,23 @@ class FrameRankingController(Feature):
     @property
     def _is_needed(self) -> bool:
         """Whether the table is visible, or the timeline shows a recording that does not grow."""
-        opened = self._controller.views.translation
-        return self._window.drawers.frames.isVisible() or (
-            opened is not None and opened.recording.refresh is None
-        )
+        opened = self._translation
+        is_whole = opened is not None and opened.recording.refresh is None
+        return is_whole or self._window.drawers.frames.isVisible()
 
     def _step(self, by: int) -> None:
-        self._panel.step_by_metric(by, sort_order=_get_sort_order(self._metric))
+        order = Qt.SortOrder
+        is_best_last = self._figure.better == "higher"
+        self._panel.step_by_metric(
+            by, sort_order=order.AscendingOrder if is_best_last else order.DescendingOrder
+        )
 
     def _set_visible(self, visible: bool) -> None:
         if visible:
             self._rank_soon(_DELAY_MS)
 
-    def _frame_shown(self, _: int) -> None:
+    def show_frame(self) -> None:
+        """Go on with the others."""
         self._rank_soon(_DELAY_MS)
 
     def _rank_soon(self, ms: int) -> None:
@@ -150,10 +155,11 @@ class FrameRankingController(Feature):
             return
         session = controller.session
         evaluator = controller.evaluator
-        self._ticket = controller.submit_priority(
+        controller.submit_priority(
             lambda report: evaluator.evaluate_in_background(
                 session, frame, report, completely=completely
             ),
+            partial(self._show, model.show_summary, frame, session),
             background=True,
         )
 
@@ -170,24 +176,26 @@ class FrameRankingController(Feature):
         evaluator = controller.evaluator
         frame = self._panel.model.find_unknown_frame(session.frame, quantity=metric)
         if frame >= 0 and not controller.window.timeline.is_playing and controller.is_idle:
-            self._ticket = controller.submit_priority(
+            controller.submit_priority(
                 lambda report: evaluator.measure_force_in_background(
                     session, frame, metric, report
                 ),
+                partial(self._show, self._panel.model.show_quantities, frame, session),
                 background=True,
             )
         return frame >= 0
 
-    def _show_summary(self, ticket: int, result: object) -> None:
-        if ticket == self._ticket and isinstance(result, MeasuredQuantities):
-            if result.settings == self._controller.session.settings:
-                self._panel.model.show_quantities(result.index, result.quantities)
-            self._rank_soon(0)
-        elif ticket == self._ticket and isinstance(result, SummarisedFrame):
-            if result.settings == self._controller.session.settings:
-                self._panel.model.show_summary(result.index, result.summary)
-            self._rank_soon(0)
-        elif self._is_needed and not self._timer.isActive():
+    def _show(
+        self, show: Callable[[int, Any], None], frame: int, session: Session, known: object
+    ) -> None:
+        """Show what is known of a frame now, and go on with the next."""
+        if session.settings == self._session.settings:
+            show(frame, known)
+        self._rank_soon(0)
+
+    def _go_on(self) -> None:
+        """Rank again after what came first."""
+        if self._is_needed and not self._timer.isActive():
             self._timer.start(_DELAY_MS)
 
     def _offer_metrics(self) -> None:
@@ -198,20 +206,10 @@ class FrameRankingController(Feature):
         names = [name for name in dict.fromkeys((*names, *more)) if name != self._metric]
         names.sort(key=lambda name: name.startswith("frame."))  # stable
         texts = {name: describe_metric(name) for name in (self._metric, *names)}
-        unit = METRICS[self._metric.partition(".")[2]].unit
-        self._panel.offer_metrics(
-            texts, self._metric, f"error\n{unit}" if self._is_error else f"value\n{unit}"
-        )
+        unit = self._figure.unit
+        what = "error" if self._figure.better == "lower" else "value"
+        self._panel.offer_metrics(texts, self._metric, f"{what}\n{unit}")
 
     @property
-    def _is_error(self) -> bool:
-        return METRICS[self._metric.partition(".")[2]].better == "lower"
-
-    @property
-    def _is_quantity(self) -> bool:
-        return METRICS[self._metric.partition(".")[2]].better == "neither"
-
-
-def _get_sort_order(metric: str) -> Qt.SortOrder:
-    lower = METRICS[metric.partition(".")[2]].better != "higher"
-    return Qt.SortOrder.DescendingOrder if lower else Qt.SortOrder.AscendingOrder
+    def _figure(self) -> Metric:
+        return METRICS[self._metric.partition(".")[2]]

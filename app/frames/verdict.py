@@ -3,28 +3,34 @@ it; beside it the figures of the frame and each stage's share of its error.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 
 from PyQt6.QtCore import QEvent
 
 from app.document.evaluator import EvaluatedFrame
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
-from app.frames.error_attribution import ErrorAttributionController
 from pipeline.core.errors import find_uncertain_contact, name_options
 from pipeline.core.graph import StageResult
 from pipeline.core.values.results import DepthMap
-from pipeline.stages.metrics.stage_metrics import METRICS
+from pipeline.stages.metrics.stage_metrics import METRICS, describe_metric, is_stage_error
+from pipeline.stages.stage import TRUTH
 from pipeline.translation.error_attribution import (
     DEFAULT_METRIC,
     OUTSIDE_VIEW,
     ErrorAttribution,
     ErrorShare,
+    attribute_error,
 )
+from widgets.frames.error_attribution_panel import make_bars
 from widgets.stages.verdict_line import Finding
 from widgets.style.base import EventListener
 from widgets.style.notification_bar import Choice
+from widgets.style.styling import make_single_shot_timer
 
+_DELAY_MS = 250  # attribution costs several frames of computation: not while playing or browsing
+_NO_ERROR = "This frame has no known error: the recording has no touch of the target."
 _NO_TRUTH = "The recording has no touch of the target to compare with."
 _LEAST_SHARE = 0.02  # of the error: a smaller share has no bar on its card
 _UNSEEN = "the source saw only a part of the object"
@@ -43,25 +49,82 @@ _CAUSES = {
 class VerdictController(Feature):
     """Connects verdict line, cards and inspector with the frame on screen."""
 
-    def __init__(
-        self, controller: SessionController, attribution: ErrorAttributionController
-    ) -> None:
+    def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
+        self._panel = self._window.error_attribution
+        self._metric = DEFAULT_METRIC
         self._attribution: ErrorAttribution | None = None
-        controller.frame_shown.connect(self._show_frame)
+        self._timer = make_single_shot_timer(self, _DELAY_MS, self._attribute)
+        look = self._window.look
+        EventListener(look, self._timer.start, QEvent.Type.Show)
+        EventListener(look, self._timer.stop, QEvent.Type.Hide)
+        self._panel.metric_box.chosen.connect(self._choose_metric)
+        self._panel.share_clicked.connect(self._toggle_truth)
         controller.remedies_changed.connect(self._show)
-        self._window.look.active_changed.connect(self._show_figures)
-        attribution.attributed.connect(self._show_attribution)
+        look.active_changed.connect(self._show_figures)
         # an error is the verdict while its banner is there
         EventListener(self._window.banner, self._show, QEvent.Type.Show, QEvent.Type.Hide)
 
-    def _show_frame(self, _index: int) -> None:
+    def show_translation(self) -> None:
+        """Show no error of the recording before."""
+        self._panel.show_empty("")
+
+    def show_frame(self) -> None:
+        """Judge it, and attribute its error if it stays."""
         self._attribution = None
+        self._panel.show_empty("")
+        self._timer.start()
         self._show()
 
-    def _show_attribution(self, attribution: ErrorAttribution) -> None:
-        self._attribution = attribution
+    def _choose_metric(self, metric: str) -> None:
+        self._metric = metric
+        self._attribute()
+
+    def _attribute(self) -> None:
+        controller = self._controller
+        latest = controller.latest_frame
+        if (
+            latest is None
+            or self._session.layout.name != "look"
+            or self._window.timeline.is_playing
+            or not controller.is_idle
+        ):
+            return
+        known = [name for name in latest.metrics if is_stage_error(name)]
+        metric = self._metric if self._metric in known else next(iter(known), "")
+        self._panel.offer_metrics({name: describe_metric(name) for name in known}, metric)
+        if not metric:
+            self._panel.show_empty(_NO_ERROR)
+            return
+        session = self._session
+        evaluator = controller.evaluator
+        self._panel.show_empty("replacing one stage after the other by its truth…")
+        controller.submit_priority(
+            lambda report: attribute_error(*evaluator.open_frame(session, report), metric, report),
+            self._show_attribution,
+        )
+
+    def _show_attribution(self, result: ErrorAttribution | None) -> None:
+        if result is None:
+            return
+        parts = [(part.title, part.share) for part in result.shares]
+        self._panel.show_attribution(
+            "Where the error comes from",
+            make_bars("this frame's error", result.total, parts, result.remainder),
+            result.unit,
+        )
+        self._attribution = result
         self._show()
+
+    def _toggle_truth(self, share: int) -> None:
+        """Pin the truth of the stage of a share in its column's head.
+
+        A pinned stage is computed again.
+        """
+        if self._attribution is not None:
+            stage = self._attribution.shares[share].stage
+            is_pinned = self._session.methods.get(stage) == TRUTH
+            self._controller.choose_method(stage, "" if is_pinned else TRUTH)
 
     def _show(self) -> None:
         latest = self._controller.latest_frame
@@ -95,16 +158,13 @@ class VerdictController(Feature):
     def _offer_place(self) -> list[Choice]:
         """Offer to show where the largest share of the error is."""
         worst = None if self._attribution is None else find_largest_share(self._attribution)
-        return [] if worst is None else [("Show where", self._make_difference(worst.stage))]
+        return [] if worst is None else [("Show where", partial(self._show_place, worst.stage))]
 
-    def _make_difference(self, stage: str) -> Callable[[], None]:
-        def show() -> None:
-            look = self._window.look
-            look.choose_stage(stage)
-            look.dims_chosen.emit(look.active_pane, "both")
-            self._controller.set_comparison_mode("difference")
-
-        return show
+    def _show_place(self, stage: str) -> None:
+        look = self._window.look
+        look.choose_stage(stage)
+        look.dims_chosen.emit(look.active_pane, "both")
+        self._controller.set_comparison_mode("difference")
 
     def _show_figures(self, *_: object) -> None:
         """Show the error in contact, and what else is known of the chosen stage."""

@@ -35,10 +35,17 @@ _N_CAMERA = 10  # numbers of a 3D view: position (3), focal point (3), view-up (
 _SectionMm = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
 _Number = Annotated[int, Meta(ge=0, le=2**31 - 1)]  # of a frame or tick; what Qt counts with
 PATH_FIELDS = ("recording", "reference", "calibration", "mesh", "alignment")
-_TEXT_FIELDS = ("source", "target", "stream", "reference_frames", "route", "mesh_unit")
-_PLAIN_FIELDS = (
-    *_TEXT_FIELDS,
+_CHOICES = (
+    "source",
+    "target",
+    "stream",
+    "reference_frames",
+    "route",
+    "mesh_unit",
     "depth_unit",
+)
+_PLAIN_FIELDS = (
+    *_CHOICES,
     "cameras_linked",
     "offsets",
     "layout",
@@ -49,7 +56,7 @@ _PLAIN_FIELDS = (
     "tick",
 )
 # fields that a session and a request share; the device is the machine's, and in no file
-REQUEST_FIELDS = (*PATH_FIELDS, *_TEXT_FIELDS, "depth_unit", "device")
+REQUEST_FIELDS = (*PATH_FIELDS, *_CHOICES, "device")
 # offsets are valid only for these values
 _OFFSET_FIELDS = frozenset({"source", "target", "stream", "alignment"})
 
@@ -110,29 +117,17 @@ class Session:
         A new recording keeps offsets only with an alignment file, which holds for any recording of
         the two sensors.
         """
-        new = replace(self, **updates)
-        if new.recording != self.recording and "notes" not in updates:
-            new = replace(new, notes={})
-        # its truth is not that of another
-        if new.recording != self.recording and "methods" not in updates:
-            new = replace(
-                new, methods={stage: name for stage, name in new.methods.items() if name != TRUTH}
-            )
-        if (
-            new.recording != self.recording
-            and DISPLAY_KEY in new.params
-            and "params" not in updates
-        ):
-            new = new.with_display(new.display.without_limits())
-        if "offsets" in updates:
-            return new
-        is_other_alignment = any(
-            getattr(new, name) != getattr(self, name) for name in _OFFSET_FIELDS
-        )
-        is_other_alignment = is_other_alignment or (
-            new.recording != self.recording and self.alignment is None
-        )
-        return replace(new, offsets=Offsets()) if is_other_alignment else new
+        changed = {name for name, value in updates.items() if value != getattr(self, name)}
+        is_other = "recording" in changed
+        if is_other:
+            own = {stage: name for stage, name in self.methods.items() if name != TRUTH}
+            params = {**self.params}
+            if DISPLAY_KEY in params:
+                params[DISPLAY_KEY] = self.display.without_limits()
+            updates = {"notes": {}, "methods": own, "params": params, **updates}
+        if changed & _OFFSET_FIELDS or (is_other and self.alignment is None):
+            updates = {"offsets": Offsets(), **updates}
+        return replace(self, **updates)
 
     def with_device(self, device: str) -> Session:
         """Copy whose networks, and those of session B, run on another device."""
@@ -178,28 +173,25 @@ def save_session(session: Session, path: Path, contents: Mapping[str, str] | Non
 
     `contents` are the fingerprints of its files (`app.session.file_fingerprints`).
     """
-    data = _plain(session, path.parent)
-    if contents is not None:
-        data["contents"] = dict(contents)
+    data = _plain(session, path.parent) | {"contents": dict(contents or {})}
     write_json(path, data, "the session", load_session)
 
 
 def _plain(session: Session, folder: Path) -> dict[str, Any]:
-    data: dict[str, Any] = {"tactoscope session": _VERSION, "frame": max(0, session.frame)}
-    data |= {name: to_plain(getattr(session, name)) for name in _PLAIN_FIELDS}
-    for name in PATH_FIELDS:
-        value: Path | None = getattr(session, name)
-        data[name] = None if value is None else _relative(value, folder)
-    data["weights"] = {stage: _relative(file, folder) for stage, file in session.weights.items()}
-    data["params"] = {
-        key: {name: value for name, (value, _) in list_settings(params).items()}
-        for key, params in session.params.items()
+    files = {name: getattr(session, name) for name in PATH_FIELDS}
+    return {
+        "tactoscope session": _VERSION,
+        "frame": max(0, session.frame),
+        **{name: to_plain(getattr(session, name)) for name in _PLAIN_FIELDS},
+        **{name: file and _relative(file, folder) for name, file in files.items()},
+        "weights": {stage: _relative(file, folder) for stage, file in session.weights.items()},
+        "params": {
+            key: {name: value for name, (value, _) in list_settings(params).items()}
+            for key, params in session.params.items()
+        },
+        "section": session.section and session.section.plain,
+        "variant": session.variant and _plain(replace(session.variant, variant=None), folder),
     }
-    data["section"] = None if session.section is None else session.section.plain
-    data["variant"] = (
-        None if session.variant is None else _plain(replace(session.variant, variant=None), folder)
-    )
-    return data
 
 
 class _SessionFile(msgspec.Struct, kw_only=True):
@@ -258,23 +250,23 @@ def _parse_session(data: object, path: Path, catalogue: Catalogue) -> Session:
             f"the session's route or methods cannot be used ({error})", path
         ) from error
     files = {name: getattr(said, name) for name in PATH_FIELDS}
+    other, line = said.variant, said.section
     return Session(
         **{name: None if file is None else path.parent / file for name, file in files.items()},
-        **{name: getattr(said, name) for name in _PLAIN_FIELDS},
-        frame=said.frame,
+        **{name: getattr(said, name) for name in (*_PLAIN_FIELDS, "frame")},
         weights={stage: path.parent / file for stage, file in said.weights.items()},
         params=_params(said.params, path, catalogue),
         variant=None
-        if said.variant is None
-        else _parse_session({**said.variant, "variant": None}, path, catalogue),
-        section=None
-        if said.section is None
-        else SectionLine(begin_mm=said.section[:2], end_mm=said.section[2:]),
+        if other is None
+        else _parse_session({**other, "variant": None}, path, catalogue),
+        section=line and SectionLine(begin_mm=line[:2], end_mm=line[2:]),
     )
 
 
 # parameters of older sessions that are none any more, with the value that they were left at
 _REMOVED: Mapping[str, Plain] = {"boundary": "flat"}
+
+
 # pages of older sessions, and what does now what they did
 _RENAMED = {
     "sweep": "compare",
@@ -314,31 +306,25 @@ def _relative(value: Path, folder: Path) -> str:
     moved as a whole.
     """
     full = os.path.abspath(value)  # noqa: PTH100 - resolve() would follow links
-    try:
-        relative = os.path.relpath(full, os.path.abspath(folder))  # noqa: PTH100 - as above
-    except ValueError:  # another drive
-        return full
+    relative = os.path.relpath(full, folder)
     return relative if relative.count("..") <= 3 else full
 
 
 def _params(
     data: Mapping[str, Mapping[str, Plain]], path: Path, catalogue: Catalogue
 ) -> Mapping[str, object]:
-    defaults: dict[str, object] = {
-        m.key: m.params() for stage in catalogue.stages for m in stage.methods
-    }
-    defaults[DISPLAY_KEY] = DisplayParams()
+    defaults: dict[str, object] = {DISPLAY_KEY: DisplayParams()}
+    defaults |= {m.key: m.params() for stage in catalogue.stages for m in stage.methods}
     params: dict[str, object] = {}
     for key, values in data.items():
+        where = f"params.{key}"
         if key not in defaults:
-            raise FileProblem(f"params.{key} is not a method with parameters", path)
+            raise FileProblem(f"{where} is not a method with parameters", path)
         params[key] = defaults[key]
-        for name, value in values.items():
-            if name in _REMOVED:
-                continue
+        for name in sorted(values.keys() - _REMOVED.keys()):
             try:
-                params[key] = replace_value(params[key], name, value)
+                params[key] = replace_value(params[key], name, values[name])
             except SettingProblem as error:
-                where = f"params.{key}.{name}"
+                where = f"{where}.{name}"
                 raise FileProblem(f"{where} cannot be used ({error})", path) from error
     return params

@@ -6,7 +6,6 @@ from functools import partial
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
 from app.session.layout import DIMS, LAYOUT_NAMES, Dims, Layout, LayoutName
-from app.session.state import Session
 from pipeline.translation.truth_view import ComparisonMode
 
 _PANES_KEY = "panes"  # consecutive changes of panes are one undo step
@@ -33,16 +32,16 @@ class LayoutController(Feature):
     @property
     def _resolved_layout(self) -> Layout:
         """*Look* with panes of stages that the route computes."""
-        layout = replace(self._controller.session.layout, name="look")
+        layout = replace(self._session.layout, name="look")
         return replace(
             layout, panes=layout.resolve_panes(self._window.route_columns) or layout.panes
         )
 
     def choose_layout(self, name: LayoutName) -> None:
         """Change to a layout."""
-        layout = replace(self._controller.session.layout, name=name)
-        self._controller.change(f"show {name}", layout=layout)
-        self._window.show_layout(self._controller.session.layout)  # resets the command's check mark
+        layout = replace(self._session.layout, name=name)
+        self._change(f"show {name}", layout=layout)
+        self._window.show_layout(self._session.layout)  # resets the command's check mark
 
     def show_stage(self, stage: str) -> None:
         """Show a stage of the route in *Look*, in the pane that has it, else in the active one."""
@@ -51,7 +50,7 @@ class LayoutController(Feature):
             self._window.look.choose_stage(stage)
 
     def _arrange(self, layout: Layout) -> None:
-        self._controller.change("arrange panes", key=_PANES_KEY, layout=layout)
+        self._change("arrange panes", key=_PANES_KEY, layout=layout)
 
     def _choose_stage(self, pane: int, stage: str) -> None:
         self._arrange(self._resolved_layout.with_stage(pane, stage))
@@ -63,12 +62,12 @@ class LayoutController(Feature):
         chosen: Dims = next(d for d in DIMS if d == dims)
         self._arrange(self._resolved_layout.with_dims(pane, chosen))
 
-    def show_session(self, session: Session) -> None:
+    def show_session(self) -> None:
         """Open drawer and difference mode for *Align*, and undo that afterwards."""
         drawer = self._window.drawers.alignment
-        is_align = session.layout.name == "align"
+        is_align = self._session.layout.name == "align"
         if is_align and self._mode_before_align is None:
-            self._mode_before_align = self._controller.views.comparison_mode
+            self._mode_before_align = self._views.comparison_mode
             self._opened_drawer = drawer.isHidden()
             self._window.show_drawer(drawer)
             self._controller.set_comparison_mode(self._mode_before_align or "difference")

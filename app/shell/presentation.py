@@ -19,7 +19,7 @@ class PresentationController(Feature):
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
         self._full_screen, self._magnify = (
-            self._window.actions_by_name[name] for name in ("full_screen", "magnify")
+            self._actions[name] for name in ("full_screen", "magnify")
         )
         self.magnifier = Magnifier(self._window)
         self._window.connect_command("full_screen", self._set_full_screen)
@@ -27,9 +27,7 @@ class PresentationController(Feature):
         self._window.connect_command("magnify", self._hide_magnifier)
         self._layout_before: Layout | None = None  # while something is presented
         self._window.connect_command("cancel", self.leave)
-        controller.frame_shown.connect(self._show_titles)
-        controller.closing.connect(self.leave)
-        for column in self._window.columns.values():
+        for column in self._columns.values():
             column.pixel_hovered.connect(self._show_pixel)
         controller.probe.pixel_moved.connect(self._show_pixel)
 
@@ -58,8 +56,12 @@ class PresentationController(Feature):
         if self._layout_before.name != "look":
             controller.change("present", layout=replace(self._layout_before, name="look"))
         self._window.set_presenting(on=True)
-        self._show_titles()
-        self._window.actions_by_name["press_motion"].setChecked(True)
+        self.show_frame()
+        self._actions["press_motion"].setChecked(True)
+
+    def close(self) -> None:
+        """Leave the full screen."""
+        self.leave()
 
     def leave(self) -> None:
         """Show the window as it was, on the frame shown last."""
@@ -70,16 +72,16 @@ class PresentationController(Feature):
         self._layout_before = None
         self._window.set_presenting(on=False)
         if not self._controller.is_closed:
-            self._controller.change("present", layout=layout)
+            self._change("present", layout=layout)
 
-    def _show_titles(self, _index: int = 0) -> None:
+    def show_frame(self) -> None:
         """Name sensor and method of every pane."""
-        opened = self._controller.views.translation
+        opened = self._translation
         if not self._window.is_presenting or opened is None:
             return
         titles = dict[tuple[str, bool], str]()
         for stage in (SOURCE, *opened.stages):
-            part = self._controller.views.get_shown_stage(stage)
+            part = self._views.get_shown_stage(stage)
             result = part.result if isinstance(part, StagePreview) else None
             titles[stage, False] = name_pane(opened, stage, result)
             titles[stage, True] = name_sensors(opened)
@@ -93,7 +95,7 @@ class PresentationController(Feature):
             self.magnifier.hide()
 
     def _show_pixel(self, name: str, row: int, col: int) -> None:
-        view = self._window.columns[name].view
+        view = self._columns[name].view
         if not self._magnify.isChecked() or row < 0 or view.preview is None:
             self.magnifier.hide()
         else:

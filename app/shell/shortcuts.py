@@ -25,8 +25,7 @@ class KeyboardController(Feature):
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
         self._probe = controller.probe
-        self._is_open = lambda: controller.views.translation is not None
-        for name, column in self._window.columns.items():
+        for name, column in self._columns.items():
             keys = PreviewKeyFilter(column.view)
             keys.pixel_pointed.connect(partial(self._probe.move_to_pixel, name))
             keys.pixel_pinned.connect(partial(self._probe.toggle_pin, name))
@@ -41,22 +40,13 @@ class KeyboardController(Feature):
     @property
     def focused_column(self) -> str:
         """The column whose image has the keyboard focus; "" if none."""
-        return next(
-            (
-                name
-                for name, column in self._window.columns.items()
-                if column.view.canvas.hasFocus()
-            ),
-            "",
-        )
+        columns = self._columns.items()
+        return next((name for name, column in columns if column.view.canvas.hasFocus()), "")
 
     @property
     def _visible_columns(self) -> list[str]:
-        return [
-            name
-            for name, column in self._window.columns.items()
-            if column.isVisible() and column.view.preview
-        ]
+        columns = self._columns.items()
+        return [name for name, one in columns if one.isVisible() and one.view.preview]
 
     def _toggle(self) -> None:
         if self.focused_column:
@@ -68,7 +58,7 @@ class KeyboardController(Feature):
             self._focus(active if active in shown else shown[0])
 
     def _focus(self, name: str) -> None:
-        self._window.columns[name].view.canvas.setFocus(Qt.FocusReason.OtherFocusReason)
+        self._columns[name].view.canvas.setFocus(Qt.FocusReason.OtherFocusReason)
         self._window.say(_HINT)
 
     def _focus_next(self, name: str, by: int) -> None:
@@ -83,7 +73,7 @@ class KeyboardController(Feature):
 
     def _edit_alignment(self) -> None:
         self._window.show_drawer(self._window.drawers.alignment)
-        self._wants_focus = self._is_open()  # once the box is enabled
+        self._wants_focus = self._translation is not None  # once the box is enabled
         self._focus_box()
 
     def _focus_box(self) -> None:
@@ -113,11 +103,9 @@ def _focus_parameter(window: MainWindow, control: QWidget, _checked: bool = Fals
     """Give the keyboard to a control in the inspector."""
     window.show_inspector()
     window.parameters.reveal(control)
-    target = next(
-        (child for child in control.findChildren(QWidget) if _takes_focus(child)), control
-    )
-    target.setFocus(Qt.FocusReason.ShortcutFocusReason)
-
-
-def _takes_focus(widget: QWidget) -> bool:
-    return widget.focusPolicy() != Qt.FocusPolicy.NoFocus and not widget.isHidden()
+    takers = [
+        child
+        for child in control.findChildren(QWidget)
+        if child.focusPolicy() != Qt.FocusPolicy.NoFocus and not child.isHidden()
+    ]
+    (takers or [control])[0].setFocus(Qt.FocusReason.ShortcutFocusReason)

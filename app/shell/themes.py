@@ -49,4 +49,4 @@ class ThemeController(Feature):
 
     def _apply(self) -> None:
         apply_theme(self.theme)
-        self._controller.views.update_captions(self._controller.session)
+        self._views.update_captions(self._session)

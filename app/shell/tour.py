@@ -28,39 +28,34 @@ def run_tour(controller: SessionController, out: Path, *, show_frame: int | None
         print_line(f"the recording could not be shown: {controller.window.banner.text}")
         return 2
     translation = controller.views.translation
+    n_frames = translation.n_frames
     reports: list[FrameReport] = []
     contact_px: dict[int, int] = {}
-    for index in range(translation.n_frames):
+    for index in range(n_frames):
         controller.choose_frame(index)
         shown = wait_until_shown(controller)
         if controller.is_closed:
-            print_line(
-                f"the window was closed; {index} of {translation.n_frames} frames are complete in "
-                f"{out}"
-            )
+            print_line(f"the window was closed; {index} of {n_frames} frames are complete in {out}")
             return 2
         latest = controller.latest_frame
-        if not shown or latest is None or latest.index != index:
+        if shown and latest is not None and latest.index == index:
+            report = FrameReport(index=index, results=latest.results, metrics=latest.metrics)
+            contact_px[index] = int(latest.results["depth"].output.contact.sum())
+            write_frame(out, latest.frame, report, translation)
+        else:
             problem = controller.window.banner.text or "not shown in time"
-            reports.append(FrameReport(index=index, results={}, metrics={}, problem=problem))
-            continue
-        report = FrameReport(index=index, results=latest.results, metrics=latest.metrics)
+            report = FrameReport(index=index, results={}, metrics={}, problem=problem)
+            print_line(f"frame {index}: {problem}")
         reports.append(report.without_arrays)
-        contact_px[index] = int(latest.results["depth"].output.contact.sum())
-        write_frame(out, latest.frame, report, translation)
     write_report(out, translation, reports)
-    controller.choose_frame(
-        max(contact_px, key=contact_px.__getitem__, default=0) if show_frame is None else show_frame
-    )
+    most = max(contact_px, key=contact_px.__getitem__, default=0)
+    controller.choose_frame(most if show_frame is None else show_frame)
     wait_until_shown(controller)
     pin_deepest_pixel(controller)
     save_window_screenshot(controller, out / "window.png")
     print_stage_table(reports)
-    failed = [frame for frame in reports if frame.problem]
-    for frame in failed:
-        print_line(f"frame {frame.index}: {frame.problem}")
-    print_line(f"{len(reports) - len(failed)} of {len(reports)} frames shown and written to {out}")
-    return 2 if failed else 0
+    print_line(f"{len(contact_px)} of {n_frames} frames shown and written to {out}")
+    return 0 if len(contact_px) == n_frames else 2
 
 
 def wait_until_shown(controller: SessionController, limit_s: float = FRAME_TIMEOUT_S) -> bool:
@@ -87,11 +82,8 @@ def save_window_screenshot(controller: SessionController, path: Path) -> None:
 
 def pin_deepest_pixel(controller: SessionController) -> None:
     """Pin the target pixel with the deepest indentation."""
-    stage = (
-        controller.latest_frame.results.get("target_depth")
-        if controller.latest_frame is not None
-        else None
-    )
+    latest = controller.latest_frame
+    stage = None if latest is None else latest.results.get("target_depth")
     if stage is not None and stage.output.contact.any():
         depth = stage.output
         row, col = divmod(int(depth.indentation_mm.argmax()), depth.camera.cols)

@@ -4,7 +4,6 @@ from app.document.autosave import AutosaveController
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
 from app.session.sample import SAMPLE_RECORDING
-from app.session.state import Session
 from pipeline.io.formats import list_formats
 from widgets.shell.welcome import WelcomePage
 
@@ -32,16 +31,16 @@ class WelcomeController(Feature):
         self.page.hide()
         actions["open_sample"].setEnabled(SAMPLE_RECORDING.exists())
         window.connect_command("open_sample", self.open_sample)
-        self.show_session(controller.session)
+        self.show_session()
 
     def open_sample(self) -> None:
         """Open the sample recording."""
         self._controller.open_path(SAMPLE_RECORDING)
 
-    def show_session(self, session: Session) -> None:
+    def show_session(self) -> None:
         """Show the page if nothing is open."""
         # whose pages may read a folder
-        is_empty = session.recording is None and session.layout.name not in (
+        is_empty = self._session.recording is None and self._session.layout.name not in (
             "track",
             "task",
             "folder",

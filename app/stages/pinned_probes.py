@@ -2,7 +2,11 @@
 every stage there.
 """
 
+from __future__ import annotations
+
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from PyQt6.QtCore import QEvent
 
@@ -41,80 +45,65 @@ class PinnedProbesController(Feature):
 
     def _show(self) -> None:
         probe = self._controller.probe
-        columns = self._window.columns
+        columns = self._columns
         traces = {number: probe.locate(*pixel) for number, pixel in sorted(probe.pins.items())}
         for name, column in columns.items():
-            marks = [
-                (number, place)
-                for number, (_, places) in traces.items()
-                if (place := places[name]) is not None
-            ]
+            places = {number: at[name] for number, (_, at) in traces.items()}
+            marks = [(number, place) for number, place in places.items() if place is not None]
             column.view.canvas.show_marks(tuple(marks))
         is_visible = self._panel.isVisible()
         self._controller.request_extra("truth", wanted=is_visible and bool(traces))
         if is_visible:
-            names = [
-                name
-                for name in self._window.visible_columns()
-                if self._get_preview(name) is not None
-            ]
-            titles = ["probe", *(title for name in names for title in self._make_titles(name))]
-            rows = [
-                ProbeRow(number=number, **self._make_cells(number, places, names))
-                for number, (_, places) in traces.items()
-            ]
-            self._panel.show_probes(titles if rows else (), rows)
+            shown = self._list_columns()
+            rows = [_make_row(number, places, shown) for number, (_, places) in traces.items()]
+            titles = ("probe", *(column.title for column in shown)) if rows else ()
+            self._panel.show_probes(titles, rows)
 
-    def _get_preview(self, name: str) -> Preview | None:
-        part = self._controller.views.get_shown_stage(name)
-        return None if part is None else part.preview
-
-    def _get_difference(self, name: str) -> Preview | None:
-        """Return the difference of a stage to its truth; None where that is not known."""
-        part = self._controller.views.get_shown_stage(name)
-        other = part.truth_view if isinstance(part, StagePreview) else None
-        return None if other is None else other.difference_to_truth
-
-    def _make_titles(self, name: str) -> list[str]:
-        preview = self._get_preview(name)
-        difference = self._get_difference(name)
-        title = (
-            "source" if name == "source" else self._controller.catalogue.stage(name).title.lower()
-        )
-        unit = "rgb" if preview is None or preview.scale is None else preview.scale.unit
-        titles = [f"{title} pixel"] if name == "source" else []
-        titles.append(f"{title}, {unit}")
-        return (
-            titles
-            if difference is None or difference.scale is None
-            else [*titles, f"{title} error, {difference.scale.unit}"]
-        )
-
-    def _make_cells(
-        self, number: int, places: Places, names: list[str]
-    ) -> dict[str, tuple[str, ...]]:
-        cells = [str(number)]
-        tips = ["The crosshair stays here while this row is chosen"]
-        for name in names:
-            preview = self._get_preview(name)
-            difference = self._get_difference(name)
-            place = places[name]
-            texts = (
-                []
-                if name != "source"
-                else [_NONE if place is None else f"({place[1]}, {place[0]})"]
-            )
-            texts.append(_format(preview, place))
-            texts += [] if difference is None else [_format(difference, place, sign="+")]
-            tip = _NOT_THERE if place is None else f"pixel ({place[1]}, {place[0]})"
-            cells = [*cells, *texts]
-            tips = [*tips, *[tip] * len(texts)]
-        return {"cells": tuple(cells), "tips": tuple(tips)}
+    def _list_columns(self) -> list[_Column]:
+        """List what is read at a pixel, the source's position first."""
+        shown = [_Column(name="source", title="source pixel")]
+        for name in self._window.visible_columns():
+            part = self._views.get_shown_stage(name)
+            if part is None:
+                continue
+            title = "source"
+            difference = None
+            if isinstance(part, StagePreview):
+                title = self._controller.catalogue.stage(name).title.lower()
+                difference = part.truth_view and part.truth_view.difference_to_truth
+            scale = part.preview.scale
+            unit = "rgb" if scale is None else scale.unit
+            shown.append(_Column(name=name, title=f"{title}, {unit}", preview=part.preview))
+            if difference is not None and difference.scale is not None:
+                title = f"{title} error, {difference.scale.unit}"
+                shown.append(_Column(name=name, title=title, preview=difference, sign="+"))
+        return shown
 
 
-def _format(preview: Preview | None, place: tuple[int, int] | None, sign: str = "") -> str:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Column:
+    """What the table reads at a pixel: a preview of a stage, or the position itself."""
+
+    name: str  # of the stage
+    title: str
+    preview: Preview | None = None
+    sign: str = ""
+
+
+def _make_row(number: int, places: Places, columns: Sequence[_Column]) -> ProbeRow:
+    cells = [str(number)]
+    tips = ["The crosshair stays here while this row is chosen"]
+    for column in columns:
+        place = places[column.name]
+        at = _NONE if place is None else f"({place[1]}, {place[0]})"
+        cells.append(_format(column.preview, place, column.sign) if column.preview else at)
+        tips.append(_NOT_THERE if place is None else f"pixel {at}")
+    return ProbeRow(number=number, cells=tuple(cells), tips=tuple(tips))
+
+
+def _format(preview: Preview, place: tuple[int, int] | None, sign: str) -> str:
     """Return the number at a pixel without its unit, or its colour."""
-    if preview is None or place is None:
+    if place is None:
         return _NONE
     value = preview.get_value(*place)
     if value is None:

@@ -1,6 +1,5 @@
 """The probe in the 3D views: the pixel under the pointer is traced like one of an image."""
 
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -9,24 +8,11 @@ from PyQt6.QtCore import QPointF
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
 from app.views.scene_geometry import get_depth_stretch
-from pipeline.core.arrays import Doubles
-from pipeline.translation.pixel_trace import SOURCE
-from pipeline.views.layers import stretch_depth
-from pipeline.views.preview import Preview, compute_rest_depth_mm
+from pipeline.translation.cross_section import find_image_camera
+from pipeline.views.layers import Layer, stretch_depth
 from widgets.style.styling import make_single_shot_timer
 
 _DELAY_MS = 40  # shortest interval between probes
-_MAX_POINTS = 40_000  # per surface; neighbours are then less than a screen pixel apart
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Surface:
-    """The pixels of a preview as 3D points."""
-
-    preview: Preview
-    depth_stretch: float
-    points_mm: Doubles  # (n, 3)
-    pixel_row_col: Doubles  # (n, 2) row, col
 
 
 class Probe3DController(Feature):
@@ -37,7 +23,6 @@ class Probe3DController(Feature):
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
         self._pointer: tuple[str, QPointF] | None = None
-        self._surfaces: dict[str, _Surface] = {}
         self._timer = make_single_shot_timer(self, _DELAY_MS, self._probe)
         for name, cell in self._window.view_panels.items():
             cell.view.hovered.connect(partial(self._schedule_probe, name))
@@ -49,10 +34,7 @@ class Probe3DController(Feature):
             self._timer.start()
 
     def _probe(self) -> None:
-        if self._pointer is None or self._controller.is_closed:
-            return
-        pixel = self._find_pixel(*self._pointer)
-        if pixel is not None:
+        if self._pointer is not None and (pixel := self._find_pixel(*self._pointer)) is not None:
             self._controller.probe.probe_pixel(self._pointer[0], *pixel)
 
     def _pin(self, name: str, at: QPointF) -> None:
@@ -61,50 +43,28 @@ class Probe3DController(Feature):
             self._controller.probe.toggle_pin(name, *pixel)
 
     def _find_pixel(self, name: str, at: QPointF) -> tuple[int, int] | None:
-        """Return (row, col) of the preview pixel nearest to a point of the 3D view.
+        """Return (row, col) in the preview of what the 3D view draws at a position.
 
-        None if none is near.
+        None if nothing is near.
         """
-        surface = self._get_surface(name)
-        if surface is None or not len(surface.points_mm):
+        opened, views = self._translation, self._views
+        preview = self._columns[name].view.preview
+        part = views.get_shown_stage(name)
+        if opened is None or preview is None or part is None:
             return None
-        column = list(self._window.columns).index(name)
-        index = self._controller.views.scene.find_nearest_point(column, at, surface.points_mm)
-        return (
-            None
-            if index < 0
-            else (int(surface.pixel_row_col[index, 0]), int(surface.pixel_row_col[index, 1]))
-        )
-
-    def _get_surface(self, name: str) -> _Surface | None:
-        opened = self._controller.views.translation
-        preview = self._window.columns[name].view.preview
-        if opened is None or preview is None:
+        measured = [layer.points_mm for layer in part.layers if _is_measured(layer)]
+        points = np.concatenate([np.empty((0, 3)), *measured], dtype=np.float64)
+        index = views.scene.find_nearest_point(views.places[name], at, points)
+        if index < 0:
             return None
         sensor = opened.get_sensor(name)
-        stretch = get_depth_stretch(name, opened, self._controller.session.display)
-        cached = self._surfaces.get(name)
-        if cached is not None and cached.preview is preview and cached.depth_stretch == stretch:
-            return cached
-        positions = preview.compute_positions_mm()
-        if positions is None and name == SOURCE:  # a gel's image lies on its rest surface
-            camera = sensor.camera.scale(preview.pixels.shape[1] / sensor.camera.cols)
-            positions = camera.back_project(compute_rest_depth_mm(sensor, camera)).astype(
-                np.float32
-            )
-        if positions is None:
-            return None
-        step = max(1, int(np.ceil(np.sqrt(positions.shape[0] * positions.shape[1] / _MAX_POINTS))))
-        rows, cols = np.mgrid[0 : positions.shape[0] : step, 0 : positions.shape[1] : step]
-        points = positions[::step, ::step].reshape(-1, 3)
-        finite = np.isfinite(points).all(axis=1)
-        surface = _Surface(
-            preview=preview,
-            depth_stretch=stretch,
-            points_mm=stretch_depth(points[finite], sensor, stretch),
-            pixel_row_col=np.stack([rows.ravel()[finite], cols.ravel()[finite]], axis=-1).astype(
-                np.float64
-            ),
-        )
-        self._surfaces[name] = surface
-        return surface
+        stretch = get_depth_stretch(name, opened, self._session.display)
+        true = stretch_depth(points[index : index + 1], sensor, 1.0 / stretch)
+        x_px, y_px, _ = find_image_camera(preview, sensor).project(true)
+        return round(float(y_px[0])), round(float(x_px[0]))
+
+
+def _is_measured(layer: Layer) -> bool:
+    """Whether a layer draws what the stage found: no lines, no object, no surface at rest."""
+    is_found = layer.segments is None and layer.view_from_layer is None
+    return is_found and layer.name != "membrane"

@@ -10,7 +10,6 @@ from PyQt6.QtCore import QEvent, QPointF, Qt, QTimer
 
 from app.document.feature import Feature
 from app.document.session_controller import SessionController
-from app.session.state import Session
 from app.views.scene_geometry import show_scene_caption
 from app.views.stage_previews import StagePreview
 from pipeline.sensors.alignment import Offsets
@@ -40,7 +39,8 @@ class SceneController(Feature):
         super().__init__(controller)
         self._dragged: Offsets | None = None  # of a drag that has not ended
         self._view = self._window.scene_panel.view
-        self._place = controller.views.page_views["scene"]
+        self._place = controller.views.places["scene"]
+        scene = controller.views.scene
         self._layers: tuple[Layer, ...] = ()
         self._places: ScenePlaces | None = None
         self._motion: PressMotion | None = None
@@ -50,17 +50,9 @@ class SceneController(Feature):
         self._timer.setInterval(_TICK_MS)
         self._timer.timeout.connect(self._move_on)
         self._measure = SceneMeasure()
-        self._play, self._measures, self._orthographic = (
-            self._window.actions_by_name[name]
-            for name in ("press_motion", "scene_measure", "scene_orthographic")
-        )
-        self._connect()
-
-    def _connect(self) -> None:
-        controller = self._controller
-        controller.views.scene.show_scale_bar(self._place)
-        controller.frame_shown.connect(self._show_frame)
-        controller.closing.connect(self._timer.stop)
+        actions = self._actions
+        self._play, self._measures = actions["press_motion"], actions["scene_measure"]
+        scene.show_scale_bar(self._place)
         # a frame that no stage can read has both sensors and its image
         EventListener(self._window.banner, self._show, QEvent.Type.Show)
         self._play.setIcon(make_command_icon("play"))
@@ -70,7 +62,7 @@ class SceneController(Feature):
         self._view.key_pressed.connect(self._handle_key)
         self._view.clicked.connect(self._measure_point)
         self._measures.toggled.connect(self._clear_measure)
-        self._orthographic.toggled.connect(self._set_orthographic)
+        actions["scene_orthographic"].toggled.connect(self._set_orthographic)
         for name in SCENE_VIEWS:
             self._window.connect_command(f"scene_{name}", partial(self._look_from, name))
 
@@ -79,18 +71,19 @@ class SceneController(Feature):
         """Whether the press is shown in motion, playing or paused."""
         return self._motion is not None
 
-    def show_session(self, session: Session) -> None:
+    def show_session(self) -> None:
         """Show the scene once a pane is given to it; nothing until a recording is open."""
-        views = self._controller.views
+        views = self._views
         if views.translation is None:
             self._stop_motion()
             self._layers, self._places = (), None
-            views.show_page_scene("scene", (), None, session)
+            views.show_page_scene("scene", (), None, self._session)
             views.scene.label_points(self._place, {})
         elif self._controller.is_idle:
-            self._show_frame()
+            self.show_frame()
 
-    def _show_frame(self, _index: int = 0) -> None:
+    def show_frame(self) -> None:
+        """Show it, unless a drag shows the scene."""
         if self._dragged is None:
             self._show()
 
@@ -104,30 +97,24 @@ class SceneController(Feature):
             self._show(target_depth)
 
     def _show(self, target_depth: Sequence[Layer] | None = None) -> None:
-        views, session = self._controller.views, self._controller.session
+        views, session = self._views, self._session
         opened, layout = views.translation, session.layout
         is_shown = layout.name == "align" or any(dims == "scene" for _, dims in layout.panes)
         if opened is None or not is_shown:
             return
-        parts = {
-            name: part
-            for name in (*opened.stages, "source")
-            if (part := views.get_shown_stage(name)) is not None
-        }
-        shown = {name: part.layers for name, part in parts.items()}
+        source, target, alignment = opened.source, opened.target, opened.alignment
+        parts = {name: views.get_shown_stage(name) for name in (*opened.stages, "source")}
+        shown = {name: part.layers for name, part in parts.items() if part is not None}
         if target_depth is not None:  # of the others none is of this alignment
             shown = {"source": shown.get("source", ()), "target_depth": tuple(target_depth)}
         offsets = self._dragged or session.offsets
-        self._places = find_scene_places(opened.alignment, offsets.apply_to(opened.alignment))
-        recorded = next(
-            filter(None, (_find_recorded(parts.get(name)) for name in MEMBRANE_STAGES)), ()
-        )
-        self._layers = make_scene_layers(
-            shown, opened.source, opened.target, self._places, recorded
-        )
-        bounds = compute_scene_bounds(opened.source, opened.target, opened.alignment)
+        self._places = find_scene_places(alignment, offsets.apply_to(alignment))
+        recorded = [_find_recorded(parts.get(name)) for name in MEMBRANE_STAGES]
+        first = next(filter(None, recorded), ())
+        self._layers = make_scene_layers(shown, source, target, self._places, first)
+        bounds = compute_scene_bounds(source, target, alignment)
         if self._motion is not None:
-            self._motion = PressMotion(self._layers, opened.source, opened.target, self._places)
+            self._motion = PressMotion(self._layers, source, target, self._places)
             self._show_motion()
         else:
             views.show_page_scene("scene", (*self._layers, *self._measure.layers), bounds, session)
@@ -137,7 +124,7 @@ class SceneController(Feature):
     def _show_labels(self) -> None:
         if self._places is not None:
             labels = {**self._places.labels, **self._measure.labels}
-            self._controller.views.scene.label_points(self._place, labels)
+            self._views.scene.label_points(self._place, labels)
 
     def _handle_key(self, key: int) -> None:
         if key == Qt.Key.Key_Escape:
@@ -147,7 +134,7 @@ class SceneController(Feature):
 
     def _toggle_motion(self, on: bool) -> None:
         """Play on, or pause; without a scene there is nothing to play."""
-        opened = self._controller.views.translation
+        opened = self._translation
         self._play.setIcon(make_command_icon("pause" if on else "play"))
         if not on:
             self._timer.stop()
@@ -180,36 +167,30 @@ class SceneController(Feature):
             self._stop_motion()
 
     def _show_motion(self) -> None:
-        opened = self._controller.views.translation
+        opened = self._translation
         if self._motion is None or opened is None:
             return
         layers = (*self._motion.make_layers(self._time), *self._measure.layers)
-        self._controller.views.scene.show_layers(self._place, layers, is_passing=True)
-        show_scene_caption(
-            self._window,
-            opened,
-            self._controller.session.display,
-            self._motion.describe(self._time),
-        )
+        self._views.scene.show_layers(self._place, layers, is_passing=True)
+        text = self._motion.describe(self._time)
+        show_scene_caption(self._window, opened, self._session.display, text)
 
     def _set_orthographic(self, on: bool) -> None:
-        self._controller.views.scene.set_orthographic(self._place, on=on)
+        self._views.scene.set_orthographic(self._place, on=on)
 
     def _look_from(self, name: str) -> None:
         if self._places is not None:
             direction, up = self._places.find_view(name)
-            self._controller.views.scene.look_from(self._place, direction, up)
+            self._views.scene.look_from(self._place, direction, up)
 
     def _measure_point(self, at: QPointF) -> None:
         """Take a clicked point as the next end of what is measured."""
-        opened = self._controller.views.translation
-        found = self._controller.views.scene.find_surface_point(self._place, at)
+        opened = self._translation
+        found = self._views.scene.find_surface_point(self._place, at)
         if self._measures.isChecked() and found and opened and self._places:
+            sensors = opened.source, opened.target
             self._measure = self._measure.add_point(
-                *found,
-                self._places,
-                (opened.source, opened.target),
-                self._controller.session.display,
+                *found, self._places, sensors, self._session.display
             )
             self._show()
 

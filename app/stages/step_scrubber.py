@@ -30,7 +30,6 @@ class StepScrubberController(Feature):
         panel.stage_box.chosen.connect(self.show_session)
         panel.keep_steps_requested.connect(self.set_keep_steps)
         panel.plot.step_chosen.connect(self._set_step)
-        controller.frame_shown.connect(self.show_session)
         window.connect_command(
             "step_through",
             lambda: self.show_steps_of(self._panel.stage_box.choice or _DEFAULT_STAGE),
@@ -39,11 +38,11 @@ class StepScrubberController(Feature):
     def show_steps_of(self, stage: str) -> None:
         """Show the tab, and keep the iterations of a stage from now on."""
         window = self._window
-        layout = self._controller.session.layout
+        layout = self._session.layout
         window.show_diagnostics(self._panel)
         self._panel.stage_box.setCurrentIndex(max(0, self._panel.stage_box.findData(stage)))
         if stage in window.route_columns and stage not in window.visible_columns():
-            self._controller.change("show stages", layout=replace(layout, name="look"))
+            self._change("show stages", layout=replace(layout, name="look"))
         self.set_keep_steps(stage, keep=True)
         self.show_session()
 
@@ -51,20 +50,20 @@ class StepScrubberController(Feature):
         """Keep or drop the iterations of a stage."""
         method = self._get_method(stage)
         if method is not None and (name := _find_keep_parameter(method)):
-            session = self._controller.session
-            params = {
-                **session.params,
-                method.key: replace_value(session.get_params(method), name, keep),
-            }
-            self._controller.change("keep iterations" if keep else "drop iterations", params=params)
+            session = self._session
+            params = replace_value(session.get_params(method), name, keep)
+            text = "keep iterations" if keep else "drop iterations"
+            self._change(text, params={**session.params, method.key: params})
 
     def _get_method(self, stage: str) -> Method | None:
-        opened = self._controller.views.translation
-        return (
-            None if opened is None else next((m for m in opened.methods if m.stage == stage), None)
-        )
+        methods = () if self._translation is None else self._translation.methods
+        return next((method for method in methods if method.stage == stage), None)
 
-    def show_session(self, *_: object) -> None:
+    def show_frame(self) -> None:
+        """Show its iterations."""
+        self.show_session()
+
+    def show_session(self) -> None:
         """Show the iterations of the chosen stage, and whether they are kept."""
         controller = self._controller
         window = self._window
@@ -78,29 +77,25 @@ class StepScrubberController(Feature):
         chosen = panel.stage_box.choice
         method = self._get_method(chosen)
         part = controller.views.get_shown_stage(chosen)
-        name = "" if method is None else _find_keep_parameter(method)
-        is_kept = (
-            bool(name)
-            and method is not None
-            and bool(list_settings(controller.session.get_params(method))[name][0])
-        )
+        name = why_not = ""
+        is_kept = False
+        if method is not None:
+            name = _find_keep_parameter(method)
+            if name:
+                is_kept = bool(list_settings(self._session.get_params(method))[name][0])
+            else:
+                why_not = _NO_STEPS.format(titles.get(chosen, "this stage"))
         history = part.step_history if isinstance(part, StagePreview) else None
-        why_not = (
-            _NO_STEPS.format(titles.get(chosen, "this stage"))
-            if method is not None and not name
-            else ""
-        )
         if is_kept and history is None:
             why_not = _NO_ITERATIONS if controller.is_idle else _NOT_YET
         panel.show_history(history, keeps_steps=is_kept, can_keep_steps=bool(name), why_not=why_not)
 
     def _set_step(self, at: int) -> None:
-        self._controller.views.show_step(self._panel.stage_box.choice, at)
+        self._views.show_step(self._panel.stage_box.choice, at)
         self._panel.show_step(at)
 
 
 def _find_keep_parameter(method: Method) -> str:
     """Return the parameter that makes a method keep its iterations, "" if none."""
-    return next(
-        (name for name in list_settings(method.params()) if name.startswith(_KEEP_PREFIX)), ""
-    )
+    names = list_settings(method.params())
+    return next((name for name in names if name.startswith(_KEEP_PREFIX)), "")

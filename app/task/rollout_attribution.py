@@ -63,7 +63,7 @@ class RolloutAttributionController(BackgroundController):
         opened = self._rollouts.shown
         decisions = self.decisions
         can = self._can_attribute
-        self._window.actions_by_name["attribute_rollout"].setEnabled(can)
+        self._actions["attribute_rollout"].setEnabled(can)
         if self.job.is_busy and self._running is not None:
             return
         if opened is None or not decisions:

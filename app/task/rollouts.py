@@ -10,10 +10,10 @@ from PyQt6.QtCore import pyqtSignal
 
 from app.document.background_controller import BackgroundController
 from app.document.session_controller import SessionController
-from app.session.layout import Layout
-from app.session.state import Session
+from app.export.export import ExportController
 from app.task.rollout_jobs import OpenRollout, TrialFolder, list_trial_folder, open_rollout
 from app.views.stage_previews import SourcePreview, StagePreview
+from app.window import dialogs
 from app.window.jobs import JobReporter
 from pipeline.core.errors import TouchError
 from pipeline.io.mounts import is_mounted
@@ -25,6 +25,13 @@ from pipeline.lab.tasks.scene_view import (
 )
 from pipeline.lab.tasks.trial_rows import SUFFIXES, TrialRow
 
+_COMMANDS = (
+    "export_rollout_video",
+    "copy_trials",
+    "next_trial",
+    "previous_trial",
+    "next_decision",
+)
 _NOTHING = (
     "Open the rollouts of a task to see which trials fail, and which error of the touch makes them "
     "fail."
@@ -42,9 +49,10 @@ class RolloutController(BackgroundController):
     rollout_shown = pyqtSignal()  # another rollout, or none
     decision_shown = pyqtSignal(int)  # the decision that acts at the tick on screen
 
-    def __init__(self, controller: SessionController) -> None:
+    def __init__(self, controller: SessionController, export: ExportController) -> None:
         super().__init__("rollouts", controller)
         self._page = self._window.task
+        self._export = export
         self.folder: TrialFolder | None = None
         self.shown: OpenRollout | None = None
         self._requested: Path | None = None  # rollout that is read or shown
@@ -60,13 +68,14 @@ class RolloutController(BackgroundController):
         controller.rollouts_requested.connect(self.open_rollouts)
         controller.recording_opened.connect(self._check_recording)
         controller.job.delivered.connect(self._show_touch)
-        controller.closing.connect(lambda: page.ticks.play(on=False))
         window.connect_command("next_trial", lambda: page.trials.step_by(1))
         window.connect_command("previous_trial", lambda: page.trials.step_by(-1))
         window.connect_command("copy_trials", page.trials.copy_rows)
         window.connect_command("next_decision", self._go_to_next_decision)
+        window.connect_command("export_rollout_video", self._ask_video)
         page.show_message(_NOTHING)
         page.split.hide()
+        self._show_opened(None)
 
     def open_rollouts(self, path: Path) -> None:
         """Open a folder of rollouts, or one of them; a folder without any opens as a recording."""
@@ -78,30 +87,21 @@ class RolloutController(BackgroundController):
     def choose_trial(self, path: Path) -> None:
         """Open one of the listed rollouts."""
         folder = self.folder
-        row = (
-            next((trial for trial in folder.trials if trial.path == path), None)
-            if folder is not None
-            else None
-        )
-        if folder is None or row is None:
-            return
-        if row.problem:
-            self._page.show_message(row.problem)
-            return
-        self._controller.set_tick(0)
-        self._controller.open_trial(path, folder.choices[path], self._layout)
+        for row in () if folder is None else folder.trials:
+            if row.path == path and row.problem:
+                self._page.show_message(row.problem)
+        if folder is not None and path in folder.choices:
+            self._controller.set_tick(0)
+            layout = replace(self._session.layout, name="task")
+            self._controller.open_trial(path, folder.choices[path], layout)
 
     def _choose_place(self, stream: str) -> None:
-        self._controller.change("choose finger", stream=stream)
+        self._change("choose finger", stream=stream)
 
     @property
     def decision(self) -> int:
         """Index of the decision that acts at the tick on screen."""
         return 0 if self.shown is None else self.shown.rollout.find_decision(self._tick)
-
-    @property
-    def _layout(self) -> Layout:
-        return replace(self._controller.session.layout, name="task")
 
     @property
     def _tick(self) -> int:
@@ -112,8 +112,9 @@ class RolloutController(BackgroundController):
         if path.suffix.lower() in SUFFIXES and not is_mounted(path):
             self.open_rollouts(path)
 
-    def show_session(self, session: Session) -> None:
+    def show_session(self) -> None:
         """Read the rollout that the session has open while its layout is *Task*."""
+        session = self._session
         if session.layout.name != "task":
             self._page.ticks.play(on=False)
             if self._opening is None:
@@ -162,17 +163,23 @@ class RolloutController(BackgroundController):
         if opening is not None and is_expected and opening.is_dir():
             self._controller.open_data(opening)
             return
-        if is_expected and self._controller.session.layout.name != "task":
+        if is_expected and self._session.layout.name != "task":
             return
-        self._requested = self._controller.session.recording
-        self.shown = None
+        self._requested = self._session.recording
         self._page.clear()
         self._page.show_message(str(error))
-        self._controller.views.show_page_scene("task", (), None, self._controller.session)
+        self._views.show_page_scene("task", (), None, self._session)
+        self._show_opened(None)
+
+    def _show_opened(self, opened: OpenRollout | None) -> None:
+        self.shown = opened
+        for name in _COMMANDS:
+            self._actions[name].setEnabled(opened is not None)
         self.rollout_shown.emit()
 
     def _show_rollout(self, opened: OpenRollout) -> None:
-        self.shown, page, session = opened, self._page, self._controller.session
+        page, session = self._page, self._session
+        self.shown = opened
         run = opened.rollout
         decisions = [decision.tick for decision in run.summary.decisions]
         page.show_message(opened.unavailable)
@@ -186,25 +193,22 @@ class RolloutController(BackgroundController):
             OBJECT_COLOUR,
             has_estimate=any(layer.name == ESTIMATE_NAME for layer in opened.layers),
         )
-        self._controller.views.show_page_scene("task", opened.layers, opened.bounds, session)
+        self._views.show_page_scene("task", opened.layers, opened.bounds, session)
         self._show_tick()
-        self.rollout_shown.emit()
+        self._show_opened(opened)
 
     def _show_tick(self, _: int = 0) -> None:
         """Show one tick everywhere: scene, plot, slider, frames and decision."""
-        opened = self.shown
-        page = self._page
-        tick = self._tick
+        opened, page, tick = self.shown, self._page, self._tick
         if opened is None:
             return
         page.plot.show_step(tick)
         page.ticks.show_frame(tick, float(opened.rollout.time_s[tick]))
         page.scene.legend.setText(describe_tick(opened.rollout, tick))
-        self._controller.views.move_task_bodies(opened.poses[tick])
-        session = self._controller.session
+        self._views.move_task_bodies(opened.poses[tick])
+        session, translation = self._session, self._translation
         if session.layout.name == "task" and session.recording == opened.rollout.path:
-            opened_translation = self._controller.views.translation
-            n_frames = 1 if opened_translation is None else opened_translation.n_frames
+            n_frames = 1 if translation is None else translation.n_frames
             if self.decision != session.frame and self.decision < n_frames:
                 self._controller.choose_frame(self.decision)
         self.decision_shown.emit(self.decision)
@@ -216,27 +220,43 @@ class RolloutController(BackgroundController):
             self._controller.set_tick(decisions[frame].tick)
 
     def _go_to_next_decision(self) -> None:
-        ticks = (
-            [one.tick for one in self.shown.rollout.summary.decisions]
-            if self.shown is not None
-            else []
-        )
-        later = [tick for tick in ticks if tick > self._tick]
-        if ticks:
-            self._controller.set_tick((later or ticks)[0])
+        if self.shown is not None:
+            ticks = [one.tick for one in self.shown.rollout.summary.decisions]
+            later = [tick for tick in ticks if tick > self._tick]
+            for tick in (later or ticks)[:1]:
+                self._controller.set_tick(tick)
+
+    def write_video(self, path: Path) -> None:
+        """Write the rollout on screen as a video."""
+        from pipeline.lab.tasks.rollout_video import write_rollout_video
+
+        if self.shown is not None:
+            source = self.shown.rollout.path
+            self._export.start_writing(
+                f"writing {path.name}",
+                partial(write_rollout_video, source, path),
+                path,
+                f"tactoscope rollout video {dialogs.quote_path(source)} --out "
+                f"{dialogs.quote_path(path)}",
+            )
+
+    def _ask_video(self) -> None:
+        path = self._export.ask_path("Export rollout video", ".mp4")
+        if path is not None:
+            self.write_video(path)
 
     def _show_touch(self, _: int, part: object) -> None:
         """Show the touches of the frame on screen while the page is visible."""
         views = self._page.views
-        if self._controller.session.layout.name != "task":
+        if self._session.layout.name != "task":
             return
         if isinstance(part, SourcePreview):
             views["source"].show_preview(part.preview)
         elif isinstance(part, StagePreview) and part.result.name == "touch":
             views["touch"].show_preview(part.preview)
-            truth = part.truth_view
-            views["truth"].show_preview(None if truth is None else truth.truth)
-            views["truth"].show_message("not recorded" if truth is None else "")
+            truth = None if part.truth_view is None else part.truth_view.truth
+            views["truth"].show_preview(truth)
+            views["truth"].show_message("" if part.truth_view else "not recorded")
 
 
 def _read_rollout(path: Path, report: JobReporter, *, needs_folder: bool) -> OpenRollout:
@@ -248,7 +268,6 @@ def _read_rollout(path: Path, report: JobReporter, *, needs_folder: bool) -> Ope
 
 def _choose_first(trials: tuple[TrialRow, ...]) -> Path | None:
     """The first rollout that fails, else the first that can be read; None without one."""
-    good = sorted(
-        (trial for trial in trials if not trial.problem), key=lambda trial: trial.succeeds
-    )
-    return good[0].path if good else None
+    good = [trial for trial in trials if not trial.problem]
+    first = min(good, key=lambda trial: trial.succeeds, default=None)
+    return None if first is None else first.path

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from app.compare.variant_jobs import list_set_options
 from app.document.autosave import AutosaveController
 from app.document.background_controller import BackgroundController
 from app.document.requests import make_request
@@ -19,8 +20,9 @@ from app.export.export import ExportController
 from app.session.state import Session
 from app.window import dialogs
 from app.window.jobs import JobReporter
-from pipeline.lab.tracking.track_record import TRACKED_STAGES, TrackRecord, TrackRow, write_record
-from pipeline.translation.reports.export_request import format_options, format_settings
+from pipeline.lab.tracking.track_record import TRACKED_STAGES, TrackRow, write_record
+from pipeline.translation.reports.export_request import format_options
+from pipeline.views.view import to_xyz
 
 if TYPE_CHECKING:
     from app.track.track_jobs import TrackView
@@ -51,14 +53,13 @@ class TrackController(BackgroundController):
         page.run_bar.start_button.clicked.connect(lambda: self.start_track(page.stage_box.choice))
         page.plot.step_chosen.connect(self._choose_row)
         controller.tracks_requested.connect(self.open_track)
-        controller.frame_shown.connect(self._frame_shown)
         window.connect_command("cancel", self.cancel)
         autosave.connect_dialog("export_track", dialogs.ask_save_path, self.write_track)
         self._show_none(_NO_RECORDING)
 
     def start_track(self, stage: str) -> None:
         """Follow the membrane of a stage through the session's recording."""
-        session = self._controller.session
+        session = self._session
         catalogue = self._controller.catalogue
         if session.recording is None or not stage:
             return
@@ -82,9 +83,9 @@ class TrackController(BackgroundController):
 
             return read_track(folder)
 
-        layout = replace(self._controller.session.layout, name="track")
-        self._controller.change("open track", layout=layout)
-        self._tracked, self._of, self._beside = None, folder, self._controller.session.recording
+        layout = replace(self._session.layout, name="track")
+        self._change("open track", layout=layout)
+        self._tracked, self._of, self._beside = None, folder, self._session.recording
         self._show_none(f"reading {folder.name}")
         self.start(work)
 
@@ -95,32 +96,24 @@ class TrackController(BackgroundController):
         if view is None or session is None:
             return
         record = view.record
-        words = [
-            "tactoscope",
-            "track",
-            *format_options(replace(make_request(session), offsets=session.offsets)),
-        ]
-        settings = format_settings(session.collect_params(self._controller.methods))
-        words += ["--stage", record.stage, *(word for line in settings for word in ("--set", line))]
+        options = format_options(replace(make_request(session), offsets=session.offsets))
+        settings = list_set_options(session.collect_params(self._controller.methods))
+        words = ["tactoscope", "track", *options, "--stage", record.stage, *settings]
         command = f"{shlex.join(words)} --out {dialogs.quote_path(folder)}"
         self._export.start_writing(
             f"writing {folder.name}", lambda _: write_record(folder, record), folder, command
         )
 
-    def show_session(self, session: Session) -> None:
+    def show_session(self) -> None:
         """Drop the track of another recording, offer what can be followed, and mark the current
         frame.
         """
+        session = self._session
         if self._of is not None and session.recording != self._beside:
             self.abandon()
             self._tracked = self._of = None
             self._show_none(_READY if session.recording is not None else _NO_RECORDING)
-        elif (
-            self.view is None
-            and not self.is_busy
-            and self._of is None
-            and session.recording is not None
-        ):
+        elif self._of is None and session.recording is not None:
             self._show_none(_READY)
         self._offer_stages(session)
         self._show_frame()
@@ -133,10 +126,8 @@ class TrackController(BackgroundController):
         """Show the track with its surface."""
         self.view = view = cast("TrackView", result)
         self._page.show_record(view.record, self._of.name if self._of is not None else "")
-        self._controller.views.show_page_scene(
-            "track", view.layers, view.bounds, self._controller.session
-        )
-        self._window.actions_by_name["export_track"].setEnabled(self._tracked is not None)
+        self._views.show_page_scene("track", view.layers, view.bounds, self._session)
+        self._actions["export_track"].setEnabled(self._tracked is not None)
         self._show_frame()
 
     def show_failure(self, error: BaseException) -> None:  # noqa: ARG002 - the banner shows it
@@ -147,12 +138,13 @@ class TrackController(BackgroundController):
         """Show that the run was cancelled."""
         self._show_none("cancelled")
 
-    def _frame_shown(self, _: int) -> None:
-        self._offer_stages(self._controller.session)
+    def show_frame(self) -> None:
+        """Mark it on the track."""
+        self._offer_stages(self._session)
         self._show_frame()
 
     def _offer_stages(self, session: Session) -> None:
-        opened = self._controller.views.translation
+        opened = self._translation
         stages = () if opened is None or session.recording is None else opened.stages
         offered = {name: title for name, title in TRACKED_STAGES.items() if name in stages}
         self._page.offer_stages(offered)
@@ -165,31 +157,24 @@ class TrackController(BackgroundController):
     def _show_none(self, text: str) -> None:
         self.view = None
         self._page.clear(text)
-        self._controller.views.show_page_scene("track", (), None, self._controller.session)
-        self._window.actions_by_name["export_track"].setEnabled(False)
+        self._views.show_page_scene("track", (), None, self._session)
+        self._actions["export_track"].setEnabled(False)
 
     def _choose_row(self, row: int) -> None:
-        record = None if self.view is None else self.view.record
-        if record is None:
-            return
-        if self._tracked is not None:
-            self._controller.choose_frame(record.rows[row].frame)
-        else:
+        if self.view is not None and self._tracked is not None:
+            self._controller.choose_frame(self.view.record.rows[row].frame)
+        elif self.view is not None:
             self._mark_row(row)
 
     def _show_frame(self) -> None:
         if self.view is not None and self._tracked is not None:
-            self._mark_row(_find_row(self.view.record, self._controller.session.frame))
+            frames = [row.frame for row in self.view.record.rows]
+            frame = self._session.frame
+            self._mark_row(frames.index(frame) if frame in frames else -1)
 
     def _mark_row(self, row: int) -> None:
         self._page.plot.show_step(row)
         path = np.zeros((0, 3)) if self.view is None else self.view.path_mm
-        place = path[row] if 0 <= row < len(path) and np.isfinite(path[row]).all() else None
-        views = self._controller.views
-        views.scene.mark_point(
-            views.page_views["track"], None if place is None else (place[0], place[1], place[2])
-        )
-
-
-def _find_row(record: TrackRecord, frame: int) -> int:
-    return next((k for k, row in enumerate(record.rows) if row.frame == frame), -1)
+        is_known = 0 <= row < len(path) and np.isfinite(path[row]).all()
+        views = self._views
+        views.scene.mark_point(views.places["track"], to_xyz(path[row]) if is_known else None)

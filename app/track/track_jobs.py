@@ -18,6 +18,7 @@ from pipeline.lab.tracking.track_recording import track_recording
 from pipeline.translation.catalogue import Catalogue
 from pipeline.views.colours import OBJECT_COLOUR, REGISTERED_POINT_COLOUR, repeat_colour
 from pipeline.views.layers import Layer, ViewBounds, make_lines_layer, make_mesh_layer
+from pipeline.views.view import to_xyz
 
 _REPORT_INTERVAL_S = 0.3  # between deliveries of the rows so far
 _MARGIN = 1.1
@@ -77,27 +78,16 @@ def make_view(record: TrackRecord) -> TrackView:
         if pose is not None:
             path[k] = rigid.apply(rigid.invert(pose), (0.0, 0.0, depth_mm))
     layers = () if patch is None else (make_mesh_layer("patch", patch, OBJECT_COLOUR),)
-    ends = np.stack([path[:-1], path[1:]], axis=1) if len(path) > 1 else np.zeros((0, 2, 3))
+    ends = np.stack([path[:-1], path[1:]], axis=1)
     ends = ends[np.isfinite(ends).all(axis=(1, 2))]
     if len(ends):
-        layers = (
-            *layers,
-            make_lines_layer(
-                "path", ends.astype(np.float32), repeat_colour(REGISTERED_POINT_COLOUR, len(ends))
-            ),
-        )
+        colours = repeat_colour(REGISTERED_POINT_COLOUR, len(ends))
+        layers += (make_lines_layer("path", ends.astype(np.float32), colours),)
     known = path[np.isfinite(path).all(axis=1)]
     points = known if patch is None else np.concatenate([known, patch.vertices_mm])
-    return TrackView(
-        record=record, layers=layers, bounds=_make_bounds(points), path_mm=freeze(path)
-    )
-
-
-def _make_bounds(points_mm: Doubles) -> ViewBounds | None:
-    if not len(points_mm):
-        return None
-    low = points_mm.min(axis=0)
-    high = points_mm.max(axis=0)
-    x, y, z = (float(v) for v in 0.5 * (low + high))
-    radius = max(_LEAST_RADIUS_MM, 0.5 * _MARGIN * float(np.linalg.norm(high - low)))
-    return ViewBounds(centre_mm=(x, y, z), radius_mm=radius, frame="track")
+    bounds = None
+    if len(points):
+        low, high = points.min(axis=0), points.max(axis=0)
+        radius = max(_LEAST_RADIUS_MM, 0.5 * _MARGIN * float(np.linalg.norm(high - low)))
+        bounds = ViewBounds(centre_mm=to_xyz(0.5 * (low + high)), radius_mm=radius, frame="track")
+    return TrackView(record=record, layers=layers, bounds=bounds, path_mm=freeze(path))

@@ -16,6 +16,7 @@ from pipeline.stages.stage import GroundTruth
 from pipeline.translation import pixel_trace
 from pipeline.translation.translate import Translation
 from pipeline.views.display_params import DisplayParams
+from pipeline.views.preview import Preview
 from pipeline.views.view import ProbePoint
 from widgets.style.styling import make_single_shot_timer
 from widgets.views.scene_renderer import SceneRenderer
@@ -44,6 +45,7 @@ class PixelProbe(QObject):
     def __init__(self, window: MainWindow) -> None:
         super().__init__(window)
         self._window = window
+        self._columns = window.columns
         self._results: Mapping[str, StageResult] = {}
         self._frame: TactileFrame | None = None
         self._ground_truth = GroundTruth()
@@ -66,14 +68,10 @@ class PixelProbe(QObject):
 
         The probed pixel is traced again.
         """
-        self._results, self._frame, self._ground_truth = (
-            results,
-            frame or self._frame,
-            ground_truth or self._ground_truth,
-        )
-        self.pins = {
-            number: pixel for number, pixel in self.pins.items() if self._is_inside(*pixel)
-        }
+        self._results = results
+        self._frame = frame or self._frame
+        self._ground_truth = ground_truth or self._ground_truth
+        self.pins = {n: pixel for n, pixel in self.pins.items() if self._is_inside(*pixel)}
         if self._pixel is not None:
             self._trace(*self._pixel)
         self.results_changed.emit()
@@ -88,11 +86,13 @@ class PixelProbe(QObject):
 
     def probe_pixel(self, column: str, row: int, col: int) -> None:
         """Probe the pixel under the mouse; (-1, -1) for none."""
-        preview = self._window.columns[column].view.preview
-        text = preview.describe_pixel(row, col) if preview is not None and row >= 0 else ""
-        true = self._describe_truth(column, row, col) if text else ""
-        ending = f" · truth {true}" if true else ""
-        self._window.show_pixel(f"{self._get_title(column)} {text}{ending}" if text else "")
+        preview = self._get_preview(column)
+        text = "" if preview is None else preview.describe_pixel(row, col)
+        if text:
+            text = f"{self._get_title(column)} {text}"
+            true = self._describe_truth(column, row, col)
+            text += f" · truth {true}" if true else ""
+        self._window.show_pixel(text)
         if self._active is None and row >= 0:
             self._trace(column, row, col)
 
@@ -124,12 +124,10 @@ class PixelProbe(QObject):
 
     def move_to_pixel(self, column: str, row: int, col: int) -> None:
         """Move the probe, and the pin it stays at if there is one, to another pixel."""
-        number = self._active
-        self._active = None
         self.probe_pixel(column, row, col)
-        if number is not None:
-            self.pins[number] = (column, row, col)
-            self.choose_pin(number)
+        if self._active is not None:
+            self.pins[self._active] = (column, row, col)
+            self.choose_pin(self._active)
         self.pixel_moved.emit(column, row, col)
 
     def set_pinned(self, pinned: bool) -> None:
@@ -146,7 +144,7 @@ class PixelProbe(QObject):
 
     def _find_pin(self, column: str, row: int, col: int) -> int | None:
         """Return the pin whose mark in a column is at a pixel; None where there is none."""
-        near_px = _MARK_PX / max(self._window.columns[column].view.canvas.scale, 1e-3)
+        near_px = _MARK_PX / max(self._columns[column].view.canvas.scale, 1e-3)
         for number, pixel in self.pins.items():
             place = self.locate(*pixel)[1].get(column)
             if place is not None and max(abs(place[0] - row), abs(place[1] - col)) <= near_px:
@@ -155,8 +153,14 @@ class PixelProbe(QObject):
 
     def _is_inside(self, column: str, row: int, col: int) -> bool:
         """Whether a pixel is in its column's preview; an empty column holds any."""
-        preview = self._window.columns[column].view.preview
-        return preview is None or (row < preview.pixels.shape[0] and col < preview.pixels.shape[1])
+        preview = self._get_preview(column)
+        if preview is None:
+            return True
+        rows, cols, _ = preview.pixels.shape
+        return row < rows and col < cols
+
+    def _get_preview(self, column: str) -> Preview | None:
+        return self._columns[column].view.preview
 
     def draw_pending(self) -> None:
         """Show the 3D points now instead of after the delay."""
@@ -173,7 +177,7 @@ class PixelProbe(QObject):
     def _clear_crosshair(self) -> None:
         self._pixel = None
         self._points = ()
-        for column in self._window.columns.values():
+        for column in self._columns.values():
             column.view.canvas.show_crosshair(None)
         self._window.trace.show_steps(())
         self._points_timer.start()
@@ -183,13 +187,9 @@ class PixelProbe(QObject):
         preview.
         """
         points = self._trace_pixel(column, row, col)
-        places: Places = dict.fromkeys(self._window.columns)
-        for point in points:
-            places[point.stage] = (
-                (point.row, point.col) if point.row >= 0 else self._project_point(point)
-            )
-        places[column] = (row, col)
-        return points, places
+        places: Places = dict.fromkeys(self._columns)
+        places |= {point.stage: self._place_point(point) for point in points}
+        return points, {**places, column: (row, col)}
 
     def _trace(self, column: str, row: int, col: int) -> None:
         if not self._is_inside(column, row, col):  # of a larger preview of another sensor
@@ -199,69 +199,52 @@ class PixelProbe(QObject):
             return
         self._pixel = (column, row, col)
         points, crosses = self.locate(column, row, col)
-        for name, shown in self._window.columns.items():
-            shown.view.canvas.show_crosshair(crosses[name], self._format_value(name, crosses[name]))
+        for name, place in crosses.items():
+            preview = self._get_preview(name)
+            text = preview.format_value(*place) if preview and place else ""
+            self._columns[name].view.canvas.show_crosshair(place, text)
         steps = [(self._get_title(m.stage), m.text) for m in points]
-        ending = "" if points else _NO_SOURCE
-        if not self._results or (column != pixel_trace.SOURCE and column not in self._results):
-            ending = _NOT_COMPUTED
+        is_waiting = not self._results or column not in (pixel_trace.SOURCE, *self._results)
+        ending = _NOT_COMPUTED if is_waiting else "" if points else _NO_SOURCE
         if not points:
             steps = [(self._get_title(column), f"({col}, {row})")]
-        true = self._describe_last_truth(points, (column, row, col))
-        if true:
-            steps.append(("truth", true))
+        ends = [(p.stage, p.row, p.col) for p in points if p.row >= 0] or [self._pixel]
+        trues = [true for end in ends if (true := self._describe_truth(*end))]
+        steps += [("truth", true) for true in trues[-1:]]
         self._window.trace.show_steps(
-            steps,
-            pinned=self._active is not None,
-            ending=ending,
-            is_waiting=ending == _NOT_COMPUTED,
+            steps, pinned=self._active is not None, ending=ending, is_waiting=is_waiting
         )
         self._points = points
         if not self._points_timer.isActive():
             self._points_timer.start()
 
-    def _format_value(self, column: str, pixel: tuple[int, int] | None) -> str:
-        """Return the value of a column's preview at the crosshair."""
-        preview = self._window.columns[column].view.preview
-        return preview.format_value(*pixel) if preview is not None and pixel is not None else ""
-
-    def _describe_last_truth(self, points: tuple[ProbePoint, ...], at: tuple[str, int, int]) -> str:
-        """Return the truth at the last traced point, or at the probed pixel without one."""
-        ends = [(point.stage, point.row, point.col) for point in points if point.row >= 0] or [at]
-        return next((true for end in reversed(ends) if (true := self._describe_truth(*end))), "")
-
     def _describe_truth(self, column: str, row: int, col: int) -> str:
-        opened = self._translation
-        return (
-            ""
-            if opened is None
-            else pixel_trace.describe_truth(column, row, col, self._ground_truth, opened.catalogue)
-        )
+        opened, truth = self._translation, self._ground_truth
+        if opened is None:
+            return ""
+        return pixel_trace.describe_truth(column, row, col, truth, opened.catalogue)
 
     def _trace_pixel(self, column: str, row: int, col: int) -> tuple[ProbePoint, ...]:
-        preview = self._window.columns[column].view.preview
+        preview = self._get_preview(column)
         if self._translation is None or self._frame is None or preview is None:
             return ()
-        rows, cols = preview.pixels.shape[:2]
+        rows, cols, _ = preview.pixels.shape
         if not (0 <= row < rows and 0 <= col < cols):
             return ()
-        index = (
-            row * cols + col
-            if preview.element_index is None
-            else int(preview.element_index[row, col])
-        )
+        elements = preview.element_index
+        index = row * cols + col if elements is None else int(elements[row, col])
         catalogue = self._translation.catalogue
         wide = self._frame.image.shape[1]
         pixel = pixel_trace.trace_to_source(self._results, column, index, catalogue)
-        return (
-            pixel_trace.trace_forward(self._results, *divmod(pixel, wide), wide, catalogue)
-            if pixel >= 0
-            else ()
-        )
+        if pixel < 0:
+            return ()
+        return pixel_trace.trace_forward(self._results, *divmod(pixel, wide), wide, catalogue)
 
-    def _project_point(self, point: ProbePoint) -> tuple[int, int] | None:
-        """Return (row, col) of a 3D point in its column's preview; None outside."""
-        preview = self._window.columns[point.stage].view.preview
+    def _place_point(self, point: ProbePoint) -> tuple[int, int] | None:
+        """Return (row, col) of a traced point in its column's preview; None outside."""
+        if point.row >= 0:
+            return point.row, point.col
+        preview = self._get_preview(point.stage)
         if point.point_mm is None or preview is None or preview.camera is None:
             return None
         x_px, y_px, visible = preview.camera.project(np.asarray([point.point_mm]))
@@ -276,5 +259,5 @@ class PixelProbe(QObject):
         if self._scene is None or self._translation is None:
             return
         positions = compute_trace_points(self._points, self._translation, self._display)
-        for column, name in enumerate(self._window.columns):
+        for column, name in enumerate(self._columns):
             self._scene.mark_point(column, positions.get(name))

@@ -3,7 +3,7 @@ name.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from html import escape
 
 import numpy as np
@@ -19,7 +19,6 @@ from pipeline.views.display_params import DisplayParams
 from pipeline.views.layers import ViewBounds, stretch_depth
 from pipeline.views.view import ProbePoint, to_xyz
 from widgets.style.theme import get_theme_colours, to_hex
-from widgets.views.scene_renderer import CameraState, SceneRenderer
 from widgets.views.view_3d_panel import View3DPanel
 
 _MARGIN = 1.4  # radius of the target's view, in radii of the source's, if the source is a gel
@@ -148,38 +147,3 @@ def _format_captions(frame: str, stretch: float) -> tuple[str, str, str]:
 def _format_axes() -> str:
     colours = zip("xyz", get_theme_colours(QGuiApplication.palette()).axes, strict=True)
     return " ".join(_colour(name, colour) for name, colour in colours)
-
-
-# after the views of the columns
-_OTHER_VIEWS = ("track", "task", "scene")
-
-
-class ViewCameras:
-    """Translates view names to positions in the scene.
-
-    Keeps requested cameras until the views exist.
-    """
-
-    def __init__(self, columns: Sequence[str]) -> None:
-        self._views = (*columns, *_OTHER_VIEWS)
-        self._requested: Mapping[str, CameraState] = {}
-
-    def get_cameras(self, scene: SceneRenderer) -> dict[str, CameraState]:
-        """Return view -> camera."""
-        return {self._views[column]: camera for column, camera in scene.get_cameras().items()}
-
-    def request_cameras(
-        self, cameras: Mapping[str, CameraState], scene: SceneRenderer | None
-    ) -> None:
-        """Set cameras now, or at the next `apply_requested_cameras`."""
-        self._requested = cameras
-        self.apply_requested_cameras(scene)
-
-    def apply_requested_cameras(self, scene: SceneRenderer | None) -> None:
-        """Set the requested cameras; `scene` is None while nothing is open."""
-        if scene is not None and self._requested:
-            places = {name: column for column, name in enumerate(self._views)}
-            scene.set_cameras(
-                {places[name]: camera for name, camera in self._requested.items() if name in places}
-            )
-            self._requested = {}

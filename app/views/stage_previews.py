@@ -1,8 +1,8 @@
 """Previews and 3D layers of stage results, cached so that playing and stepping back reuse them."""
 
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -16,10 +16,15 @@ from pipeline.core.values.results import DepthMap
 from pipeline.stages.stage import GroundTruth
 from pipeline.translation.round_trip import measure_training_distance
 from pipeline.translation.translate import Translation
-from pipeline.translation.truth_view import TruthView, build_observation_view, build_truth_view
+from pipeline.translation.truth_view import TruthView, build_truth_view
 from pipeline.views.display_params import DisplayParams
 from pipeline.views.layers import Layer, make_frame_layer
-from pipeline.views.preview import Preview, add_observed_outline, make_recorded_preview
+from pipeline.views.preview import (
+    Preview,
+    add_observed_outline,
+    compute_pixel_mm,
+    make_recorded_preview,
+)
 from pipeline.views.view import StepHistory, View
 from widgets.frames.frame_summary import THUMBNAIL_PX, FrameSummary
 from widgets.style.theme import DARK_COLOURS
@@ -38,7 +43,8 @@ class SourcePreview:
     ground_truth: GroundTruth
     preview: Preview
     layers: tuple[Layer, ...]
-    read_ms: float  # time to read the frame
+    display: DisplayParams  # used for the preview
+    read_ms: float = 0.0  # time to read the frame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,16 +61,6 @@ class StagePreview:
     step_history: StepHistory | None = None
 
 
-class LoadedFrame(NamedTuple):
-    """A recorded frame with its ground truth, preview and layer."""
-
-    frame: TactileFrame
-    ground_truth: GroundTruth
-    preview: Preview
-    layer: Layer
-    display: DisplayParams  # used for the preview
-
-
 class PreviewCache:
     """Frames, previews and metrics of one translation; used by one thread at a time."""
 
@@ -74,31 +70,33 @@ class PreviewCache:
         self._compared: Memo[object, tuple[object, object, StagePreview]] = Memo(
             most_bytes=min(most_bytes, _TRUTH_BYTES), weigh=lambda entry: _size_bytes(entry[2])
         )
-        self._frames: Memo[int, LoadedFrame] = Memo(
+        self._frames: Memo[int, SourcePreview] = Memo(
             most_bytes=min(most_bytes, _FRAME_BYTES), weigh=_size_loaded_bytes
         )
         self._metrics: Memo[object, dict[str, float]] = Memo(_MAX_METRICS)
 
     def load_frame(
         self, translation: Translation, index: int, display: DisplayParams
-    ) -> LoadedFrame:
+    ) -> SourcePreview:
         """Return a frame with its ground truth and preview, cached unless the recording is live."""
+        started_s = time.perf_counter()
         loaded = self._frames.get(index)
         # colour maps apply to depth only
         if loaded is None or (loaded.frame.is_depth and loaded.display != display):
-            frame = (
-                translation.stream.frame(translation.check_index(index))
-                if loaded is None
-                else loaded.frame
-            )
-            truth = translation.read_ground_truth(index) if loaded is None else loaded.ground_truth
+            frame = translation.stream.frame(translation.check_index(index))
             preview, camera = make_recorded_preview(frame, translation.source, display)
             layer = make_frame_layer("source", frame.image, camera, preview, translation.source)
-            loaded = LoadedFrame(frame, truth, preview, layer, display)
+            loaded = SourcePreview(
+                frame=frame,
+                ground_truth=translation.read_ground_truth(index),
+                preview=preview,
+                layers=(layer,),
+                display=display,
+            )
             # the zero and the oldest frames of a live recording change
             if translation.recording.refresh is None:
                 self._frames.put(index, loaded)
-        return loaded
+        return replace(loaded, read_ms=1e3 * (time.perf_counter() - started_s))
 
     def compute_metrics(
         self,
@@ -153,16 +151,13 @@ def _draw_stage(
 ) -> StagePreview:
     context = translation.make_preview_context(results, session.display)
     preview = view.make_preview(result.output, context)
-    steps = view.split_steps(result.output)
-    previews = tuple(view.make_preview(step, context) for step in steps)
+    steps = [(step, view.make_preview(step, context)) for step in view.split_steps(result.output)]
     return StagePreview(
         result=result,
         preview=preview,
         layers=view.make_layers(result.output, context, preview),
-        step_previews=previews,
-        step_layers=tuple(
-            view.make_step_layers(s, context, p) for s, p in zip(steps, previews, strict=True)
-        ),
+        step_previews=tuple(shown for _, shown in steps),
+        step_layers=tuple(view.make_step_layers(step, context, shown) for step, shown in steps),
         step_history=view.summarise_steps(result.output),
     )
 
@@ -175,18 +170,14 @@ def _size_bytes(shown: StagePreview) -> int:
     )
 
 
-def _size_loaded_bytes(loaded: LoadedFrame) -> int:
+def _size_loaded_bytes(loaded: SourcePreview) -> int:
     """Size without what all frames of a recording share."""
-    observed = loaded.ground_truth.target_observation
-    # of a gel at rest
-    layer = None if loaded.frame.is_depth else replace(loaded.layer, rgb=np.empty((0, 3), np.uint8))
-    shared = (
-        loaded.frame.reference,
-        loaded.ground_truth.mesh,
-        None if observed is None else observed.reference,
-        layer,
-    )
-    return measure_bytes(loaded, shared)
+    frame, truth = loaded.frame, loaded.ground_truth
+    observed = truth.target_observation
+    reference = None if observed is None else observed.reference
+    shape = [replace(layer, rgb=np.empty((0, 3), np.uint8)) for layer in loaded.layers]
+    at_rest = () if frame.is_depth else shape
+    return measure_bytes(loaded, (frame.reference, truth.mesh, reference, at_rest))
 
 
 def _add_comparison(
@@ -199,33 +190,16 @@ def _add_comparison(
     truths: Mapping[str, object] | None,
 ) -> StagePreview:
     """Add the target's own touch if it is compared, else the truth if it is requested."""
+    preview = shown.preview
     if other is not None and other.paired_touch is not None:
-        observed = build_observation_view(
-            shown.preview, other.paired_touch.target, translation.target, session.display
-        )
-        return replace(
-            shown,
-            preview=add_observed_outline(shown.preview, other.observed_outline_px),
-            truth_view=observed,
-        )
+        outlined = add_observed_outline(preview, other.observed_outline_px)
+        observed = other.view_observation(preview, session.display)
+        return replace(shown, preview=outlined, truth_view=observed)
     if truths is None:
         return shown
     context = translation.make_preview_context(results, session.display)
-    return replace(
-        shown, truth_view=build_truth_view(shown.result.name, view, shown.preview, truths, context)
-    )
-
-
-def add_thumbnails(summary: FrameSummary, preview: Preview) -> FrameSummary:
-    """Return the summary with a small image (rows, cols, 3) of its frame for either theme, for
-    table and timeline.
-    """
-    dark = (
-        None
-        if preview.scale is None
-        else _shrink(recolour_for_theme(preview.pixels, preview.scale, DARK_COLOURS))
-    )
-    return replace(summary, thumbnail=_shrink(preview.pixels), dark_thumbnail=dark)
+    truth = build_truth_view(shown.result.name, view, preview, truths, context)
+    return replace(shown, truth_view=truth)
 
 
 def _shrink(pixels: Image) -> Image:
@@ -238,17 +212,23 @@ def _shrink(pixels: Image) -> Image:
 
 
 def summarise_frame(
-    results: Mapping[str, StageResult], metrics: Mapping[str, float], translation: Translation
-) -> FrameSummary | None:
-    """Summarise a frame for the frames table; None without a depth result."""
+    results: Mapping[str, StageResult],
+    metrics: Mapping[str, float],
+    translation: Translation,
+    preview: Preview,
+) -> FrameSummary:
+    """Summarise a frame for the frames table, with small images of its preview."""
+    pixels, scale = preview.pixels, preview.scale
+    dark = None if scale is None else _shrink(recolour_for_theme(pixels, scale, DARK_COLOURS))
+    summary = FrameSummary(metrics=metrics, thumbnail=_shrink(pixels), dark_thumbnail=dark)
     depth = results["depth"].output if "depth" in results else None
     if not isinstance(depth, DepthMap):
-        return None
+        return summary
     inside = depth.indentation_mm[depth.contact]
-    inside = inside[np.isfinite(inside)]
-    pixel_mm = float(np.median(translation.source.rest_depth_mm)) / depth.camera.fx_px
-    return FrameSummary(
-        max_indentation_mm=float(inside.max()) if inside.size else 0.0,
+    pixel_mm = compute_pixel_mm(depth.camera, translation.source)
+    return replace(
+        summary,
+        max_indentation_mm=float(np.nanmax(inside, initial=0.0)),
         contact_area_mm2=float(depth.contact.sum()) * pixel_mm**2,
         metrics={**metrics, **measure_training_distance(results, translation)},
         warnings=tuple(

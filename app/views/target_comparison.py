@@ -27,7 +27,9 @@ from pipeline.translation.alignment.score import (
 )
 from pipeline.translation.alignment.touches import AlignmentTouch
 from pipeline.translation.translate import Translation, estimate_camera_shift_mm
-from pipeline.views.preview import trace_outline
+from pipeline.translation.truth_view import TruthView, build_observation_view
+from pipeline.views.display_params import DisplayParams
+from pipeline.views.preview import Preview, trace_outline
 
 
 @dataclass(frozen=True, kw_only=True)  # cached properties need __dict__
@@ -37,7 +39,6 @@ class TargetComparison:
     Without `paired_touch`, `unavailable_reason` says why there is none.
     """
 
-    index: int
     target: SensorSpec
     source: DepthMap
     source_shift_mm: float
@@ -48,11 +49,12 @@ class TargetComparison:
         """Centre of contact (3,) mm in the target frame under the opened alignment: the pivot of
         rotations.
         """
-        return compute_pivot_mm(
-            self.source,
-            shift_alignment_along_z(
-                opened, source_shift_mm=self.source_shift_mm, target_shift_mm=0.0
-            ),
+        return compute_pivot_mm(self.source, self._shift(opened))
+
+    def _shift(self, alignment: Alignment) -> Alignment:
+        """Return the alignment of the source where this frame has it."""
+        return shift_alignment_along_z(
+            alignment, source_shift_mm=self.source_shift_mm, target_shift_mm=0.0
         )
 
     @cached_property
@@ -77,6 +79,12 @@ class TargetComparison:
             None if self.paired_touch is None else trace_outline(self.paired_touch.target.contact)
         )
 
+    def view_observation(self, preview: Preview, display: DisplayParams) -> TruthView | None:
+        """View the target's own touch beside a preview of the target depth, if it is recorded."""
+        if self.paired_touch is None:
+            return None
+        return build_observation_view(preview, self.paired_touch.target, self.target, display)
+
     def project_touch(
         self, alignment: Alignment, params: ProjectionParams, downsampling: int = 1
     ) -> tuple[TargetDepth, AlignmentScore | None]:
@@ -87,13 +95,9 @@ class TargetComparison:
             return score_preview(
                 self.paired_touch, alignment, self._observations[downsampling], params
             )
-        shifted = shift_alignment_along_z(
-            alignment, source_shift_mm=self.source_shift_mm, target_shift_mm=0.0
-        )
         target = self.target.with_camera(self.target.camera.scale(1.0 / downsampling))
-        cloud = back_project_depth(
-            self.source, shifted, BackProjectionParams(stride=min(2, downsampling))
-        )
+        every = BackProjectionParams(stride=min(2, downsampling))
+        cloud = back_project_depth(self.source, self._shift(alignment), every)
         return project_cloud(cloud, target, params), None
 
     def compute_score(
@@ -123,14 +127,12 @@ def build_target_comparison(
     """
     frame = translation.stream.frame(index)
     shift_mm = estimate_camera_shift_mm(frame, translation.source)
-    touch = None
-    reason = ""
     try:
         touch, reason = _pair_touches(translation, index, source, shift_mm, params)
     except TouchError as error:
+        touch = None
         reason = f"the recorded {translation.target.title} touch cannot be used: {error}"
     return TargetComparison(
-        index=index,
         target=translation.target,
         source=source,
         source_shift_mm=shift_mm,

@@ -3,7 +3,7 @@
 Menus, tool bar, timeline and shortcuts share one action per command.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass
 
 from PyQt6.QtGui import QAction, QKeySequence
@@ -19,28 +19,28 @@ class Command:
     name: str
     text: str
     tip: str
+    key: str = ""
     _: KW_ONLY
     icon: str = ""
-    key: str = ""
     checkable: bool = False
 
 
 FILE_COMMANDS = (
     Command("open_sample", "Open sample", "Open the sample recording", icon="sample"),
-    Command("open_recording", "Open recording…", "Open a recording", icon="open", key="Ctrl+O"),
+    Command("open_recording", "Open recording…", "Open a recording", "Ctrl+O", icon="open"),
     Command(
         "open_folder",
         "Open folder…",
         "Open a folder: the images of one recording, or several recordings as a table",
+        "Ctrl+Shift+O",
         icon="folder",
-        key="Ctrl+Shift+O",
     ),
     Command(
         "open_mesh",
         "Open mesh…",
         "Open the mesh of the touched object, for its pose",
+        "Ctrl+M",
         icon="cube",
-        key="Ctrl+M",
     ),
     Command("close_mesh", "Close mesh", "Return to the mesh of the recording, if any"),
     Command(
@@ -57,28 +57,25 @@ FILE_COMMANDS = (
         "save_session",
         "Save session",
         "Save the session: files, settings and layout",
+        "Ctrl+S",
         icon="save",
-        key="Ctrl+S",
     ),
     Command(
-        "save_session_as",
-        "Save session as…",
-        "Save the session under another name",
-        key="Ctrl+Shift+S",
+        "save_session_as", "Save session as…", "Save the session under another name", "Ctrl+Shift+S"
     ),
     Command(
         "export",
         "Export…",
         "Write panes as image, points, arrays, table or video",
+        "Ctrl+E",
         icon="image",
-        key="Ctrl+E",
     ),
     Command(
         "export_bundle",
         "Export repro bundle…",
         "Write this frame and everything that reproduces it to a folder",
     ),
-    Command("quit", "Quit", "Close the window", icon="close", key="Ctrl+Q"),
+    Command("quit", "Quit", "Close the window", "Ctrl+Q", icon="close"),
 )
 REFERENCE_COMMANDS = (
     Command(
@@ -112,76 +109,67 @@ CAPTURE_COMMANDS = (
         "live",
         "Live…",
         "Open a live source: a simulated sensor, a camera, or a folder that grows",
+        "Ctrl+Shift+L",
         icon="live",
-        key="Ctrl+Shift+L",
     ),
     Command(
-        "copy_image",
-        "Copy image",
-        "Copy an image of the active pane, or of the window",
-        key="Ctrl+C",
+        "copy_image", "Copy image", "Copy an image of the active pane, or of the window", "Ctrl+C"
     ),
     Command(
         "save_video",
         "Save video…",
         "Write source, scene, generated and recorded touch of all frames as a video",
-        key="Ctrl+Shift+V",
+        "Ctrl+Shift+V",
     ),
-    Command(
-        "save_screenshot", "Save screenshot…", "Save an image of the window", key="Ctrl+Shift+E"
-    ),
+    Command("save_screenshot", "Save screenshot…", "Save an image of the window", "Ctrl+Shift+E"),
     Command(
         "copy_command",
         "Copy as command",
         "Copy the command line that reproduces the screen",
-        key="Ctrl+Shift+C",
+        "Ctrl+Shift+C",
     ),
 )
 EDIT_COMMANDS = (
-    Command("undo", "Undo", "Undo the last change", icon="undo", key="Ctrl+Z"),
-    Command("redo", "Redo", "Redo the change", icon="redo", key="Ctrl+Shift+Z"),
+    Command("undo", "Undo", "Undo the last change", "Ctrl+Z", icon="undo"),
+    Command("redo", "Redo", "Redo the change", "Ctrl+Shift+Z", icon="redo"),
     Command(
         "reset_all",
         "Reset parameters",
         "Reset the parameters of every stage to their defaults",
         icon="reset",
     ),
-    Command(
-        "cancel", "Cancel", "Cancel the computation and clear the probe", icon="stop", key="Esc"
-    ),
+    Command("cancel", "Cancel", "Cancel the computation and clear the probe", "Esc", icon="stop"),
 )
 PLAYBACK_COMMANDS = (
-    Command("first", "First frame", "Go to the first frame", icon="first", key="Home"),
-    Command("previous", "Previous frame", "Go to the previous frame", icon="previous", key="Left"),
-    Command("play", "Play", "Play or pause", icon="play", key="Space", checkable=True),
-    Command("next", "Next frame", "Go to the next frame", icon="next", key="Right"),
-    Command("last", "Last frame", "Go to the last frame", icon="last", key="End"),
-    Command("back_10", "Back 10 frames", "Go 10 frames back", key="Shift+Left"),
-    Command("forward_10", "Forward 10 frames", "Go 10 frames forward", key="Shift+Right"),
+    Command("first", "First frame", "Go to the first frame", "Home", icon="first"),
+    Command("previous", "Previous frame", "Go to the previous frame", "Left", icon="previous"),
+    Command("play", "Play", "Play or pause", "Space", icon="play", checkable=True),
+    Command("next", "Next frame", "Go to the next frame", "Right", icon="next"),
+    Command("last", "Last frame", "Go to the last frame", "End", icon="last"),
+    Command("back_10", "Back 10 frames", "Go 10 frames back", "Shift+Left"),
+    Command("forward_10", "Forward 10 frames", "Go 10 frames forward", "Shift+Right"),
     Command(
         "worse_frame",
         "Worse frame",
         "Go to the next worse frame by the metric of the frames table",
-        key="J",
+        "J",
     ),
     Command(
         "worst_frame",
         "Worst frame",
         "Go to the frame with the largest known error",
+        "Shift+J",
         icon="worst",
-        key="Shift+J",
     ),
     Command(
         "better_frame",
         "Better frame",
         "Go to the next better frame by the metric of the frames table",
-        key="K",
+        "K",
     ),
-    Command(
-        "loop", "Loop", "Restart after the last frame", icon="loop", key="Ctrl+L", checkable=True
-    ),
-    Command("loop_from", "Loop from here", "Start the loop at this frame", key="["),
-    Command("loop_to", "Loop to here", "End the loop at this frame", key="]"),
+    Command("loop", "Loop", "Restart after the last frame", "Ctrl+L", icon="loop", checkable=True),
+    Command("loop_from", "Loop from here", "Start the loop at this frame", "["),
+    Command("loop_to", "Loop to here", "End the loop at this frame", "]"),
     Command("loop_all", "Loop all frames", "Loop over the whole recording"),
 )
 VIEW_COMMANDS = (
@@ -189,42 +177,40 @@ VIEW_COMMANDS = (
         "link_cameras",
         "Link cameras",
         "Rotate all 3D views of one frame together",
+        "L",
         icon="link",
-        key="L",
         checkable=True,
     ),
-    Command("reset_view", "Reset view", "Fit every image and 3D view", icon="fit", key="R"),
+    Command("reset_view", "Reset view", "Fit every image and 3D view", "R", icon="fit"),
     Command(
         "fit_contact",
         "Fit contact",
         "Zoom every image to the contact, or back to the sensor",
-        key="Z",
+        "Z",
         checkable=True,
     ),
     Command(
         "link_previews",
         "Link images",
         "Pan and zoom all images together, in millimetres",
-        key="Shift+L",
+        "Shift+L",
         checkable=True,
     ),
-    Command(
-        "pin_probe", "Pin probe", "Keep the probed pixel", icon="target", key="F", checkable=True
-    ),
+    Command("pin_probe", "Pin probe", "Keep the probed pixel", "F", icon="target", checkable=True),
     Command(
         "magnify",
         "Magnifier",
         "Show the pixel values around the pointer in a corner of the image",
+        "M",
         icon="magnifier",
-        key="M",
         checkable=True,
     ),
     Command(
         "full_screen",
         "Presentation",
         "Show the three panes on the full screen, the press in motion; Esc leaves",
+        "F11",
         icon="panes",
-        key="F11",
         checkable=True,
     ),
     Command(
@@ -232,23 +218,23 @@ VIEW_COMMANDS = (
         "Probe by keys",
         "Move the probe or the section line by arrow keys; Enter pins, Tab goes to the next "
         "image, Esc ends",
-        key="P",
+        "P",
     ),
     Command(
         "inspector",
         "Inspector",
         "Show the parameters of the chosen stage, figures of the frame and where its error comes "
         "from",
+        "F3",
         icon="sliders",
-        key="F3",
         checkable=True,
     ),
     Command(
         "section_line",
         "Section line",
         "Draw a line through all images and plot the heights along it",
+        "X",
         icon="section",
-        key="X",
         checkable=True,
     ),
 )
@@ -257,32 +243,32 @@ COMPARISON_MODE_COMMANDS = (
         "show_truth",
         "Truth",
         "Show the truth instead of the result",
+        "T",
         icon="tick",
-        key="T",
         checkable=True,
     ),
     Command(
         "show_difference",
         "Difference",
         "Show the result minus the truth",
+        "D",
         icon="minus",
-        key="D",
         checkable=True,
     ),
     Command(
         "show_wipe",
         "Wipe",
         "Show the result left of a handle, the truth right of it",
+        "W",
         icon="wipe",
-        key="W",
         checkable=True,
     ),
     Command(
         "show_blink",
         "Blink",
         "Alternate between the result and the truth",
+        "B",
         icon="blink",
-        key="B",
         checkable=True,
     ),
 )
@@ -291,7 +277,7 @@ VARIANT_COMMANDS = (
         "set_variant_settings",
         "Keep these settings as B",
         "Keep the current settings as session B of Compare",
-        key="Ctrl+H",
+        "Ctrl+H",
     ),
     Command(
         "set_variant_recording",
@@ -311,8 +297,8 @@ REGISTRATION_COMMANDS = (
         "edit_alignment",
         "Edit alignment",
         "Open the alignment dock and focus its first number",
+        "A",
         icon="axes",
-        key="A",
     ),
     Command("step_through", "Step through", "Keep the iterations of a stage and show them"),
     Command("open_track", "Open track…", "Open a folder with a track"),
@@ -325,66 +311,61 @@ LAYOUT_COMMANDS = (
         "layout_look",
         "Look",
         "Show all stages as cards, and up to three of them large",
-        key="Ctrl+1",
+        "Ctrl+1",
         checkable=True,
     ),
     Command(
         "layout_compare",
         "Compare",
         "Compare methods, settings, or values on a grid, on one frame",
-        key="Ctrl+2",
+        "Ctrl+2",
         checkable=True,
     ),
     Command(
         "layout_align",
         "Align",
         "Show the target depth against the recorded touch, with the alignment handles",
-        key="Ctrl+3",
+        "Ctrl+3",
         checkable=True,
     ),
     Command(
         "layout_track",
         "Track",
         "Show the motion of the touched object and its fused surface",
-        key="Ctrl+4",
+        "Ctrl+4",
         checkable=True,
     ),
     Command(
         "layout_task",
         "Task",
         "Show the rollouts of a task: why a trial fails",
-        key="Ctrl+5",
+        "Ctrl+5",
         checkable=True,
     ),
     Command(
         "layout_folder",
         "Folder",
         "Show the recordings of a folder as one table",
-        key="Ctrl+6",
+        "Ctrl+6",
         checkable=True,
     ),
 )
 TASK_COMMANDS = (
     Command("open_rollouts", "Open rollouts…", "Open a folder of recorded trials"),
-    Command("previous_trial", "Previous trial", "Open the trial above in the table", key="Ctrl+Up"),
-    Command("next_trial", "Next trial", "Open the trial below in the table", key="Ctrl+Down"),
-    Command("next_decision", "Next decision", "Go to the tick of the next decision", key="N"),
+    Command("previous_trial", "Previous trial", "Open the trial above in the table", "Ctrl+Up"),
+    Command("next_trial", "Next trial", "Open the trial below in the table", "Ctrl+Down"),
+    Command("next_decision", "Next decision", "Go to the tick of the next decision", "N"),
     Command(
         "attribute_rollout",
         "Attribute decision",
         "Run the rollout again with the truth in place of one stage after the other",
-        key="Ctrl+Return",
+        "Ctrl+Return",
     ),
     Command("copy_trials", "Copy trials", "Copy the listed trials as a table"),
     Command(
         "export_rollout_video",
         "Export rollout video…",
         "Write scene, touches and force of every tick as video",
-    ),
-    Command(
-        "export_rollout_bundle",
-        "Export rollout bundle…",
-        "Write this rollout and what runs it again to a folder, for `tactoscope replay`",
     ),
 )
 SCENE_COMMANDS = (
@@ -393,7 +374,7 @@ SCENE_COMMANDS = (
         "Press in motion",
         "Play the press in the scene: depth scaled from 0 to this frame's. In the scene the space "
         "bar pauses, Esc ends",
-        key="Shift+Space",
+        "Shift+Space",
         checkable=True,
     ),
     Command("scene_free", "Oblique view", "Look at the scene from the side and above"),
@@ -435,11 +416,7 @@ THEME_COMMANDS = (
 )
 HELP_COMMANDS = (
     Command(
-        "palette",
-        "Commands…",
-        "Search all commands and their shortcuts",
-        icon="help",
-        key="Ctrl+K",
+        "palette", "Commands…", "Search all commands and their shortcuts", "Ctrl+K", icon="help"
     ),
 )
 MENUS: Mapping[str, tuple[Command, ...]] = {  # title -> commands; every command is in one menu
@@ -457,14 +434,14 @@ MENUS: Mapping[str, tuple[Command, ...]] = {  # title -> commands; every command
 }
 
 
-def make_stage_commands(titles: tuple[str, ...]) -> tuple[Command, ...]:
+def make_stage_commands(titles: Iterable[str]) -> tuple[Command, ...]:
     """Return the commands 1, 2, ... that show one stage large."""
     return tuple(
         Command(
             f"stage_{i + 1}",
             f"Show {title.lower()}",
             "Show this stage in the active pane",
-            key=str(i + 1),
+            str(i + 1),
         )
         for i, title in enumerate(titles)
     )

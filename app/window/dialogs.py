@@ -46,7 +46,6 @@ _SAVERS = {  # command -> title, kind of file, suffix
     "save_screenshot": ("Save screenshot", "Images", ".png"),
     "export_bundle": ("Export repro bundle", "Repro bundles", ".bundle"),
     "export_track": ("Export track", "Tracks", ".track"),
-    "export_rollout_bundle": ("Export rollout bundle", "Repro bundles", ".bundle"),
 }
 
 
@@ -67,22 +66,24 @@ def ask_save_path(parent: QWidget, command: str, folder: str = "") -> Path | Non
     A missing suffix is added, for sessions always. None if cancelled.
     """
     title, kind, suffix = _SAVERS[command]
-    chosen, _ = QFileDialog.getSaveFileName(parent, title, folder, f"{kind} (*{suffix})")
-    path = Path(chosen)
-    if not chosen:
-        return None
-    named = path.name.endswith(suffix) or (bool(path.suffix) and suffix != SESSION_SUFFIX)
-    return path if named else path.with_name(path.name + suffix)
+    keeps_own = suffix != SESSION_SUFFIX
+    return _ask_name(parent, title, folder, kind, suffix, keeps_own=keeps_own)
 
 
 def ask_export_path(parent: QWidget, title: str, suffix: str, folder: str = "") -> Path | None:
     """Ask for a file name that ends in `suffix`; None if cancelled."""
-    kind = suffix.removeprefix(".").upper()
+    return _ask_name(parent, title, folder, suffix.removeprefix(".").upper(), suffix)
+
+
+def _ask_name(
+    parent: QWidget, title: str, folder: str, kind: str, suffix: str, *, keeps_own: bool = False
+) -> Path | None:
     chosen, _ = QFileDialog.getSaveFileName(parent, title, folder, f"{kind} (*{suffix})")
     if not chosen:
         return None
     path = Path(chosen)
-    return path if path.suffix.lower() == suffix else path.with_name(path.name + suffix)
+    is_named = chosen.lower().endswith(suffix) or (keeps_own and path.suffix)
+    return path if is_named else path.with_name(path.name + suffix)
 
 
 def quote_path(path: Path) -> str:

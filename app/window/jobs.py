@@ -23,9 +23,10 @@ class JobReporter:
     job is cancelled.
     """
 
-    def __init__(self, job: LatestJob, ticket: int) -> None:
+    def __init__(self, job: LatestJob, ticket: int, work: JobFunction) -> None:
         self.job = job
         self.ticket = ticket
+        self.work = work
         self.cancelled = threading.Event()
         self._reported_s = self._fraction = 0.0
 
@@ -74,7 +75,6 @@ class LatestJob(QObject):
         super().__init__(parent)
         self._changed = threading.Condition()
         self._waiting: JobReporter | None = None
-        self._work: JobFunction | None = None
         self._running: JobReporter | None = None
         self._closing = False
         self.newest_ticket = 0
@@ -94,22 +94,19 @@ class LatestJob(QObject):
                 return self.newest_ticket
             self.newest_ticket += 1
             dropped = self._waiting
-            self._waiting = JobReporter(self, self.newest_ticket)
-            self._work = work
+            self._waiting = submitted = JobReporter(self, self.newest_ticket, work)
             if interrupt and self._running is not None:
                 self._running.cancelled.set()
             self._changed.notify()
-            ticket = self.newest_ticket
         if dropped is not None:
             self.cancelled.emit(dropped.ticket)
-        return ticket
+        return submitted.ticket
 
     def cancel(self) -> None:
         """Cancel the running job at its next step, and drop the waiting one."""
         with self._changed:
             dropped = self._waiting
             self._waiting = None
-            self._work = None
             if self._running is not None:
                 self._running.cancelled.set()
         if dropped is not None:
@@ -146,46 +143,38 @@ class LatestJob(QObject):
             with self._changed:
                 while self._waiting is None and not self._closing:
                     self._changed.wait()
-                if self._closing or self._waiting is None or self._work is None:
+                if self._closing or self._waiting is None:
                     return
-                report = self._waiting
-                work = self._work
-                self._running = report
+                self._running = report = self._waiting
                 self._waiting = None
-                self._work = None
                 self._n_unreported += 1
             try:
-                self._run(report, work)
+                self._run(report)
                 self._ended.emit()
             except RuntimeError:  # PyQt: the window is destroyed before the job could be cancelled
                 if sip.isdeleted(self):
                     return
                 raise
 
-    def _run(self, report: JobReporter, work: JobFunction) -> None:
+    def _run(self, report: JobReporter) -> None:
         self.started.emit(report.ticket)
+        result = problem = None
         try:
             with compiling.report_compiling(report.report_message):
-                result = work(report)
+                result = report.work(report)
         except Cancelled:
-            self._clear_running()
-            self.cancelled.emit(report.ticket)
+            report.cancelled.set()
         except Exception as error:  # noqa: BLE001 - thread border: every error must reach the window
-            self._clear_running()
-            self.failed.emit(report.ticket, error)
+            problem = error
+        with self._changed:
+            self._running = None
+        if problem is not None:
+            self.failed.emit(report.ticket, problem)
+        elif report.cancelled.is_set():
+            self.cancelled.emit(report.ticket)
         else:
-            self._clear_running()
-            is_cancelled = report.cancelled.is_set()
-            _ = (
-                self.cancelled.emit(report.ticket)
-                if is_cancelled
-                else self.finished.emit(report.ticket, result)
-            )
+            self.finished.emit(report.ticket, result)
 
     def _count_end(self) -> None:
         with self._changed:
             self._n_unreported -= 1
-
-    def _clear_running(self) -> None:
-        with self._changed:
-            self._running = None

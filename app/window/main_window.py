@@ -27,7 +27,7 @@ from app.window.actions import (
     make_actions,
     make_stage_commands,
 )
-from app.window.menus import Drawers, build_menus, build_tool_bar
+from app.window.menus import build_menus, build_tool_bar, make_drawers
 from widgets.align.alignment_panel import AlignmentPanel
 from widgets.compare.comparison_page import ComparisonPage
 from widgets.folder.folder_page import FolderPage
@@ -72,26 +72,20 @@ class MainWindow(QMainWindow):
     closing = pyqtSignal()
     _put_away: Sequence[QWidget] = ()  # by a presentation
 
-    def __init__(self, columns: Sequence[tuple[str, str]]) -> None:
+    def __init__(self, columns: Mapping[str, str]) -> None:
+        """`columns` has the title of each by its name."""
         super().__init__()
         self.setWindowTitle("Tactoscope[*]")
-        self._set_default_size()
+        screen = self.screen()
+        self.resize(DEFAULT_SIZE.boundedTo(screen.availableSize()) if screen else DEFAULT_SIZE)
         self.setAcceptDrops(True)
         self.setDockNestingEnabled(True)
         self.may_close: Callable[[], bool] = lambda: True  # called before the window closes
-        titles = tuple(title for _, title in columns)
-        self.actions_by_name: Mapping[str, QAction] = make_actions(
-            self,
-            (
-                *chain.from_iterable(MENUS.values()),
-                *REFERENCE_COMMANDS,
-                *THEME_COMMANDS,
-                *make_stage_commands(titles),
-            ),
-        )
-        self.columns = {
-            name: StageColumn(name, f"{i + 1} {title}") for i, (name, title) in enumerate(columns)
-        }
+        in_menus = chain(*MENUS.values(), REFERENCE_COMMANDS, THEME_COMMANDS)
+        commands = *in_menus, *make_stage_commands(columns.values())
+        self.actions_by_name: Mapping[str, QAction] = make_actions(self, commands)
+        numbered = {name: f"{i + 1} {columns[name]}" for i, name in enumerate(columns)}
+        self.columns = {name: StageColumn(name, title) for name, title in numbered.items()}
         self.banner = Banner()
         self.timeline = Timeline()
         self.frames = FramesPanel()
@@ -105,7 +99,7 @@ class MainWindow(QMainWindow):
         self.section_panel = SectionPanel()
         self._hidden_stages = frozenset[str]()
         self.current_layout = Layout()
-        self.view_panels = {name: View3DPanel() for name, _ in columns}
+        self.view_panels = {name: View3DPanel() for name in numbered}
         self.scene_panel = ScenePanel()
         self.verdict = VerdictLine()
         self.pages = QStackedWidget()
@@ -113,24 +107,17 @@ class MainWindow(QMainWindow):
         self.task = TaskPage()
         self.track = TrackPage()
         self.inspector = Inspector(self.parameters, self.error_attribution)
-        self.look = LookPage(
-            {name: f"{i + 1} {title}" for i, (name, title) in enumerate(columns)}, self.inspector
-        )
+        self.look = LookPage(numbered, self.inspector)
         held = ((c, c.head, self.view_panels[name]) for name, c in self.columns.items())
         for widget in chain(*held, (self.scene_panel,)):  # until a pane shows them
             widget.setParent(self.look)
             widget.hide()
-        self.source = self._make_sensor_box("source", "the touch is recorded by")
-        self.target = self._make_sensor_box("target", "the touch is translated into")
-        self.route = ChoiceBox("choose_route", "route")
-        self.route.setToolTip("Route: which stages lead to the touch of the target")
-        self.route.setSizeAdjustPolicy(self.source.sizeAdjustPolicy())
-        self.route.setMinimumContentsLength(_CHOOSER_LETTERS)
+        self.source = _make_sensor_box("source", "the touch is recorded by")
+        self.target = _make_sensor_box("target", "the touch is translated into")
+        self.route = _make_chooser("route", "Route: which stages lead to the touch of the target")
         self._build_centre()
         self._build_drawers()
-        self.menus = build_menus(
-            self, self.actions_by_name, len(self.columns), self.drawers.all_drawers
-        )
+        self.menus = build_menus(self, self.actions_by_name, len(self.columns), self.drawers)
         self.scene_panel.offer(self.actions_by_name["press_motion"], self.menus["Scene"])
         layouts = [self.actions_by_name[f"layout_{name}"] for name in LAYOUT_NAMES]
         self.layout_tabs = ActionTabs(layouts, "layout")
@@ -143,8 +130,6 @@ class MainWindow(QMainWindow):
             (self.source, QLabel("→"), self.target, self.route, self.layout_tabs),
             (self.drawers.frames, self.drawers.diagnostics),  # *Align* opens the other
         )
-        for name in ("first", "previous", "play", "next", "last", "loop"):
-            self.timeline.add_command(self.actions_by_name[name])
         self._build_status()
 
     def show_title(self, recording: str, details: str) -> None:
@@ -153,35 +138,12 @@ class MainWindow(QMainWindow):
         self.setWindowTitle(" · ".join(parts) if recording else "Tactoscope[*]")
         self._menu_button.setText(f"\N{TRIGRAM FOR HEAVEN} {recording or 'Menu'}")
 
-    def _set_default_size(self) -> None:
-        """Set the default size, at most the screen's."""
-        screen = self.screen()
-        self.resize(
-            DEFAULT_SIZE if screen is None else DEFAULT_SIZE.boundedTo(screen.availableSize())
-        )
-
     def maximize_if_tight(self) -> None:
         """Maximise the window where its default size and a title bar do not fit the screen."""
         screen = self.screen()
-        if (
-            screen is not None
-            and (DEFAULT_SIZE + _FRAME).boundedTo(screen.availableSize()) != DEFAULT_SIZE + _FRAME
-        ):
+        whole = DEFAULT_SIZE + _FRAME
+        if screen is not None and whole.boundedTo(screen.availableSize()) != whole:
             self.setWindowState(self.windowState() | Qt.WindowState.WindowMaximized)
-
-    def stay_on_screen(self) -> None:
-        """Move and resize the window into the available screen."""
-        screen = self.screen()
-        if screen is None or self.isMaximized() or self.isFullScreen():
-            return
-        room = screen.availableGeometry()
-        frame = self.frameGeometry()
-        edges = frame.size() - self.size()
-        self.resize(self.size().boundedTo(room.size() - edges))
-        frame = self.frameGeometry()
-        left = min(max(frame.left(), room.left()), room.right() + 1 - frame.width())
-        top = min(max(frame.top(), room.top()), room.bottom() + 1 - frame.height())
-        self.move(max(left, room.left()), max(top, room.top()))
 
     def show_drawer(self, drawer: QDockWidget) -> None:
         """Open a drawer in front of the others."""
@@ -209,41 +171,27 @@ class MainWindow(QMainWindow):
         self.setCentralWidget(centre)
 
     def _build_drawers(self) -> None:
-        for name in ("open_alignment", "save_alignment"):
-            self.alignment.add_command(self.actions_by_name[name])
         self.tabs = QTabWidget()
         self.tabs.setObjectName("diagnostic_tabs")
         self.tabs.setAccessibleName("diagnostics")
         self.tabs.setDocumentMode(True)
-        tabs = (
-            (self.probes, "Probes"),
-            (self.section_panel, "Section"),
-            (self.steps_panel, "Steps"),
-            (self.log, "Log"),
-        )
-        for widget, title in tabs:
-            self.tabs.addTab(widget, title)
-        for name in ("set_variant_settings", "set_variant_recording", "clear_variant"):
-            self.comparison.add_command(self.actions_by_name[name])
-        self.task.add_command(self.actions_by_name["open_rollouts"])
-        for name in ("open_track", "export_track"):
-            self.track.add_command(self.actions_by_name[name])
-        self.drawers = Drawers(
-            self,
-            frames=self.frames,
-            alignment=self.alignment,
-            diagnostics=self.tabs,
-        )
-
-    def _make_sensor_box(self, role: str, use: str) -> ChoiceBox:
-        box = ChoiceBox(f"choose_{role}", f"{role} sensor")
-        box.setToolTip(f"{role.capitalize()}: the sensor that {use}")
-        box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-        box.setMinimumContentsLength(_CHOOSER_LETTERS)
-        view = box.view()
-        assert view is not None
-        view.setMinimumWidth(_SENSOR_LIST_PX)
-        return box
+        self.tabs.addTab(self.probes, "Probes")
+        self.tabs.addTab(self.section_panel, "Section")
+        self.tabs.addTab(self.steps_panel, "Steps")
+        self.tabs.addTab(self.log, "Log")
+        for panel, names in (
+            (self.alignment, ("open_alignment", "save_alignment")),
+            (
+                self.comparison,
+                ("set_variant_settings", "set_variant_recording", "clear_variant"),
+            ),
+            (self.task, ("open_rollouts",)),
+            (self.track, ("open_track", "export_track")),
+            (self.timeline, ("first", "previous", "play", "next", "last", "loop")),
+        ):
+            for name in names:
+                panel.add_command(self.actions_by_name[name])
+        self.drawers = make_drawers(self, self.frames, self.alignment, self.tabs)
 
     def _build_status(self) -> None:
         """The trace at the left; at the right the pixel under the mouse, or what is computed."""
@@ -282,19 +230,16 @@ class MainWindow(QMainWindow):
         if is_wide != self._is_wide:
             self._is_wide = is_wide
             self.actions_by_name["inspector"].setChecked(is_wide)
-            self.show_inspector_if_checked()
 
     def show_inspector(self) -> None:
         """Show *Look* with the inspector."""
         if self.current_layout.name != "look":
             self.actions_by_name["layout_look"].trigger()
         self.actions_by_name["inspector"].setChecked(True)
-        self.show_inspector_if_checked()
 
     def show_inspector_if_checked(self) -> None:
         """Show the inspector, unless its command or the layout hides it."""
-        is_shown = self.actions_by_name["inspector"].isChecked()
-        is_shown = is_shown and not self.is_presenting
+        is_shown = self.actions_by_name["inspector"].isChecked() and not self.is_presenting
         self.inspector.setVisible(is_shown and self.current_layout.name == "look")
 
     def show_progress(self, fraction: float | None, text: str = "") -> None:
@@ -332,16 +277,15 @@ class MainWindow(QMainWindow):
         if on == self.is_presenting:
             return
         put_away = self._put_away
-        self._put_away = ()
         if on:
-            around = *self.findChildren(QToolBar), *self.drawers.all_drawers, self._status
+            around = *self.findChildren(QToolBar), *self.drawers, self._status
             put_away = [one for one in (*around, self.verdict) if one.isVisible()]
-            self._put_away = put_away
+        else:
+            self.look.show_titles({})
+        self._put_away = put_away if on else ()
         for widget in put_away:
             widget.setVisible(not on)
         self.setWindowState(self.windowState() ^ Qt.WindowState.WindowFullScreen)
-        if not on:
-            self.look.show_titles({})
         self.show_layout(self.current_layout)
 
     def hide_stages(self, names: frozenset[str]) -> None:
@@ -362,18 +306,12 @@ class MainWindow(QMainWindow):
         self.look.filmstrip.hide_stages(self._hidden_stages)
         self.look.filmstrip.setVisible(layout.name == "look" and not self.is_presenting)
         panes = layout.resolve_panes(self.route_columns) if page is self.look else ()
+        solid = dict(self.view_panels)
+        for name, dims in panes:
+            if dims == "scene" or layout.name == "align":
+                solid[name] = self.scene_panel
         self.look.show_panes(
-            [
-                (
-                    name,
-                    self.columns[name],
-                    self.scene_panel
-                    if dims == "scene" or layout.name == "align"
-                    else self.view_panels[name],
-                    dims,
-                )
-                for name, dims in panes
-            ]
+            [(name, self.columns[name], solid[name], dims) for name, dims in panes]
         )
         self.show_inspector_if_checked()
         self.pages.setCurrentWidget(page)
@@ -401,9 +339,8 @@ class MainWindow(QMainWindow):
     @property
     def shows_true_touch(self) -> bool:
         """Whether the generated touch is shown with the recorded one."""
-        return self.current_layout.name == "task" or any(
-            name == "touch" and column.isVisible() for name, column in self.columns.items()
-        )
+        touch = self.columns.get("touch")
+        return self.current_layout.name == "task" or (touch is not None and touch.isVisible())
 
     def connect_command(self, name: str, function: Callable[[], object]) -> None:
         """Call `function` when a command is triggered."""
@@ -411,16 +348,12 @@ class MainWindow(QMainWindow):
 
     def dragEnterEvent(self, a0: QDragEnterEvent | None) -> None:  # noqa: N802
         """Accept files and folders."""
-        mime = None if a0 is None else a0.mimeData()
-        if a0 is not None and mime is not None and any(url.isLocalFile() for url in mime.urls()):
+        if a0 is not None and _list_paths(a0):
             a0.acceptProposedAction()
 
     def dropEvent(self, a0: QDropEvent | None) -> None:  # noqa: N802
         """Emit the dropped paths."""
-        if a0 is None or (mime := a0.mimeData()) is None:
-            return
-        paths = [Path(url.toLocalFile()) for url in mime.urls() if url.isLocalFile()]
-        if paths:
+        if a0 is not None and (paths := _list_paths(a0)):
             a0.acceptProposedAction()
             self.paths_dropped.emit(paths)
 
@@ -431,3 +364,25 @@ class MainWindow(QMainWindow):
             return
         self.closing.emit()
         super().closeEvent(a0)
+
+
+def _list_paths(dropped: QDropEvent) -> list[Path]:
+    mime = dropped.mimeData()
+    urls = () if mime is None else mime.urls()
+    return [Path(url.toLocalFile()) for url in urls if url.isLocalFile()]
+
+
+def _make_chooser(name: str, tip: str) -> ChoiceBox:
+    box = ChoiceBox(f"choose_{name.partition(' ')[0]}", name)
+    box.setToolTip(tip)
+    box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+    box.setMinimumContentsLength(_CHOOSER_LETTERS)
+    return box
+
+
+def _make_sensor_box(role: str, use: str) -> ChoiceBox:
+    box = _make_chooser(f"{role} sensor", f"{role.capitalize()}: the sensor that {use}")
+    view = box.view()
+    assert view is not None
+    view.setMinimumWidth(_SENSOR_LIST_PX)
+    return box

@@ -1,6 +1,7 @@
 """Menus, tool bar and drawers."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtGui import QAction
@@ -9,7 +10,6 @@ from PyQt6.QtWidgets import (
     QMainWindow,
     QMenu,
     QSizePolicy,
-    QTabWidget,
     QToolButton,
     QWidget,
 )
@@ -31,21 +31,19 @@ _TOOLS = (
     "inspector",
 )
 _AT_RIGHT = ("palette", "full_screen", "export", "live")
-_AFTER_SEPARATOR = frozenset(
-    (
-        "open_mesh",
-        "save_session",
-        "export",
-        "quit",
-        "reset_all",
-        "copy_image",
-        "back_10",
-        "stage_1",
-        "set_variant_settings",
-        "edit_alignment",
-        "step_through",
-        "open_track",
-    )
+_AFTER_SEPARATOR = (
+    "open_mesh",
+    "save_session",
+    "export",
+    "quit",
+    "reset_all",
+    "copy_image",
+    "back_10",
+    "stage_1",
+    "set_variant_settings",
+    "edit_alignment",
+    "step_through",
+    "open_track",
 )
 # Buttons that get their text next to the icon while there is room, the first ones first.
 _TEXT_ORDER = (
@@ -58,7 +56,8 @@ _TEXT_ORDER = (
     "open_recording",
 )
 _AREA = Qt.DockWidgetArea
-_SIDE_PX = {_AREA.LeftDockWidgetArea: 360, _AREA.RightDockWidgetArea: 290}
+_LEAST_SIDE_PX = 290
+_SIDE_PX = {_AREA.LeftDockWidgetArea: 360, _AREA.RightDockWidgetArea: _LEAST_SIDE_PX}
 _MAX_SIDE_SHARE = 0.2  # of the window's width, for the frames table
 # height of the bottom drawer, and its largest share of the window
 _BOTTOM_PX = 210
@@ -111,9 +110,8 @@ def build_tool_bar(
     bar.setIconSize(QSize(20, 20))
     window.addToolBar(bar)
     everything = QMenu(bar)
-    for title, menu in menus.items():
-        if title != "Reference":
-            everything.addMenu(menu)
+    for title in MENUS:
+        everything.addMenu(menus[title.replace("&", "")])
     button = QToolButton()
     button.setObjectName("menu")
     button.setAccessibleName("menu")
@@ -122,81 +120,70 @@ def build_tool_bar(
     button.setShortcut("F10")
     button.setMenu(everything)
     button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
-    bar.addWidget(button)
-    bar.addAction(actions["open_recording"])
-    for widget in widgets:
-        bar.addWidget(widget)
-    for name in _TOOLS:
-        if name:
-            bar.addAction(actions[name])
-        else:
-            bar.addSeparator()
-    for drawer in drawers:
-        bar.addAction(drawer.toggleViewAction())
     spring = QWidget()
     spring.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
-    bar.addWidget(spring)
-    for name in _AT_RIGHT:
-        bar.addAction(actions[name])
+    for item in (button, "open_recording", *widgets, *_TOOLS, *drawers, spring, *_AT_RIGHT):
+        if isinstance(item, QDockWidget):
+            bar.addAction(item.toggleViewAction())
+        elif isinstance(item, QWidget):
+            bar.addWidget(item)
+        elif item:
+            bar.addAction(actions[item])
+        else:
+            bar.addSeparator()
     bar.set_text_order([actions[name] for name in _TEXT_ORDER])
     return button
 
 
-class Drawers:
+class Drawers(NamedTuple):
     """Frames at the left, alignment at the right, diagnostics at the bottom."""
 
-    def __init__(
-        self,
-        window: QMainWindow,
-        *,
-        frames: QWidget,
-        alignment: QWidget,
-        diagnostics: QTabWidget,
-    ) -> None:
-        self._window = window
-        self.frames = self._add_drawer("Frames", frames, _AREA.LeftDockWidgetArea, "table", "F2")
-        self.alignment = self._add_drawer(
-            "Alignment", alignment, _AREA.RightDockWidgetArea, "axes", "F4"
-        )
-        self.diagnostics = self._add_drawer(
-            "Diagnostics", diagnostics, _AREA.BottomDockWidgetArea, "lines", "F5"
-        )
-        window.setCorner(Qt.Corner.BottomLeftCorner, _AREA.LeftDockWidgetArea)
-        window.setCorner(Qt.Corner.BottomRightCorner, _AREA.RightDockWidgetArea)
-        for drawer in self.all_drawers:
-            drawer.hide()
+    frames: QDockWidget
+    alignment: QDockWidget
+    diagnostics: QDockWidget
 
-    @property
-    def all_drawers(self) -> tuple[QDockWidget, ...]:
-        """Every drawer."""
-        return self.frames, self.alignment, self.diagnostics
 
-    def _add_drawer(
-        self, title: str, widget: QWidget, area: Qt.DockWidgetArea, icon: str, key: str
-    ) -> QDockWidget:
-        drawer = QDockWidget(title, self._window)
-        drawer.setObjectName(f"dock_{title.lower()}")
-        drawer.setWidget(widget)
-        self._window.addDockWidget(area, drawer)
-        action = drawer.toggleViewAction()
-        assert action is not None
-        action.setIcon(make_command_icon(icon))
-        action.setShortcut(key)
-        action.setToolTip(f"{title} ({key})")
-        action.triggered.connect(lambda: self._fit_drawer(drawer))
-        self._window.addAction(action)
-        return drawer
+def make_drawers(
+    window: QMainWindow, frames: QWidget, alignment: QWidget, diagnostics: QWidget
+) -> Drawers:
+    """Add the drawers to the window, closed."""
+    drawers = Drawers(
+        _add_drawer(window, "Frames", frames, _AREA.LeftDockWidgetArea, "table", "F2"),
+        _add_drawer(window, "Alignment", alignment, _AREA.RightDockWidgetArea, "axes", "F4"),
+        _add_drawer(window, "Diagnostics", diagnostics, _AREA.BottomDockWidgetArea, "lines", "F5"),
+    )
+    window.setCorner(Qt.Corner.BottomLeftCorner, _AREA.LeftDockWidgetArea)
+    window.setCorner(Qt.Corner.BottomRightCorner, _AREA.RightDockWidgetArea)
+    return drawers
 
-    def _fit_drawer(self, drawer: QDockWidget) -> None:
-        """Raise an opened drawer, and give it its default width or height."""
-        if drawer.isHidden():
-            return
-        drawer.raise_()
-        area = self._window.dockWidgetArea(drawer)
-        if area in _SIDE_PX:
-            most_px = round(_MAX_SIDE_SHARE * self._window.width())
-            width_px = min(_SIDE_PX[area], max(most_px, _SIDE_PX[_AREA.RightDockWidgetArea]))
-            self._window.resizeDocks([drawer], [width_px], Qt.Orientation.Horizontal)
-        else:
-            height_px = min(_BOTTOM_PX, round(_MAX_BOTTOM_SHARE * self._window.height()))
-            self._window.resizeDocks([drawer], [height_px], Qt.Orientation.Vertical)
+
+def _add_drawer(
+    window: QMainWindow, title: str, widget: QWidget, area: Qt.DockWidgetArea, icon: str, key: str
+) -> QDockWidget:
+    drawer = QDockWidget(title, window)
+    drawer.setObjectName(f"dock_{title.lower()}")
+    drawer.setWidget(widget)
+    window.addDockWidget(area, drawer)
+    drawer.hide()
+    action = drawer.toggleViewAction()
+    assert action is not None
+    action.setIcon(make_command_icon(icon))
+    action.setShortcut(key)
+    action.setToolTip(f"{title} ({key})")
+    action.triggered.connect(lambda: _fit_drawer(window, drawer))
+    window.addAction(action)
+    return drawer
+
+
+def _fit_drawer(window: QMainWindow, drawer: QDockWidget) -> None:
+    """Raise an opened drawer, and give it its default width or height."""
+    if drawer.isHidden():
+        return
+    drawer.raise_()
+    side_px = _SIDE_PX.get(window.dockWidgetArea(drawer))
+    if side_px is not None:
+        px = min(side_px, max(round(_MAX_SIDE_SHARE * window.width()), _LEAST_SIDE_PX))
+        window.resizeDocks([drawer], [px], Qt.Orientation.Horizontal)
+    else:
+        px = min(_BOTTOM_PX, round(_MAX_BOTTOM_SHARE * window.height()))
+        window.resizeDocks([drawer], [px], Qt.Orientation.Vertical)

@@ -56,7 +56,6 @@ _LEFT_ALONE = frozenset(
         "open_track",
         "export_track",
         "export_rollout_video",
-        "export_rollout_bundle",
         "quit",
     )
 )

@@ -139,7 +139,7 @@ def test_qt_has_no_complaint_through_a_tour_of_the_window(open_window, touch_fil
         ):
             window.actions_by_name[name].trigger()
             assert wait_until_shown(controller, LIMIT_S), (name, window.banner.text)
-        for drawer in window.drawers.all_drawers:
+        for drawer in window.drawers:
             drawer.toggleViewAction().trigger()
         for size in ((1366, 768), (1600, 950)):
             window.resize(*size)

@@ -235,7 +235,7 @@ def test_align_shows_the_target_depth_minus_the_observation(window):
     assert shown.caption.startswith("reprojected")
     _arrange(window, "look")
     assert window.views.comparison_mode == ""
-    assert not any(drawer.isVisible() for drawer in window.window.drawers.all_drawers)
+    assert not any(drawer.isVisible() for drawer in window.window.drawers)
 
 
 def test_a_session_stores_the_layout(window, open_window, tmp_path):

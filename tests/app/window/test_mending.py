@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from PyQt6.QtWidgets import QLabel, QPushButton
 
-from app.align.ball_calibration import BallCalibrationController
+from app.align.ball_calibration import calibrate
 from app.document.session_controller import SessionController
+from app.export.export import ExportController
 from app.session.sample import SAMPLE_RECORDING
 from app.shell.mending import MendingController
 from app.shell.tour import wait_until_shown
@@ -152,8 +153,8 @@ def test_a_touch_beyond_the_target_is_centred_by_one_click(bubble_window):
 
 
 def test_a_calibration_needs_a_gel(bubble_window, tmp_path, qtbot):
-    calibration = bubble_window.findChild(BallCalibrationController)
-    calibration.calibrate(6.35, tmp_path / "table.npz")
+    export = bubble_window.findChild(ExportController)
+    calibrate(bubble_window, export, 6.35, tmp_path / "table.npz")
     qtbot.waitUntil(bubble_window.window.banner.isVisible, timeout=240_000)
     assert "the source is Soft Bubble" in bubble_window.window.banner.text
     assert not (tmp_path / "table.npz").exists()

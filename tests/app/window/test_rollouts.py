@@ -1,4 +1,4 @@
-"""The Task layout: rows, one tick in every view, attribution, video and bundle, damaged
+"""The Task layout: rows, one tick in every view, attribution, video, damaged
 rollouts.
 """
 
@@ -14,9 +14,7 @@ from PyQt6.QtGui import QGuiApplication
 
 from app.session.state import load_session
 from app.task.rollout_attribution import RolloutAttributionController
-from app.task.rollout_export import RolloutExportController
 from app.task.rollouts import RolloutController
-from pipeline.lab.tasks.rerun import replay_rollout
 from pipeline.lab.tasks.scene_view import ESTIMATE_NAME, TRUE_NAME
 from widgets.task.trials_panel import ERROR_MM
 
@@ -165,10 +163,9 @@ def test_attribution_can_be_cancelled(opened, qtbot):
     assert panel.run_bar.start_button.isEnabled()
 
 
-def test_video_has_one_image_per_tick_and_a_bundle_replays(opened, tmp_path, qtbot):
-    controller, rollouts = opened
-    export = get_part(controller, RolloutExportController)
-    export.write_video(tmp_path / "why.avi")
+def test_video_has_one_image_per_tick(opened, tmp_path, qtbot):
+    _, rollouts = opened
+    rollouts.write_video(tmp_path / "why.avi")
     qtbot.waitUntil((tmp_path / "why.avi").exists, timeout=LIMIT_MS)
     reader = cv2.VideoCapture(str(tmp_path / "why.avi"))
     images = []
@@ -176,10 +173,6 @@ def test_video_has_one_image_per_tick_and_a_bundle_replays(opened, tmp_path, qtb
         images.append(read[1])
     assert len(images) == rollouts.shown.rollout.n_ticks
     assert np.abs(images[0].astype(float) - images[-1]).max() > 100
-    qtbot.waitUntil(lambda: not export._export.is_busy, timeout=LIMIT_MS)
-    export.write_bundle(tmp_path / "why.bundle")
-    qtbot.waitUntil((tmp_path / "why.bundle").exists, timeout=LIMIT_MS)
-    assert replay_rollout(tmp_path / "why.bundle").agreement.is_same
 
 
 def test_nothing_is_read_while_another_layout_is_shown(opened, rollout_folder, qtbot, monkeypatch):

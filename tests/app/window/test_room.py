@@ -86,7 +86,7 @@ def test_nothing_is_cut_off_or_out_of_place(bubble_window, qtbot, layout):
     window.actions_by_name[f"layout_{layout}"].trigger()
     assert wait_until_shown(bubble_window, LIMIT_S)
     for size in SIZES:
-        for drawers in ((), (window.drawers.diagnostics,), tuple(window.drawers.all_drawers)):
+        for drawers in ((), (window.drawers.diagnostics,), tuple(window.drawers)):
             for drawer in drawers:
                 drawer.show()
             resize_window(window, size, qtbot)

@@ -24,7 +24,7 @@ def _count_colours(image) -> int:
 
 
 def _scene_layers(controller) -> dict:
-    place = controller.views.page_views["scene"]
+    place = controller.views.places["scene"]
     return {layer.name: layer for layer in controller.views.scene._layers.get(place, ())}
 
 
@@ -163,7 +163,7 @@ def test_views_zoom_and_measure_of_the_scene(open_window, qtbot):
     scene, view = controller.views.scene, controller.window.scene_panel.view
     actions = controller.window.actions_by_name
     qtbot.waitUntil(lambda: scene.is_open, timeout=LIMIT_S * 1000)
-    place = controller.views.page_views["scene"]
+    place = controller.views.places["scene"]
     actions["scene_source"].trigger()
     scene.draw_pending()
     labels = view.labels

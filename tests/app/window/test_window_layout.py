@@ -17,7 +17,7 @@ def test_captions_under_3d_views_shorten_with_the_room(bubble_window, qtbot):
     window.resize(1900, 1000)
     qtbot.waitUntil(lambda: "frame" in caption.text(), timeout=240_000)
     window.resize(1366, 768)
-    for drawer in window.drawers.all_drawers:
+    for drawer in window.drawers:
         drawer.toggleViewAction().trigger()
     qtbot.waitUntil(lambda: "frame" not in caption.text(), timeout=240_000)
     assert all(c.caption.sizeHint().width() <= c.width() for c in window.view_panels.values())
@@ -27,7 +27,7 @@ def test_captions_under_3d_views_shorten_with_the_room(bubble_window, qtbot):
 def test_drawers_start_closed_and_open_by_command_and_key(bubble_window, qtbot):
     window = bubble_window.window
     drawers = window.drawers
-    assert not any(drawer.isVisible() for drawer in drawers.all_drawers)
+    assert not any(drawer.isVisible() for drawer in drawers)
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow, timeout=240_000)
     qtbot.keyClick(window, Qt.Key.Key_F2)
@@ -44,7 +44,7 @@ def test_a_window_that_fills_a_small_screen_does_not_grow_with_its_drawers(bubbl
     small = QSize(1366, 768)
     window.resize(small)
     qtbot.waitUntil(lambda: window.size() == small, timeout=240_000)
-    for drawer in window.drawers.all_drawers:
+    for drawer in window.drawers:
         drawer.toggleViewAction().trigger()
         qtbot.wait(150)
         assert window.size() == small, drawer.objectName()
@@ -66,9 +66,8 @@ def test_a_first_start_lies_inside_the_screen(open_window, monkeypatch, size, is
     """
     room = QRect(0, 0, *size)
     screen = SimpleNamespace(availableSize=room.size, availableGeometry=lambda: room)
-    window = open_window().window
     monkeypatch.setattr(MainWindow, "screen", lambda _: screen)
-    window._set_default_size()
+    window = open_window().window
     assert room.size().expandedTo(window.size()) == room.size()
     assert window.minimumSizeHint().height() < size[1] - 40
     window.maximize_if_tight()
