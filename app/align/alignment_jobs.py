@@ -2,7 +2,7 @@
 frames.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import cast
 
 from app.document.evaluator import Evaluator
@@ -10,6 +10,7 @@ from app.document.requests import get_depth_params, make_request
 from app.session.state import Session
 from app.window.jobs import JobReporter
 from pipeline.core.arrays import Doubles
+from pipeline.core.frozen import frozen
 from pipeline.sensors.alignment import Offsets, decompose_motion
 from pipeline.stages.target_depth.stage import POINT_SPLAT, SURFACE
 from pipeline.stages.target_depth.surface_projection import ProjectionParams
@@ -24,7 +25,7 @@ from pipeline.views.preview import Preview, add_observed_outline, enlarge_previe
 VALIDATION_FRACTION = 0.25  # of the touches, held out to validate a refinement
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class DragPreview:
     """Coarse target depth and agreement while the alignment is dragged."""
 
@@ -34,7 +35,7 @@ class DragPreview:
     score: AlignmentScore | None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class AlignmentAssessment:
     """Agreement of one frame, and the sensitivity of each axis once computed."""
 
@@ -45,7 +46,7 @@ class AlignmentAssessment:
     pivot_mm: Doubles  # (3,) target frame
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class RefinementProposal:
     """A refinement, and the offsets to set when it is accepted."""
 
@@ -53,7 +54,7 @@ class RefinementProposal:
     offsets: Offsets
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class BeforeAfter:
     """Previews of the target depth under the current and the refined alignment."""
 

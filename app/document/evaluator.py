@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from app.document.requests import (
     apply_session,
@@ -21,6 +21,7 @@ from app.views.stage_previews import PreviewCache, summarise_frame
 from app.views.target_comparison import TargetComparison, build_target_comparison
 from app.window.jobs import JobReporter
 from pipeline.core.errors import SettingProblem, TouchError
+from pipeline.core.frozen import frozen
 from pipeline.core.graph import Graph, StageResult
 from pipeline.core.memo import Cache, Memo, measure_bytes
 from pipeline.core.processes import release_free_memory
@@ -48,7 +49,7 @@ _TRUTH_BYTES = 24 * 1024 * 1024
 _OUTLINED = "target_depth"  # stage whose preview gets the outline of the target's own touch
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class InitialView:
     """The frame chosen for a session with AUTO_FRAME, and colour limits for one that sets none."""
 
@@ -56,7 +57,7 @@ class InitialView:
     display: DisplayParams
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class EvaluatedFrame:
     """Results and metrics of one frame."""
 

@@ -6,11 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 from app.session.state import REQUEST_FIELDS, Session
 from pipeline.core.errors import FileProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.graph import Method
 from pipeline.core.params import list_settings
 from pipeline.core.progress import Progress, reading_reported_to
@@ -136,7 +137,7 @@ def _explain(method: Method, weights: object) -> Mapping[str, str]:
 _INTERRUPT_DELAY_S = 0.5  # a younger request finishes, so that a drag shows intermediate results
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Requests:
     """State of the requests for stages.
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated, Literal, get_args
 
 from msgspec import Meta
 
+from pipeline.core.frozen import frozen
 from pipeline.core.typed_data import Name
 
 LayoutName = Literal["look", "compare", "align", "track", "task", "folder"]
@@ -31,7 +32,7 @@ LAST_STAGE = "last"
 DEFAULT_STAGE = "touch_depth"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Layout:
     """Layout by name, with the panes of *Look*."""
 
@@ -85,7 +86,7 @@ class Layout:
         return replace(self, panes=(*self.panes[: MAX_PANES - 1], (stage, "both")))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ComparisonSettings:
     """The current tab and its controls."""
 

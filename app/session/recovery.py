@@ -4,7 +4,6 @@ import contextlib
 import fcntl
 import os
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
@@ -12,10 +11,11 @@ from app.session.file_fingerprints import fingerprint_files
 from app.session.state import SESSION_SUFFIX, Session, load_session, save_session
 from pipeline.core.errors import TouchError
 from pipeline.core.files import open_lock
+from pipeline.core.frozen import frozen
 from pipeline.core.user_folders import find_user_folder
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class RecoverableSession:
     """The autosaved session of a window that did not close normally."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -14,6 +14,7 @@ from msgspec import Meta
 from app.session.layout import ComparisonSettings, Layout
 from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.files import read_json, write_json
+from pipeline.core.frozen import frozen
 from pipeline.core.graph import Method
 from pipeline.core.params import list_settings, replace_value
 from pipeline.core.typed_data import FileName, Name, Note, Number, Plain, convert, to_plain
@@ -61,7 +62,7 @@ REQUEST_FIELDS = (*PATH_FIELDS, *_CHOICES, "device")
 _OFFSET_FIELDS = frozenset({"source", "target", "stream", "alignment"})
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Session:
     """What is open, how it is shown, and every parameter. The undo stack holds values of this
     class.

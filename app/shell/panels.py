@@ -3,15 +3,15 @@
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from PyQt6.QtWidgets import QWidget
 
 from app.document.session_controller import SessionController
 from pipeline.core.entry_points import call_package, load_entry_points
+from pipeline.core.frozen import frozen
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Panel:
     """A tab of the Diagnostics drawer."""
 

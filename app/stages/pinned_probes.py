@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from PyQt6.QtCore import QEvent
 
@@ -14,6 +13,7 @@ from app.document.feature import Feature
 from app.document.session_controller import SessionController
 from app.views.pixel_trace import Places
 from app.views.stage_previews import StagePreview
+from pipeline.core.frozen import frozen
 from pipeline.views.preview import Preview
 from widgets.stages.probes_panel import ProbeRow
 from widgets.style.base import EventListener
@@ -80,7 +80,7 @@ class PinnedProbesController(Feature):
         return shown
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class _Column:
     """What the table reads at a pixel: a preview of a stage, or the position itself."""
 

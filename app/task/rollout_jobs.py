@@ -3,13 +3,13 @@ attribution.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from app.window.jobs import JobReporter
 from pipeline.core.arrays import Doubles
 from pipeline.core.errors import FileProblem
+from pipeline.core.frozen import frozen
 from pipeline.lab.tasks.task import Decision, RecordedRollout
 from pipeline.lab.tasks.trial_rows import TrialRow
 from pipeline.views.layers import Layer, ViewBounds
@@ -18,7 +18,7 @@ from pipeline.views.view import StepCurve
 _MOST_TRIED = 5  # files of a folder, of which one is a rollout where any is
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TrialFolder:
     """The rollouts of a folder, and what the session needs to open each."""
 
@@ -27,7 +27,7 @@ class TrialFolder:
     choices: Mapping[Path, Mapping[str, Any]]  # fields of the session
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class OpenRollout:
     """One rollout, ready to be shown at any tick."""
 

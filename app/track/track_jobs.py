@@ -3,7 +3,6 @@ layers.
 """
 
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from app.document.requests import apply_session, make_request, open_request
 from app.session.state import Session
 from app.window.jobs import JobReporter
 from pipeline.core.arrays import Doubles, freeze
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.lab.tracking.track_record import TrackRecord, TrackRow, read_record
 from pipeline.lab.tracking.track_recording import track_recording
@@ -25,7 +25,7 @@ _MARGIN = 1.1
 _LEAST_RADIUS_MM = 1.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TrackView:
     """A track, and how its surface and path look in 3D."""
 

@@ -2,13 +2,14 @@
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from app.session.state import Session
 from app.views.target_comparison import TargetComparison
 from pipeline.core.arrays import Image, freeze
+from pipeline.core.frozen import frozen
 from pipeline.core.graph import StageResult
 from pipeline.core.memo import Memo, measure_bytes
 from pipeline.core.values.frames import TactileFrame
@@ -35,7 +36,7 @@ _FRAME_BYTES = _TRUTH_BYTES = 26 * 1024 * 1024
 _MAX_METRICS = 512  # frames whose metrics are kept
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SourcePreview:
     """Preview and layers of the recorded frame."""
 
@@ -47,7 +48,7 @@ class SourcePreview:
     read_ms: float = 0.0  # time to read the frame
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class StagePreview:
     """Preview and layers of one stage result."""
 

@@ -7,7 +7,7 @@ The pixels are what the shading field is fitted to.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from pipeline.calibration.contact_circles import Circle
 from pipeline.calibration.shading_field import SurfaceSamples, compute_shading_terms
 from pipeline.calibration.slope_model import SlopeModel, SlopeSamples
 from pipeline.core.arrays import Doubles, Floats, freeze
+from pipeline.core.frozen import frozen
 
 TRUSTED_RADIUS_SHARE = 0.85  # of the contact's radius: inside it the rim's blur has no effect
 # radii over the contact radius at which the slope profile is tabulated
@@ -31,7 +32,7 @@ def _compute_hertz_share() -> Doubles:
     return freeze(2.0 / np.pi * (np.arcsin(1.0 / t) - np.sqrt(t**2 - 1.0) / t**2))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class BallPress:
     """One image of a press."""
 
@@ -40,7 +41,7 @@ class BallPress:
     circle: Circle
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class BallSlopeProfile:
     """Radial slope profile of a press: the sphere's slope times a share that accounts for the
     rim.

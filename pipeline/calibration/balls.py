@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -38,6 +38,7 @@ from pipeline.calibration.shading_field import ShadingFieldPrior
 from pipeline.calibration.slope_model import SlopeModel, SlopeSamples
 from pipeline.core.arrays import Doubles, Floats, Image, Mask, freeze
 from pipeline.core.errors import CalibrationError, ShapeError
+from pipeline.core.frozen import frozen
 from pipeline.core.progress import Progress
 from pipeline.sensors.spec import SensorSpec
 
@@ -62,7 +63,7 @@ _STD_OVER_MEAN = 1.253  # standard deviation of normal errors over the mean of t
 _MEDIAN_OVER_MEAN = 0.845
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PressSet:
     """Presses and the prior that a table is fitted to."""
 

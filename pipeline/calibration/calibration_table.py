@@ -2,7 +2,7 @@
 and quality.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from pipeline.core import disk_store
 from pipeline.core.arrays import Floats, Image, Mask, freeze
 from pipeline.core.derived import derive_once
 from pipeline.core.errors import CalibrationError
+from pipeline.core.frozen import frozen
 from pipeline.sensors.spec import Markers, SensorSpec
 
 SMOOTHING_PX = 1.0  # blur of the colour change, the same in fitting and in use
@@ -36,7 +37,7 @@ _LONGER_SIDE_PX = 160
 _SLOPE_MAX = 1.2  # mm/mm: about 50 degrees, the rim of a deep ball press
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class BallFit:
     """The fit of one press of the ball."""
 
@@ -48,7 +49,7 @@ class BallFit:
     used: bool
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ExpectedError:
     """Relative error of a ball measured with the calibration anywhere in the image: median and
     90th percentile.
@@ -66,7 +67,7 @@ class ExpectedError:
         return self.depth_p90 / P90_OVER_STD
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Calibration:
     """A sensor's mapping from colour change to slope."""
 

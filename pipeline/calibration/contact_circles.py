@@ -3,11 +3,11 @@ measured surface.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats, Mask
+from pipeline.core.frozen import frozen
 
 _NOISE_FACTOR = 6.0  # times the median change of the image: certainly touched
 _SHARE_OF_PEAK = 0.35
@@ -17,7 +17,7 @@ _CONTACT_PX_MIN = 20
 _FIRST_RADIUS_MM = 4.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Circle:
     """A circle in the image."""
 

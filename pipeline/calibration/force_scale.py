@@ -10,7 +10,6 @@ factor alone, two of very different forces the exponent as well.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -21,6 +20,7 @@ from msgspec import Meta
 from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.files import read_arrays, write_arrays
+from pipeline.core.frozen import frozen
 from pipeline.core.typed_data import Name, convert
 
 UNKNOWN_SCALE = "its scale is not known; weigh two presses and run 'tactoscope calibrate force'"
@@ -40,7 +40,7 @@ class _Content(msgspec.Struct, kw_only=True, frozen=True):
     force_weighings: Annotated[tuple[tuple[_Positive, _Positive], ...], Meta(min_length=2)]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ForceScale:
     """Weighed force of one sensor instance as a function of the force that the contact model
     estimates.

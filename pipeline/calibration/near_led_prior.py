@@ -12,7 +12,6 @@ are pressed.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from pipeline.calibration.shading_field import (
 from pipeline.core import disk_store
 from pipeline.core.arrays import Doubles, Floats, freeze
 from pipeline.core.derived import derive_once
+from pipeline.core.frozen import frozen
 from pipeline.physics.optics import compute_colour_change, require_optics
 from pipeline.sensors.parts import compute_mean_reference_light
 from pipeline.sensors.spec import Optics, SensorSpec
@@ -126,7 +126,7 @@ def sample_instances(
     return np.einsum("cp,nkpi->nkci", np.linalg.pinv(compute_position_terms(u, v)), relative)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class _Gains:
     table: Floats  # (rows, cols, 3)
 

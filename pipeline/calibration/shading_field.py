@@ -16,13 +16,13 @@ so that it relies on the colours that are known.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.calibration import slope_model
 from pipeline.calibration.slope_model import SlopeModel, SlopeSamples
 from pipeline.core.arrays import Doubles, Floats
+from pipeline.core.frozen import frozen
 
 POSITION_DEGREE = 4  # of the polynomials in u and v
 N_POSITION_TERMS = (POSITION_DEGREE + 1) * (POSITION_DEGREE + 2) // 2
@@ -39,7 +39,7 @@ _LEVEL_SHARE = 0.1  # of the samples, with slopes but no indentation
 _CAMERA_NOISE = 0.03  # of q, after smoothing
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SurfaceSamples:
     """Pixels of a known surface: position, terms of the light, and recorded colour."""
 
@@ -49,7 +49,7 @@ class SurfaceSamples:
     change: Floats  # (n, 3) q
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ShadingFieldPrior:
     """Gaussian of an instance's field: coefficients (3, N_POSITION_TERMS, N_SHADING_TERMS),
     flattened.

@@ -13,19 +13,18 @@ u and v run over the image from -1 to 1 along its longer axis. The magnitude of 
 to `slope_max`, the range of the samples.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Floats, Mask, freeze
+from pipeline.core.frozen import frozen
 
 OFFSET_GREY = 15.0  # limits the amplification of camera noise in dark corners
 _RIDGE_GROWTH = 4.0  # factor of the ridge for each further degree
 SPAN_GREY = 2.5  # brings q to the order of 1 for steep slopes, so one ridge suits all monomials
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SlopeModel:
     """Coefficients of the polynomial and its range."""
 
@@ -36,7 +35,7 @@ class SlopeModel:
     slope_max: float  # mm/mm
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SlopeSamples:
     """Pixels with known slopes."""
 

@@ -7,11 +7,11 @@ import time
 from collections.abc import Generator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from pipeline.core.errors import FileProblem, NotConverged, TouchError
+from pipeline.core.frozen import frozen
 from pipeline.core.params import check_range
 from pipeline.core.processes import WorkerPool
 from pipeline.core.progress import SILENT, Cancelled, Progress
@@ -29,7 +29,7 @@ PUBLISH_INTERVAL_S = 30.0
 _MOMENTS_AHEAD = 3  # for each process
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class RecordingResult:
     """What one call of `record_plan` added to a recording."""
 

@@ -19,7 +19,6 @@ An infinite thickness is a half-space, whose response to a pixel is Love's.
 
 import math
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,6 +26,7 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Floats, Mask, freeze
 from pipeline.core.derived import derive_once
+from pipeline.core.frozen import frozen
 from pipeline.sensors.parts import Gel
 
 _LARGEST_X = 40.0  # K is 1 to double precision long before sinh overflows
@@ -36,7 +36,7 @@ _MIN_PX_FOR_THREADS = 2**15  # threads take longer to start than to work on fewe
 _REACH_MAX_PX = 1024  # larger than any image; bounds the table of a very thick pad
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ElasticLayer:
     """Elastic response of the pad as a convolution over a zero-padded grid: exact, without
     wrap-around.
@@ -172,7 +172,7 @@ _BOX_PX = 32  # sides of the solved box are multiples of this
 _BULGE = 0.3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class GelContact:
     """State of the pressed gel; arrays (rows, cols)."""
 

@@ -12,11 +12,12 @@ made with it says so by a warning.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, Literal
 
 from pipeline.core.errors import SettingProblem, StageWarning
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.geometry.symmetry import Symmetry
 from pipeline.core.graph import Method
@@ -28,7 +29,7 @@ from pipeline.sensors.spec import SensorSpec
 SensorRole = Literal["source", "target"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class GroundTruth:
     """What is exactly known about a frame of source and target; None where it is unknown."""
 
@@ -44,7 +45,7 @@ def _no_ground_truth(_facts: GroundTruth, _sensor: SensorSpec) -> Any | None:
     return None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Stage:
     """Everything about one stage."""
 

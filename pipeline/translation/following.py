@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
+from pipeline.core.frozen import frozen
 from pipeline.core.graph import StageResult
 from pipeline.core.values.results import GeneratedTouch, ObjectPose, SealedMembrane
 
 _MAX_GAP_S = 0.5  # between frames; after a longer one nothing is close to what it was
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Start:
     """What a frame starts at; None = from rest, or by a search."""
 

@@ -11,13 +11,14 @@ import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Future
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 from pipeline.core.errors import FileProblem, NotConverged, TouchError
+from pipeline.core.frozen import frozen
 from pipeline.core.graph import StageResult
 from pipeline.core.processes import WorkerPool
 from pipeline.core.shared_memory import Parcel, SharedBlock
@@ -43,7 +44,7 @@ CACHE_BYTES = 32 << 20  # of a graph whose frames do not return: what follows fr
 Shared = tuple[str, Parcel]  # a value in a block, which a worker takes once
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Opening:
     """What a worker opens once for all that it is asked."""
 

@@ -15,6 +15,8 @@ from dataclasses import dataclass, field, replace
 from statistics import median
 from typing import TypeVar
 
+from pipeline.core.frozen import frozen
+
 T = TypeVar("T")
 _POSES = (1, 2, 3, 5)  # every n-th frame has one
 _USED_SHARE = 0.85  # of the workers' time; the rest is the reader's and the screen's
@@ -28,7 +30,7 @@ _LEAST_FRAMES = 5  # that tell what a plan costs: the first follows another plan
 _MEMORY_S = 20.0  # for which they do: the touch changes, and so do its times
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class RatePlan:
     """What is computed of which frames."""
 

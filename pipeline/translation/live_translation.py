@@ -19,6 +19,7 @@ from typing import cast
 
 from pipeline.core.arrays import Floats, Image
 from pipeline.core.errors import TouchError
+from pipeline.core.frozen import frozen
 from pipeline.core.values.frames import Stream, TactileFrame
 from pipeline.io.live.paired_reader import make_reader
 from pipeline.io.live.reader import LiveReader
@@ -42,7 +43,7 @@ _STALE_S = 0.5
 _KEPT_TOUCHES = 24  # from which those are chosen that determine the light
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class LiveResult:
     """A translated frame of a live sensor."""
 
@@ -71,7 +72,7 @@ class _Context:
     shared: Shared
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class _Offered:
     frame: TactileFrame
     answer: Future[Results]

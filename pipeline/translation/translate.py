@@ -27,6 +27,7 @@ from pipeline.core.errors import (
     UnknownSensor,
 )
 from pipeline.core.frame_lists import check_frame_index
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.meshes import Mesh, load_mesh
 from pipeline.core.graph import Graph, Method, StageResult
 from pipeline.core.memo import DEFAULT_MAX_BYTES, Cache
@@ -62,7 +63,7 @@ if TYPE_CHECKING:
     from pipeline.core.geometry.symmetry import Symmetry
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Request:
     """What to translate into what; the empty string and None mean the recording's own."""
 

@@ -4,13 +4,13 @@ Depth is viridis, signed differences use a diverging map with a neutral centre, 
 Okabe-Ito. No rainbow.
 """
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.arrays import Floats, Image, freeze
+from pipeline.core.frozen import frozen
 
 ColourMapName = Literal["viridis", "diverging", "diverging_dark"]
 Rgb = tuple[int, int, int]
@@ -62,7 +62,7 @@ _DIVERGING_DARK = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ColourScale:
     """Maps values to colours, between absolute limits."""
 

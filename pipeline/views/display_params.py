@@ -1,8 +1,9 @@
 """Display parameters; no method reads them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
+from pipeline.core.frozen import frozen
 from pipeline.core.params import setting
 from pipeline.sensors.spec import SensorSpec
 
@@ -14,7 +15,7 @@ _USUAL_LIMITS_MM = {"gel": 1.5, "bubble": 10.0}
 BubbleQuantity = Literal["deviation", "distance"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class DisplayParams:
     """Colour limits and depth stretch, in the units of the quantity."""
 

@@ -4,11 +4,11 @@ scale bar, as values.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats, Image
+from pipeline.core.frozen import frozen
 from pipeline.views.colours import Rgb
 from pipeline.views.preview import Preview
 
@@ -27,7 +27,7 @@ _BAR_UP = 0.04
 _DARK_GREY = 130.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Line:
     """A line over an image, whose first pixel begins at (0, 0)."""
 
@@ -37,7 +37,7 @@ class Line:
     opacity: float = 1.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ScaleBar:
     """A bar of a round length at the lower right; its text is centred above it."""
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Floats, Image, Indices, Mask, freeze
 from pipeline.core.derived import derive_once
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.geometry.meshes import Mesh, make_grid_triangles
 from pipeline.core.geometry.normals import compute_area_vectors
@@ -44,7 +45,7 @@ class Layer:
     view_from_layer: Doubles | None = None  # (4, 4) rigid motion of the layer
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ViewBounds:
     """What a sub-view shows: a sphere of `radius_mm` around `centre` fills the view."""
 

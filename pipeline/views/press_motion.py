@@ -6,12 +6,13 @@ of the frame's.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Floats, freeze
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.sensors.spec import SensorSpec
 from pipeline.views.colours import (
@@ -38,7 +39,7 @@ _TOUCHED = 0.3  # points moved by more than this share of the deepest have rays
 _SLOPE_MM = 0.25  # over which the slope of a surface at rest is taken
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class _Surface:
     """A surface at rest, and how it moves to the frame's."""
 

@@ -5,7 +5,7 @@ Tile of a comparison: a preview with its text.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.arrays import Floats, Image, Indices, Mask, freeze
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthMap, TargetDepth
@@ -44,7 +45,7 @@ class PixelPositions(NamedTuple):
         return float(x[col]) * z, float(y[row]) * z, z
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Preview:
     """Pixels and their meaning."""
 
@@ -349,7 +350,7 @@ def match_camera(camera: Camera, shape: tuple[int, ...]) -> Camera:
     return replace(camera.scale(shape[1] / camera.cols), rows=shape[0], cols=shape[1])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Tile:
     """One preview with its text, truth and difference."""
 

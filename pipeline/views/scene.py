@@ -5,13 +5,14 @@ Presets are the directions that one looks at it from.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.derived import derive_once
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
@@ -50,7 +51,7 @@ _FIT_STEPS = 12
 _LEAST_STEP = 0.7  # the eye stays outside
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ScenePlaces:
     """Where the frames are in the scene, which is frame A of the opened alignment, (4, 4) mm each.
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from pipeline.core.arrays import Doubles
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.sensors.spec import SensorSpec
 from pipeline.views.colours import REGISTERED_POINT_COLOUR, repeat_colour
@@ -19,7 +18,7 @@ from pipeline.views.view import to_xyz
 Point3 = tuple[float, float, float]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SceneMeasure:
     """Up to two points: as they are drawn, and where they are without the stretched depth, mm."""
 

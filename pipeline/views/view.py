@@ -3,13 +3,13 @@ the table `views`.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.arrays import Indices
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.sensors.spec import SensorSpec
 from pipeline.views.display_params import DisplayParams
@@ -17,7 +17,7 @@ from pipeline.views.layers import Layer
 from pipeline.views.preview import Preview
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PreviewContext:
     """Inputs of a stage's preview and 3D layers."""
 
@@ -28,7 +28,7 @@ class PreviewContext:
     display: DisplayParams
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class StepCurve:
     """One value per kept step."""
 
@@ -37,7 +37,7 @@ class StepCurve:
     values: tuple[float, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class StepHistory:
     """Curves and descriptions of the steps that led to a value."""
 
@@ -47,7 +47,7 @@ class StepHistory:
     phase_starts: tuple[int, ...] = ()  # steps at which a new phase begins
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ProbePoint:
     """Where a traced pixel is in one stage."""
 
@@ -59,7 +59,7 @@ class ProbePoint:
     text: str  # value there, or why the trace ends
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class View:
     """How the value of one stage is shown."""
 

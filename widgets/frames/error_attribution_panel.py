@@ -1,12 +1,12 @@
 """Error attribution as a waterfall: each bar begins where the one before it ends."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from PyQt6.QtCore import QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QMouseEvent, QPainter
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
+from pipeline.core.frozen import frozen
 from pipeline.lab.tasks.task import Decision
 from widgets.style.base import ChoiceBox, PaintedWidget
 from widgets.style.run_bar import StartBar
@@ -17,7 +17,7 @@ _BAR_PX = 8
 _BETWEEN_PX = 6
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class WaterfallBar:
     """One row of the waterfall: start and end on the error axis."""
 

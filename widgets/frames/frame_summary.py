@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 from pipeline.core.arrays import Image
+from pipeline.core.frozen import frozen
 
 THUMBNAIL_PX = 60, 42  # largest width and height
 # that every summary has
 FRAME_FIGURES = ("frame.n_warnings", "frame.contact_area_mm2", "frame.max_indentation_mm")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class FrameSummary:
     """Summary of one frame."""
 

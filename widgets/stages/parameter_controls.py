@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 from PyQt6.QtCore import QSignalBlocker, Qt
@@ -16,6 +15,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from pipeline.core.frozen import frozen
 from pipeline.core.params import Setting, Value
 from widgets.style.base import FIXED, PREFERS, ChoiceBox, NumberBox
 from widgets.style.styling import make_row
@@ -31,7 +31,7 @@ _BEND = 3.0
 _WIDEST = 1e9  # stands for "no limit" in a spin box
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ParameterControl:
     """One parameter on screen: its widget and a setter for its value, which emits nothing."""
 

@@ -1,7 +1,6 @@
 """The probe: the trace of one pixel through the stages, and the table of the pinned pixels."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from html import escape
 
 from PyQt6.QtCore import QEvent, QSignalBlocker, Qt, pyqtSignal
@@ -17,6 +16,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from pipeline.core.frozen import frozen
 from widgets.style.base import EventListener
 from widgets.style.styling import make_column, make_row, make_text, name_widget
 from widgets.style.tables import prepare_table
@@ -83,7 +83,7 @@ class TracePanel(QScrollArea):
         self._label.setText(sentence or _INVITATION)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ProbeRow:
     """One pinned pixel."""
 

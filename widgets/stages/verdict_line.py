@@ -1,20 +1,20 @@
 """What is wrong with the frame on screen in one sentence, and the list of all that is."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from html import escape
 
 from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtWidgets import QFrame, QMenu, QPushButton
 
+from pipeline.core.frozen import frozen
 from widgets.style.base import GROWS, PREFERS
 from widgets.style.icons import StateIcon
 from widgets.style.notification_bar import Choice, replace_buttons
 from widgets.style.styling import fill, make_button, make_row, make_text, name_widget
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Finding:
     """Something that is wrong: a sentence, and the stage it is about ("" = none)."""
 

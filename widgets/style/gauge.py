@@ -1,11 +1,11 @@
 """One metric as a bar with fixed limits, and a tick at its value before a drag."""
 
 import math
-from dataclasses import dataclass
 
 from PyQt6.QtCore import QPointF, QRectF, Qt
 from PyQt6.QtGui import QPainter, QPen, QPolygonF
 
+from pipeline.core.frozen import frozen
 from widgets.style.base import FIXED, PaintedWidget
 from widgets.style.theme import ThemeColours, to_qcolor
 
@@ -14,7 +14,7 @@ _TICK = (-3, -4), (3, -4), (0, 0)  # corners over a bar
 _RIGHT = Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignRight
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class GaugeScale:
     """Range and unit of a gauge; the limits are absolute."""
 

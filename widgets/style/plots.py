@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from html import escape
 from typing import Any
 
@@ -16,6 +15,7 @@ from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QWidget
 
+from pipeline.core.frozen import frozen
 from widgets.style.base import EventListener
 from widgets.style.styling import fill, make_column, name_widget
 from widgets.style.theme import ThemeColours, get_theme_colours, to_hex, to_qcolor
@@ -134,7 +134,7 @@ class Axes:
         return item
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Strip:
     """Curves over the same steps, on axes of their own."""
 

@@ -6,11 +6,11 @@ background come from a `ThemeColours`, one for light and one for dark, with a co
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from PyQt6.QtGui import QColor, QPalette
 from PyQt6.QtWidgets import QApplication, QToolTip
 
+from pipeline.core.frozen import frozen
 from pipeline.views.colours import ColourMapName, ColourScale, Rgb
 
 CROSSHAIR_COLOUR: Rgb = (230, 0, 115)  # crosshair of the probe
@@ -37,7 +37,7 @@ _FUSION_OUTLINE = 140  # per cent, as `QColor.darker` takes it
 PROBE_COLOURS = tuple(CATEGORY_COLOURS[k] for k in (1, 4, 2, 6, 3))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ThemeColours:
     """Colours on one background."""
 

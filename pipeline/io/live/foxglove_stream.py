@@ -11,7 +11,6 @@ import math
 import struct
 import time
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,6 +18,7 @@ import numpy as np
 
 from pipeline.core.arrays import Floats, Image
 from pipeline.core.errors import FileProblem, SettingProblem, TouchError, escape_text
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import Camera
 from pipeline.io.live.live_images import LiveImages, scale_depth
 from pipeline.io.live.source import LiveFrame, LiveSourceLost
@@ -48,7 +48,7 @@ _DEPTH = {"16UC1": (np.uint16, 1.0), "mono16": (np.uint16, 1.0), "32FC1": (np.fl
 _PNG = b"\x89PNG"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class _Channel:
     """A topic of the server, as the decoders of messages know it."""
 

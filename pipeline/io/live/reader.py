@@ -5,7 +5,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from pipeline.core.arrays import Floats, Image, freeze
 from pipeline.core.errors import FileProblem, TouchError
+from pipeline.core.frozen import frozen
 from pipeline.core.values.frames import Recording, Stream, TactileFrame, Truth
 from pipeline.io.live import reference_capture
 from pipeline.io.live.sensor_clock import SensorClock
@@ -28,7 +29,7 @@ ReaderState = Literal["looking", "running", "lost", "stopped"]
 Listener = Callable[[str, TactileFrame, Truth | None], object]  # the first is the stream's name
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ReaderStatus:
     """State of a live sensor."""
 

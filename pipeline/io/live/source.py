@@ -1,11 +1,11 @@
 """Live sources: sensors that are opened, read, lost and opened again."""
 
 import math
-from dataclasses import dataclass
 from typing import Protocol
 
 from pipeline.core.arrays import Floats, Image
 from pipeline.core.errors import TouchError
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.geometry.symmetry import Symmetry
@@ -16,7 +16,7 @@ class LiveSourceLost(TouchError):
     """The sensor is not connected; the reader tries again until it is stopped."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class LiveFrame:
     """One image of a live source."""
 

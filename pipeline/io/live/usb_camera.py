@@ -6,13 +6,13 @@ USB cameras such as DIGIT and GelSight Mini are read as their own drivers read t
 import re
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pipeline.core.arrays import Image
+from pipeline.core.frozen import frozen
 from pipeline.core.native_stderr import silence_native_libraries
 from pipeline.io.live.live_images import LiveImages
 from pipeline.io.live.source import LiveFrame, LiveSourceLost
@@ -22,7 +22,7 @@ _ADDRESSES = ("http://", "https://", "rtsp://", "rtsps://")
 _NODE = re.compile(r"(?:usb-)?(?P<name>.+)-video-index0")  # index1 is a metadata node
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class UsbCameraProfile:
     """Camera settings of one kind of sensor."""
 
@@ -56,7 +56,7 @@ USB_CAMERA_PROFILES = (
 _UNKNOWN = UsbCameraProfile(sensor="", name_substring="", size_px=(0, 0), rate_hz=0.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class UsbCamera:
     """A connected camera."""
 

@@ -2,13 +2,13 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.core.arrays import Image
 from pipeline.core.files import check_folder, open_atomic, require_own, write_folder, write_json
+from pipeline.core.frozen import frozen
 from pipeline.io.image_files import read_rgb
 from pipeline.views.preview import Tile
 
@@ -16,7 +16,7 @@ TABLE_FILE = "compare.json"
 _NON_ALPHANUMERIC = re.compile(r"[^a-z0-9]+")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Comparison:
     """The tiles computed so far, and a summary sentence."""
 

@@ -4,7 +4,7 @@ parameter.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby, product
 from pathlib import Path
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.core.arrays import Floats, Mask
 from pipeline.core.errors import SettingProblem, TouchError
+from pipeline.core.frozen import frozen
 from pipeline.core.params import Value, list_settings, replace_value
 from pipeline.core.progress import SILENT, Progress, SubProgress
 from pipeline.core.values.results import DepthMap
@@ -36,7 +37,7 @@ _TOUCH_DEPTH = "touch_depth"  # whose spread over seeds is measured
 _USAGE = "an axis is stage.parameter=value,value, stage.method=name,name or stage.weights=file,file"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class GridAxis:
     """What is tried along one axis of a grid."""
 
@@ -61,7 +62,7 @@ class GridAxis:
         return replace(variant, translation=translation)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class GridPlan:
     """The axes of columns and rows, and the metric."""
 
@@ -98,7 +99,7 @@ class GridPlan:
         return variant
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class GridCell:
     """Result of one cell."""
 
@@ -110,7 +111,7 @@ class GridCell:
     problem: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class GridComparison(Comparison):
     """Tiles of a grid, with their cells in run order."""
 
@@ -251,7 +252,7 @@ def _describe_spread(
     return texts
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Spread:
     """How samples of one membrane differ, in mm (rms in true contact, else everywhere).
 

@@ -6,7 +6,7 @@ baselines.
 import json
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
@@ -19,6 +19,7 @@ from pipeline.core.derived import derive_once
 from pipeline.core.digests import compute_digest
 from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.files import set_aside
+from pipeline.core.frozen import frozen
 from pipeline.core.params import check_range
 from pipeline.core.progress import SILENT, Progress, SubProgress
 from pipeline.io import open_recording
@@ -43,7 +44,7 @@ _SEEDS: dict[str, int] = {"unseen_grasps": 40_001, "unseen_tools": 40_002, "trai
 _SEED_STEP = 100_000  # so that no seed of one set is that of another
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class HeldOutOptions:
     """Number of touches, and the sensor instances."""
 
@@ -57,7 +58,7 @@ class HeldOutOptions:
     folder: Path | None = None  # where they are kept; None = the user's cache
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PressRecordings:
     """The same presses of one object by both sensors: simulated by two instances each, or
     recorded as pairs.
@@ -230,7 +231,7 @@ _TITLES = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Candidate:
     """A touch method or a baseline."""
 
@@ -239,7 +240,7 @@ class Candidate:
     paper_model: str = ""  # model of the paper, "" = none
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class CandidateSet:
     """Candidates of one direction, and which methods are excluded."""
 

@@ -6,12 +6,12 @@ for every direction.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pipeline.core.arrays import Image
 from pipeline.core.figures import make_figure, save_figure
+from pipeline.core.frozen import frozen
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame
 from pipeline.lab.evaluation.held_out import (
@@ -39,7 +39,7 @@ _N_OBJECTS = 2  # rows of a direction
 _PANEL_INCHES = 1.9, 1.5  # width and height
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class FigureRow:
     """One touch in one direction."""
 

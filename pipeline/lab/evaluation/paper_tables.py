@@ -1,10 +1,11 @@
 """The paper's tables: every direction and candidate on one split of held-out touches."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.params import list_settings
 from pipeline.core.progress import SILENT, Progress, SubProgress
 from pipeline.lab.evaluation.held_out import (
@@ -48,7 +49,7 @@ POSE_METHODS = tuple(
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class EvaluationRequest:
     """Split, directions, candidates and settings of an evaluation."""
 
@@ -65,7 +66,7 @@ class EvaluationRequest:
     pairs: PairFolder = field(default_factory=PairFolder)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class EvaluationTable:
     """Rows of an evaluation, with notes on their conditions."""
 

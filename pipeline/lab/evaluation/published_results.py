@@ -1,8 +1,9 @@
 """The paper's two result tables, row for row, measured on real recordings of its own sensors."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Literal
+
+from pipeline.core.frozen import frozen
 
 Split = Literal["unseen_grasps", "unseen_tools"]
 MeanStd = tuple[float, float]  # mean and standard deviation
@@ -15,7 +16,7 @@ COMPARISON_NOTE = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PaperRow:
     """One row; source "" = the target's recorded touches."""
 

@@ -3,11 +3,11 @@
 import math
 import statistics
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles
+from pipeline.core.frozen import frozen
 from pipeline.lab.evaluation.held_out import RECORDED, Candidate
 from pipeline.lab.evaluation.published_results import MeanStd, PaperRow, Split, find_paper_row
 from pipeline.lab.evaluation.touch_metrics import bootstrap_metrics, pool_metrics
@@ -15,7 +15,7 @@ from pipeline.lab.evaluation.touch_scoring import PAPER_GRASP, GraspFinger, Scor
 from pipeline.stages.pose.registration.planar import compute_grasp_pose_error
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PoseErrors:
     """Errors of object poses that are estimated from touches."""
 
@@ -24,7 +24,7 @@ class PoseErrors:
     n_poses: int  # touches that gave a pose
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SetDistances:
     """Distances of the generated touches to the recorded ones.
 
@@ -36,7 +36,7 @@ class SetDistances:
     kernel: float  # 0 = equal sets
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TableRow:
     """Errors of one method, between two sensors, over a set of touches."""
 

@@ -8,7 +8,6 @@ recorded instance's reference image.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Floats, Mask
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthMap, GeneratedTouch
 from pipeline.physics.sensor_images import render_reference
@@ -32,7 +32,7 @@ REGIONS: Mapping[Region, str] = {
 GREY_PEAK = 255.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class RecordedTouch:
     """The target's frame of a touch with its ground truth."""
 
@@ -136,7 +136,7 @@ _INTERVAL = (2.5, 97.5)
 _SQUARED = {"psnr_db": "squared", "psnr_exact_db": "squared_exact"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TouchMetrics:
     """Metrics of one touch: (metric, region) -> finite value; unknown ones are absent."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -13,6 +13,7 @@ import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats, freeze
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.graph import Graph, StageResult
@@ -53,7 +54,7 @@ PAPER_GRASP = "paper_grasp"  # pose by both fingers of a grasp, see `registratio
 _CACHE_BYTES = 64 * 1024 * 1024  # one frame's stages by every candidate
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ScoringJob:
     """All candidates on all touches of one recording in one direction."""
 
@@ -69,7 +70,7 @@ class ScoringJob:
     pose_methods: tuple[str, ...] = ()  # pose methods that judge the touches
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ScoredTouch:
     """Metrics of one touch by one candidate."""
 
@@ -84,7 +85,7 @@ class ScoredTouch:
     finger: GraspFinger | None = None  # for poses of both fingers together; None = not known
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class GraspFinger:
     """One finger's contact in the frame of the grasp, with the truth."""
 

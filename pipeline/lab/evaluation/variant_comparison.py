@@ -1,9 +1,10 @@
 """Two variants on one frame: each stage of both, and the difference of one stage."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 from pipeline.core.errors import SettingProblem, TouchError
+from pipeline.core.frozen import frozen
 from pipeline.core.graph import StageResult
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.pairing import NO_PARTNER, pair_frames
@@ -22,7 +23,7 @@ IN_PROGRESS = "working…"
 _DIFFERENCE = "A minus B"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class StageView:
     """Preview of one stage; without a result those of the source frame."""
 
@@ -31,7 +32,7 @@ class StageView:
     truth_view: TruthView | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class VariantView:
     """All views of one variant; without views there is only `problem`."""
 

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 
 from pipeline.core.errors import TouchError
+from pipeline.core.frozen import frozen
 from pipeline.core.graph import Graph, Method, StageResult
 from pipeline.core.memo import Cache, Memo
 from pipeline.core.params import Value, replace_value
@@ -28,7 +29,7 @@ _MAX_TIMES = 4096  # stage times remembered
 MethodParams = Mapping[str, object]  # method key -> parameters; methods left out use their defaults
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Variant:
     """An opened translation with the parameters of its methods."""
 
@@ -47,7 +48,7 @@ class Variant:
         return replace(self, params={**self.params, method.key: changed})
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class VariantResult:
     """Stages of one variant on one frame; without results `problem` says why."""
 

@@ -9,7 +9,7 @@ of grasps; the finger that the object explains better counts more.
 import math
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, partial
 from itertools import product
 from operator import itemgetter
@@ -18,6 +18,7 @@ import numpy as np
 
 from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.progress import SILENT, Progress, SubProgress
@@ -67,7 +68,7 @@ _AGREE_MM = 2.0
 _AGREE_DEG = 10.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PlanarPose:
     """hand_from_object in the fingers' plane; what is held may be tilted out of it."""
 
@@ -188,7 +189,7 @@ SOURCE = "gelslim"
 TARGET = "soft_bubble"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class HeldObject:
     """An object between two fingers, with its touches."""
 

@@ -7,7 +7,6 @@ and hole are convex pieces: the tip of a tool, and walls around the tip's outlin
 """
 
 import math
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
@@ -20,6 +19,7 @@ from pipeline.core.arrays import Doubles
 from pipeline.core.derived import derive_once
 from pipeline.core.errors import MeshProblem
 from pipeline.core.files import read_toml
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.params import MeshUnit
@@ -58,7 +58,7 @@ _BELOW_MM = 2.0
 _PLATE_SIDES = 96
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Peg:
     """The part of a tool that is inserted along +x."""
 
@@ -180,7 +180,7 @@ class _ToolFile(msgspec.Struct, kw_only=True, frozen=True, forbid_unknown_fields
     force_limit_n: _Positive = FORCE_LIMIT_N
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Tool:
     """A tool and its hole; the tool frame has +x along the insertion and z along the fingers'
     normal.

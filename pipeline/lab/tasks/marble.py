@@ -24,6 +24,7 @@ import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats, Image
 from pipeline.core.derived import derive_once
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.memo import memoise
@@ -279,7 +280,7 @@ def shrink_image(image: np.ndarray[Any, Any]) -> Floats:
     return np.ascontiguousarray(small.transpose(2, 0, 1)).astype(np.float32) / np.float32(255.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class RollingRun:
     """What happened on one start by one touch; entry k of every list is tick k."""
 
@@ -489,7 +490,7 @@ _DEMONSTRATION_SEED = 1
 _NOISE_MM = 0.5  # deviation of the plate's steps from the expert's
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ClonedPolicyTask(Task):
     """Settings of the demonstrations: a controller copies the scripted expert (behaviour cloning).
 

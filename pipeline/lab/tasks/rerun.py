@@ -10,7 +10,7 @@ NAME.toml, mesh  a case of one's own
 import math
 import shlex
 import shutil
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ import numpy as np
 from pipeline import __version__
 from pipeline.core.errors import FileProblem, NotConverged
 from pipeline.core.files import read_json, read_toml, write_folder, write_json
+from pipeline.core.frozen import frozen
 from pipeline.core.progress import SILENT, Progress
 from pipeline.lab.tasks.rollout_file import CASE_SUFFIX, read_rollout
 from pipeline.lab.tasks.task import Decision, RecordedRollout, Rollout, load_task
@@ -27,7 +28,7 @@ SAME_MM = 1e-3
 SAME_N = 1e-2
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class RolloutAgreement:
     """How well a rollout that was run again agrees with its recording."""
 
@@ -87,7 +88,7 @@ _VERSION_KEY = "tactoscope rollout bundle"
 _ROLLOUT = "rollout.h5"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class RolloutReplay:
     """Result of a replayed rollout."""
 

@@ -1,13 +1,14 @@
 """Run trials in worker processes; rollouts on disk are not run again."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 from pipeline import __version__
 from pipeline.core.digests import compute_digest
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.params import check_range
 from pipeline.core.processes import WorkerPool, limit_threads
 from pipeline.core.progress import SILENT, Progress
@@ -22,7 +23,7 @@ MAX_TRIALS = 10_000
 Summary = Mapping[str, Any]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TrialJob:
     """One trial, and where its rollouts go; None = nowhere."""
 

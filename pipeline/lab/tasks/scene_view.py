@@ -4,12 +4,12 @@ against time, and the meshes that surround the object: boxes, rings, and the fin
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats, freeze
 from pipeline.core.errors import TouchError
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.lab.tasks.grasp import FINGERS, GRIP_MM, PlanarPose, press_between_fingers
@@ -39,7 +39,7 @@ _DIGITS = 6  # of vertices in mm that are one place; of a curve: rounding is no 
 _MARGIN = 0.6  # radius of the view over the diagonal of the object's way
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class RolloutScene:
     """Bodies of one rollout; `place` says where they are at a tick."""
 

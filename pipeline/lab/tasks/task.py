@@ -5,7 +5,7 @@ A task is one module with `TASK` and one line in `_TASKS`, or an entry point in 
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Protocol
 
@@ -14,6 +14,7 @@ import numpy as np
 from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.entry_points import load_entry_points, load_reference
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.params import replace_value, setting
 from pipeline.core.progress import SILENT, Progress
@@ -22,7 +23,7 @@ from pipeline.core.values.frames import Pairing, TactileFrame, Truth
 _LEAST_MM = 0.05  # a share that is named
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Disturbance:
     """What goes wrong with a grasp besides the touch; directions are drawn for every trial."""
 
@@ -58,7 +59,7 @@ def parse_disturbance(assignments: Iterable[str]) -> Disturbance:
     return disturbance
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TrialPlan:
     """One trial: the same seed, case and index give the same start, whatever the touch and the
     tolerance.
@@ -76,7 +77,7 @@ class TrialPlan:
     disturbance: Disturbance = field(default_factory=Disturbance)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class StageShare:
     """Decrease of a decision's error when one more stage is replaced by ground truth, and the
     outcome from there.
@@ -89,7 +90,7 @@ class StageShare:
     succeeds: bool  # the rollout, run again from the decision with the truth so far
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Decision:
     """One decision of the controller against the truth."""
 
@@ -122,7 +123,7 @@ def describe_error(decision: Decision, title: str, *, succeeds: bool) -> str:
     return f"{text}; it fails with the truth as well" if decision.shares else text
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Tick:
     """One control tick."""
 
@@ -135,7 +136,7 @@ class Tick:
     world_from_bodies: Mapping[str, Doubles] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Attempt:
     """What a robot did on one decision, and how it ended."""
 
@@ -145,7 +146,7 @@ class Attempt:
     measures: Mapping[str, float]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class RolloutSummary:
     """What a table and `--json` show of a rollout."""
 
@@ -159,7 +160,7 @@ class RolloutSummary:
     decisions: tuple[Decision, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Rollout(RolloutSummary):
     """One run of one trial with one touch and one tolerance."""
 
@@ -183,7 +184,7 @@ class RunTrial(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class RecordedRollout:
     """A rollout as read from its recording."""
 
@@ -209,7 +210,7 @@ class RecordedRollout:
         return max(before, default=0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SceneBody:
     """A rigid body as the 3D scene of a task shows it."""
 
@@ -219,7 +220,7 @@ class SceneBody:
     parent_from_body: Doubles = field(default_factory=lambda: freeze(np.eye(4)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TaskScene:
     """What surrounds the object of a rollout, and where a decision believes the object."""
 
@@ -229,7 +230,7 @@ class TaskScene:
     object_mesh: Mesh | None = None  # where the touched mesh is only a part of the object
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ManipulationTask:
     """A closed-loop task."""
 

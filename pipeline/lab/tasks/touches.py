@@ -7,7 +7,7 @@ error attribution work as on files.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from pipeline.core.arrays import Doubles, Image
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.graph import Graph, StageResult
 from pipeline.core.memo import Cache
@@ -41,7 +42,7 @@ OWN = "own"
 _CACHE_BYTES = 64 << 20  # all stages of a moment, with and without truth in their place
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SensorPlace:
     """One sensor instance at a finger, and the seed of its noise."""
 
@@ -246,7 +247,7 @@ def make_pairing(name: str, source: SensorSpec, target: SensorSpec) -> Pairing:
 POSE_TITLE = "pose estimation"  # what remains with the true touch: the controller's own
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class CorrectedEstimate:
     """The controller's estimate with the truth in one more stage."""
 

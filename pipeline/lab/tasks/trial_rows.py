@@ -3,10 +3,10 @@ decision.
 """
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.core.errors import FileProblem, TouchError
+from pipeline.core.frozen import frozen
 from pipeline.core.progress import SILENT, Progress
 from pipeline.lab.tasks.task import Decision, RolloutSummary
 
@@ -15,7 +15,7 @@ MAX_ROLLOUTS = 20_000  # of a folder
 _CYCLE_DEG = 360.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TrialRow:
     """One rollout; with a `problem` its file cannot be read, and nothing but the path is known."""
 

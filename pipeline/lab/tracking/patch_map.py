@@ -11,7 +11,7 @@ membrane is there.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import combinations
 from typing import Any
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Floats, Mask, freeze
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.geometry.meshes import Mesh
@@ -52,7 +53,7 @@ _EMPTY = (
 _LEAST_STD = 1e-3  # rad and mm: bounds an edge's information
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ContactView:
     """What one frame adds to a patch map."""
 

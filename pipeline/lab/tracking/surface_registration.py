@@ -20,11 +20,12 @@ edge. Farther out a bubble's membrane follows its own rim.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats, Mask, freeze
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.values.results import DepthErrorModel, DepthMap
@@ -70,7 +71,7 @@ _OFFSETS = (
 _NEIGHBOURS = ((1, 2, 3, 4), (5, 0, 9, 10), (0, 6, 11, 12), (9, 11, 7, 0), (10, 12, 0, 8))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SmoothedDepth:
     """A depth image after a Gaussian filter, and how near to the image's border its values are
     usable.
@@ -80,7 +81,7 @@ class SmoothedDepth:
     margin_px: float  # the filter mixes in what is beyond the border
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class LocalSurface:
     """The surface at some image positions."""
 
@@ -90,7 +91,7 @@ class LocalSurface:
     normals_along_y: Doubles  # (n, 3) per pixel down
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class MembraneSurface:
     """The moved part of one frame's membrane, in the sensor frame."""
 
@@ -312,7 +313,7 @@ _OUTLINE_PX = 1.0  # an outline is known to a pixel
 _DISTINCT = 0.3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Residuals:
     """Residuals and their derivatives by (rotation rad, translation mm) about a centre.
 
@@ -333,7 +334,7 @@ class Residuals:
         return (self.errors**2).sum(axis=0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class KeyPoints:
     """The key frame's points of one level, and the expected errors of residuals."""
 
@@ -456,7 +457,7 @@ _TOLERANCES = Tolerances(mm=0.5, deg=4.0, normal_error_deg=6.0)
 _DAMPING = 1e-6  # share of the information: keeps the solution finite
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SurfaceFit:
     """The motion between two frames."""
 

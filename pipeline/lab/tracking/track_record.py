@@ -4,7 +4,7 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -22,6 +22,7 @@ from pipeline.core.files import (
     read_json,
     write_together,
 )
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh, load_mesh
 from pipeline.core.typed_data import FileName, Name, Number, convert
@@ -48,7 +49,7 @@ _COLUMNS = (
 _Count = Annotated[int, Meta(ge=0, le=10**9)]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TrackError:
     """Error of a track against true poses."""
 
@@ -59,7 +60,7 @@ class TrackError:
     n_frames: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TrackRow:
     """One frame of a track; numbers are NaN where the object was not tracked."""
 
@@ -90,7 +91,7 @@ class TrackRow:
         return rigid.from_parts(motion[:3], motion[3:]) if all(map(math.isfinite, motion)) else None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TrackRecord:
     """What `tactoscope track` writes and the window shows."""
 

@@ -4,12 +4,13 @@ alike.
 
 import contextlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.errors import FileProblem, SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.progress import SILENT, Progress
@@ -37,7 +38,7 @@ _VIEW_EVERY_MM = 0.15
 _VIEW_EVERY_DEG = 1.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Track:
     """The motion of an object over the frames of a recording."""
 

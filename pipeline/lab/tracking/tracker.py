@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pipeline.core.arrays import Doubles, freeze
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.lab.tracking.surface_registration import (
     MembraneSurface,
@@ -42,7 +43,7 @@ _MOST_AVERAGED = 32
 _NOISY_MM = 0.1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TrackedFrame:
     """Where the object is in one frame, relative to where it was in the first frame of its part."""
 
@@ -81,7 +82,7 @@ class TrackedFrame:
         return math.sqrt(float(np.trace(self.covariance[axes, axes])))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class KeyFrame:
     """A frame that others are registered to."""
 

@@ -7,13 +7,14 @@ depends on a number alone and is cached; the depth camera's noise is sampled on 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.core.arrays import Floats, Mask, freeze
 from pipeline.core.derived import derive_once
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import membrane, rigid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.geometry.rasterisation import render_mesh
@@ -55,7 +56,7 @@ _SMALL_SHARE = 0.45
 _OUTLINE_SHARE = 0.5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class BubblePress:
     """The exact state of a bubble under an object; arrays (rows, cols)."""
 
@@ -271,7 +272,7 @@ _UNCERTAINTY_TERM = 0.05
 _SMALL_CONTACT_PX = 50.0  # contacts of fewer pixels weigh less
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class BubbleDepthTask(SimulatedPresses):
     """Settings of the examples and weights of the loss."""
 

@@ -13,12 +13,12 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.core.arrays import Floats
+from pipeline.core.frozen import frozen
 from pipeline.core.params import setting
 from pipeline.lab.training.distributed import unwrap_network
 from pipeline.lab.training.recorded_pairs import RecordedPair, derive_contact
@@ -77,7 +77,7 @@ _DRIFT_GREY = 2.0  # standard deviation of a change of light since the reference
 _MAX_TRANSLATION = 0.03
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class DenoisingTask(AugmentedPresses):
     """Settings of every task whose network denoises a residual of the target's touch."""
 
@@ -148,7 +148,7 @@ class DenoisingTask(AugmentedPresses):
         return average_rows(rows)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TouchResidualTask(DenoisingTask):
     """Touch to depth to touch: what the physical render misses."""
 
@@ -193,7 +193,7 @@ class TouchResidualTask(DenoisingTask):
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TouchToTouchTask(DenoisingTask):
     """Touch to touch, from a gel to a bubble."""
 

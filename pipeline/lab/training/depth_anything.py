@@ -9,13 +9,13 @@ mean for the whole batch.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from pipeline.core.arrays import Floats, Image, Mask
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.params import setting
 from pipeline.lab.training.distributed import unwrap_network
 from pipeline.lab.training.recorded_pairs import RecordedPair, derive_contact
@@ -37,7 +37,7 @@ _SILOG_SHARE = 0.5  # of the squared mean that does not count, as in the paper
 _SILOG_EPS = 1e-8  # under the root: the gradient of a perfect prediction is zero instead of NaN
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class DepthAnythingTask(Task):
     """Settings of the examples and weights of the loss."""
 

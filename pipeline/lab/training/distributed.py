@@ -7,15 +7,16 @@ from __future__ import annotations
 import os
 from collections.abc import Generator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+
+from pipeline.core.frozen import frozen
 
 if TYPE_CHECKING:
     import torch
     from torch import nn
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ProcessGroup:
     """This process among those that train together."""
 

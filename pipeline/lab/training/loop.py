@@ -10,7 +10,6 @@ import math
 import time
 from collections.abc import Callable, Generator, Mapping
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +17,7 @@ import numpy as np
 
 from pipeline.core.errors import FileProblem, NotConverged
 from pipeline.core.files import check_folder
+from pipeline.core.frozen import frozen
 from pipeline.core.progress import SILENT, Cancelled, Progress
 from pipeline.lab.training import run_folder
 from pipeline.lab.training.distributed import ProcessGroup, join_process_group, wrap_precision
@@ -49,7 +49,7 @@ MAX_SKIPPED_STEPS = 10  # in a row, before training ends with an error
 log = logging.getLogger("tactoscope")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TrainingRun:
     """Options of one training run."""
 

@@ -3,7 +3,7 @@ the weights.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -12,6 +12,7 @@ from msgspec import Meta
 
 from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.core.files import read_toml
+from pipeline.core.frozen import frozen
 from pipeline.core.params import Value, list_settings, replace_value, setting
 from pipeline.core.typed_data import InvalidField, Name, check
 from pipeline.lab.training.recorded_pairs import HOLD_OUT_HELP, PairFolder
@@ -30,7 +31,7 @@ _Factor = Annotated[float, Meta(ge=0.0, le=1e9)]
 P = TypeVar("P")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TrainingSettings:
     """Top level of a recipe."""
 
@@ -50,7 +51,7 @@ class TrainingSettings:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Optimiser:
     """[optimiser]."""
 
@@ -67,7 +68,7 @@ class Optimiser:
     ema_decay: float = setting(0.999, "EMA decay", low=0.0, high=0.99999)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Validation:
     """[validation]."""
 
@@ -75,7 +76,7 @@ class Validation:
     n_examples: int = setting(48, "Examples", low=1, high=100_000, help="of each split")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class _Data:
     """[data]."""
 
@@ -99,7 +100,7 @@ class _RecipeTables(msgspec.Struct, kw_only=True, frozen=True):
     data: dict[str, Any] = {}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Recipe:
     """A complete recipe."""
 

@@ -12,7 +12,6 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -21,6 +20,7 @@ import numpy as np
 
 from pipeline.core.arrays import Mask, freeze
 from pipeline.core.errors import FileProblem, SettingProblem, escape_text
+from pipeline.core.frozen import frozen
 from pipeline.core.memo import Memo
 from pipeline.core.values.frames import Grasp, Recording, Stream, TactileFrame, Truth
 from pipeline.core.values.pairing import NO_PARTNER, pair_frames
@@ -51,7 +51,7 @@ HOLD_OUT_HELP = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ToolSplit:
     """A published split by tools."""
 
@@ -203,7 +203,7 @@ class NoPairs(SettingProblem):
     """A recording does not hold both sensors."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PairFolder:
     """Recorded pairs that a recipe trains on."""
 
@@ -212,7 +212,7 @@ class PairFolder:
     share: float = 1.0  # of the grasps to train on that is used
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class RecordedPair:
     """The frames of one touch by both sensors."""
 
@@ -224,7 +224,7 @@ class RecordedPair:
     alignment: Alignment
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PairPlace:
     """Where a pair is: streams of one recording, and the frame."""
 
@@ -236,7 +236,7 @@ class PairPlace:
     grasp: Grasp
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PairSet:
     """All pairs of two sensors in a file or folder."""
 
@@ -375,7 +375,7 @@ def _describe_recording(
     return notes
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PairTask(Task):
     """A task on recorded pairs; loss and metrics are the task's."""
 

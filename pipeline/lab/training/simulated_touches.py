@@ -12,7 +12,7 @@ then, by another sensor instance, since its LEDs are not symmetric.
 import io
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar, cast
 
@@ -22,6 +22,7 @@ from pipeline.core.arrays import Doubles, Floats, Mask, freeze
 from pipeline.core.derived import derive_once
 from pipeline.core.errors import SettingProblem
 from pipeline.core.files import open_atomic, read_cached_arrays
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.geometry.meshes import Mesh
@@ -168,7 +169,7 @@ _TOLERANCE_UM = 5.0  # of the physical render: residuals are tenths of a millime
 _GEL_SHARE = {"gel": 0.45, "bubble": 0.95}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TargetTouch:
     """A touch as observed, as rendered by physics, and as recorded.
 
@@ -186,7 +187,7 @@ class TargetTouch:
     object_name: str  # of the catalogue; "" = a random body
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TouchPair:
     """Both sides of a touch on their working grids."""
 

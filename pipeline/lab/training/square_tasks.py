@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from pipeline.core.arrays import Floats
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.params import setting
 from pipeline.lab.training.distributed import unwrap_network
 from pipeline.lab.training.recorded_pairs import RecordedPair
@@ -72,7 +72,7 @@ _COMMITMENT_TERM = 0.25
 _TOUCHED_SHARE = 0.05  # of the largest change: larger changes count as touched
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SquarePair:
     """Changes (channels, side, side) of both sensors."""
 
@@ -83,7 +83,7 @@ class SquarePair:
     alignment: Alignment
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SquareTask(AugmentedPresses):
     """Examples of a source's square and the target's, simulated or recorded."""
 
@@ -173,7 +173,7 @@ def render_square(sensor: SensorSpec, indentation_mm: Floats, side: int) -> Floa
     return resize_to_square(change, side)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class LatentTask(SquareTask):
     """Latent diffusion. Autoencoder, condition encoder and denoiser are trained at once or one
     after the other; the denoiser's gradient does not reach the latents.
@@ -323,7 +323,7 @@ def _encode(file: str, target: Floats) -> Floats:
     return torch.cat(moments, dim=1)[0].numpy()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class VqVaeTask(SquareTask):
     """One sensor's change from another's by a VQ-VAE."""
 

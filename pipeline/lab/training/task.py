@@ -7,11 +7,11 @@ Loads neither torch nor numpy: the command line reads the table to list what can
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from pipeline.core.entry_points import load_reference
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.params import setting
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ class Task(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TaskEntry:
     """One line of the table."""
 
@@ -139,7 +139,7 @@ def import_task_class(name: str) -> type[Any]:
     return load_reference(TASKS[name].import_path)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SimulatedPresses(Task):
     """Settings of a task whose examples are drawn from a number of presses."""
 
@@ -156,7 +156,7 @@ class SimulatedPresses(Task):
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class AugmentedPresses(SimulatedPresses):
     """Presses that are also shown rotated or mirrored."""
 

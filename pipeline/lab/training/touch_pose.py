@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Floats
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.params import setting
 from pipeline.lab.training.simulated_touches import (
     BUBBLE,
@@ -47,7 +47,7 @@ _HUBER_RAD = 0.05
 _CHIRAL = ("letters", "cross", "wave")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TouchPoseTask(AugmentedPresses):
     """Settings of the examples and weights of the loss."""
 

@@ -6,7 +6,7 @@ order.
 """
 
 import zlib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from itertools import permutations
 from pathlib import Path
@@ -18,6 +18,7 @@ from pipeline.core.arrays import Doubles, Floats, Image
 from pipeline.core.derived import derive_once
 from pipeline.core.digests import compute_digest
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.params import MeshUnit, check_range
 from pipeline.core.values.frames import Pairing, Recording, Stream, TactileFrame, Truth
@@ -52,7 +53,7 @@ FRAME_INTERVAL_S = 0.1
 SIMULATION_VERSION = 3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SimulationPlan:
     """Contents of one recording."""
 

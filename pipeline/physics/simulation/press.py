@@ -8,13 +8,14 @@ alignment frame includes this, and so does every `target_from_source`. A gel res
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats, Image, Mask, freeze
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.values.frames import Truth
@@ -26,7 +27,7 @@ from pipeline.sensors.kinds import BubbleSensor, GelSensor, KindTable
 from pipeline.sensors.spec import SensorSpec
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SimulatedPress:
     """A simulated frame with its truth."""
 
@@ -54,7 +55,7 @@ class SimulatedPress:
         return cast("Doubles", self.truth.sensor_from_object)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PressedSurface:
     """The surface of a pressed sensor."""
 

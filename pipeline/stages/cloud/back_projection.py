@@ -2,12 +2,11 @@
 stage, eq. P_T).
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats, Indices, ensure_float, freeze
 from pipeline.core.errors import ShapeError, describe_no_contact
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import MIN_DEPTH_MM
 from pipeline.core.params import setting
@@ -19,7 +18,7 @@ _EMPTY = "the cloud is empty"
 MAX_DEPTH_MM = 1e9  # depths beyond are ignored for the median depth
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class BackProjectionParams:
     """Density of the cloud."""
 

@@ -10,7 +10,7 @@ larger of that error and the one of held-out presses.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from pipeline.calibration.calibration_table import (
 )
 from pipeline.calibration.contact_circles import find_largest_part, fit_sphere
 from pipeline.core.arrays import Doubles, Floats, Image, Mask, freeze
+from pipeline.core.frozen import frozen
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame
 from pipeline.sensors.spec import SensorSpec
@@ -204,7 +205,7 @@ _LARGEST = 0.5  # logarithm, of a press: more is a press misread
 _GRID = 16  # places along each side of the image
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class DepthScale:
     """Factors of depth, and what is left of the presses when each is predicted by the others."""
 

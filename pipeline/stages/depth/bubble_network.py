@@ -7,7 +7,7 @@ images are resampled there and back.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.core.arrays import Floats, Mask, freeze
 from pipeline.core.errors import AT_BORDER
+from pipeline.core.frozen import frozen
 from pipeline.core.params import setting
 from pipeline.core.progress import SILENT, Progress
 from pipeline.core.values.frames import TactileFrame
@@ -45,7 +46,7 @@ KINDS = ("bubble",)  # of the sensors that it is for
 _TASK = "bubble_depth"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class NetworkParams(DepthParams):
     """Parameters of the depth of a bubble, and the contact threshold of the network."""
 

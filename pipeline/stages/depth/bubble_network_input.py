@@ -7,13 +7,12 @@ leave in it. The roughness of the reference is a channel as well: its noise is i
 second time, with the opposite sign.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from pipeline.calibration.contact_circles import find_largest_part
 from pipeline.core.arrays import Floats, Mask, freeze
 from pipeline.core.derived import derive_once
+from pipeline.core.frozen import frozen
 from pipeline.stages.depth.bubble_contact import (
     SMOOTHING_MM,
     USUAL_CURVATURE_PER_MM,
@@ -37,7 +36,7 @@ _CHANNEL_LIMIT = 4.0
 _WEIGHT_MIN = np.float32(0.05)  # of the measured pixels around one in a mean
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class BubbleNetworkInput:
     """A displacement and its reference as the network's channels."""
 

@@ -2,17 +2,16 @@
 estimated.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from pipeline.core.arrays import Floats, Image, Mask
+from pipeline.core.frozen import frozen
 from pipeline.stages.depth.contact import fill_holes
 from pipeline.stages.depth.gel.coarse_light import compute_block_means
 from pipeline.stages.depth.gel.settings import SLOPES
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ImageWindow:
     """The part of the image in which the surface is estimated."""
 

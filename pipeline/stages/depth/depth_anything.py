@@ -1,6 +1,6 @@
 """Depth by Depth Anything V2, the paper's depth network, with weights that the user gives."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -9,6 +9,7 @@ import numpy as np
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.core.arrays import Floats, Mask, freeze
 from pipeline.core.errors import StageWarning
+from pipeline.core.frozen import frozen
 from pipeline.core.graph import Skipped
 from pipeline.core.params import setting
 from pipeline.core.progress import Progress
@@ -31,7 +32,7 @@ _NOT_SHIPPED = NoWeights(
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class DepthAnythingParams:
     """Input size and output kind of the network."""
 

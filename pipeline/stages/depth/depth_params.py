@@ -1,11 +1,10 @@
 """Parameters of the photometric depth, and of a bubble's."""
 
-from dataclasses import dataclass
-
+from pipeline.core.frozen import frozen
 from pipeline.core.params import setting
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class DepthParams:
     """Parameters of the photometric depth."""
 

@@ -22,12 +22,12 @@ Constants without a source have no better neighbour in a sweep (docs/experiments
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.core.arrays import Floats, Mask, freeze
 from pipeline.core.derived import derive_once
+from pipeline.core.frozen import frozen
 from pipeline.stages.depth.contact import downsample
 
 _NOISE = 0.39  # standard deviation of a mean over one square mm, times mm^2: soft_bubble
@@ -46,7 +46,7 @@ _PRESSURE_RISE_MAX = np.float32(0.25)  # of the inner pressure, under a contact
 _LOAD_MIN = 1.5  # times the inner pressure
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class MembraneLoad:
     """A membrane's displacement and the load that causes it."""
 

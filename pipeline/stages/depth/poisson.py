@@ -23,7 +23,6 @@ For slopes with different weights per pixel, `solve_weighted_slopes` minimises s
 """
 
 import math
-from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -32,6 +31,7 @@ from numpy.typing import NDArray
 from pipeline.core.arrays import Doubles, Floats, freeze, median
 from pipeline.core.derived import derive_once
 from pipeline.core.errors import ShapeError
+from pipeline.core.frozen import frozen
 from pipeline.core.progress import SILENT, Progress
 
 Boundary = Literal["flat", "free"]
@@ -102,7 +102,7 @@ def _integrate(gx: Floats, gy: Floats, pixel_mm: float, sides: SideBoundaries) -
     return (wave if across else _transpose(wave)).reshape(gx.shape)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Integrator:
     """The integral of slopes of one part of an image; it can be cancelled at every use."""
 

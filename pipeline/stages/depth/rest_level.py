@@ -13,11 +13,11 @@ the correction is smooth, so it is computed on a coarse grid.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats, Mask, median
+from pipeline.core.frozen import frozen
 from pipeline.physics import gel as gel_mechanics
 from pipeline.sensors.spec import Gel
 from pipeline.stages.depth.contact import (
@@ -29,7 +29,7 @@ from pipeline.stages.depth.contact import (
 from pipeline.stages.depth.gel.settings import ContactSettings
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class LevelledSurface:
     """A surface that is zero at rest, and the faces inside it that cause no colour change."""
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Floats, Image, Mask, freeze
 from pipeline.core.derived import derive_once
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.values.frames import TactileFrame, Truth
@@ -38,7 +39,7 @@ _NARROWED = 24  # golden sections: to a hundred thousandth of the first bracket
 _SMALL_RAD = 1e-4
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SymmetricPoseError:
     """Errors of an estimate against the true pose."""
 
@@ -50,7 +51,7 @@ class SymmetricPoseError:
     observable_deg: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Ambiguity:
     """Poses that fit equally well."""
 
@@ -255,7 +256,7 @@ _SAME_MM = 1.0  # poses this close are one
 PSNR_CAP_DB = 100.0  # identical images have no finite ratio; published tables cap it too
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Metric:
     """A metric's unit, direction and short title."""
 

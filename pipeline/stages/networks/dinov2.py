@@ -4,19 +4,19 @@ Oquab et al. 2023, patches of 14 pixels, no register tokens; small, base and lar
 """
 
 from collections import OrderedDict
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from pipeline.core.frozen import frozen
 from pipeline.stages.networks.depth_anything_input import PATCH_PX
 
 _TRAINED_PATCHES = 37  # per side of the position embeddings, 518 px
 _OFFSET = 0.1  # patches, added when position embeddings are resized, as in the published training
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class EncoderSize:
     """One of the published model sizes, or the smaller "vitt" of ours."""
 

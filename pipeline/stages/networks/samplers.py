@@ -32,13 +32,13 @@ alone, whatever the weight.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal, TypeVar, cast
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.params import list_settings, replace_value
 from pipeline.core.progress import SILENT, Progress
 
@@ -57,7 +57,7 @@ _FEW_STEPS = 12
 _SOME_STEPS = 24
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SamplerStep:
     """Expected clean array of one step."""
 
@@ -65,7 +65,7 @@ class SamplerStep:
     clean: Any
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SamplerResult:
     """A sample and its cost."""
 
@@ -226,7 +226,7 @@ _INTERVAL = (0.02, 1.0)
 _STEPS_PER_WEIGHT = 12  # steps per unit of weight that a degree above 0 needs, measured
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class GuidancePlan:
     """How a requested guidance weight is applied."""
 

@@ -9,7 +9,6 @@ published mean and standard deviation.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 
@@ -17,6 +16,7 @@ import numpy as np
 
 from pipeline.core.arrays import Floats, freeze
 from pipeline.core.errors import SettingProblem
+from pipeline.core.frozen import frozen
 from pipeline.sensors.kinds import BubbleSensor, GelSensor, KindTable, get_kind
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.networks.weights import NoWeights, Weights
@@ -25,7 +25,7 @@ from pipeline.stages.networks.weights import NoWeights, Weights
 SelectWeights = Callable[[SensorSpec, SensorSpec, Path | None], Weights | NoWeights]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TouchFormat:
     """What networks get from sensors of one kind as sources, and generate of them as targets."""
 

@@ -29,6 +29,7 @@ from pipeline.core.files import (
     require_file,
     write_text,
 )
+from pipeline.core.frozen import frozen
 from pipeline.core.params import Value
 from pipeline.core.torch_archive import SIGNATURE
 from pipeline.core.typed_data import Name, Plain, convert
@@ -101,7 +102,7 @@ class TensorsOnDisk(Mapping[str, Floats]):
         return len(self.names)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Weights:
     """A trained network: its kind, constructor arguments and parameters."""
 
@@ -156,7 +157,7 @@ class _Header(msgspec.Struct):
     card: dict[Name, Annotated[str, Meta(max_length=1_000_000)]]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class NoWeights:
     """Input of a method that has no usable weights."""
 

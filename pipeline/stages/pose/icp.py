@@ -1,13 +1,14 @@
 """Open3D's point-to-plane ICP on sampled points, as in the paper, as a method of the pose stage."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.errors import CalibrationError
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh, sample_surface
 from pipeline.core.progress import SILENT, Progress
@@ -25,7 +26,7 @@ _N_REFINED = 6
 _SETTLED = 1e-6  # Open3D's own relative change of fitness and rmse that ends its iterations
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class _Icp:
     """Scene and object point clouds of Open3D."""
 

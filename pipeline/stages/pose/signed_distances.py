@@ -8,12 +8,13 @@ that fit equally well.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.errors import SettingProblem, describe_no_contact
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.params import setting
@@ -46,7 +47,7 @@ _MIN_FITNESS = 0.05  # inlier share below which there is no pose
 _MAX_SIZE_RATIO = 100.0  # object size over contact radius; a larger object would appear as a plane
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PoseParams:
     """Settings of the registration."""
 

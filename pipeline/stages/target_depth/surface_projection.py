@@ -8,7 +8,6 @@ Rasterisation of a cloud in a camera image, as points or as the surface of its p
 """
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, Floats, Indices, Mask, freeze
 from pipeline.core.errors import AlignmentWarning, ShapeError, StageWarning, describe_no_contact
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.core.geometry.membrane import Membrane
 from pipeline.core.params import setting
@@ -26,7 +26,7 @@ from pipeline.sensors.spec import SensorSpec
 _SPACING_SAMPLES = 1024  # neighbour pairs that the point spacing is estimated from
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Rasterisation:
     """Result of a rasterisation, all flat.
 
@@ -189,12 +189,12 @@ _NEXT_CORNER = [1, 2, 3, 0]  # next corner of a quadrilateral
 _MANY = 0.05  # share of points outside the image from which on it is a warning
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PointSplatParams:
     """The point splat has no parameters."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SurfaceProjectionParams:
     """How the surface is rasterised."""
 

@@ -9,7 +9,7 @@ three steps.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -18,6 +18,7 @@ import numpy as np
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.core.arrays import Floats
 from pipeline.core.errors import UnseenObjectWarning
+from pipeline.core.frozen import frozen
 from pipeline.core.graph import Fallback
 from pipeline.core.params import setting
 from pipeline.core.progress import SILENT, Progress
@@ -77,7 +78,7 @@ OUTSIDE_VIEW = (
 NOTE = "image only, sampled from {}: the membrane is not known"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class LatentParams:
     """Sampling settings; defaults are those of the paper."""
 

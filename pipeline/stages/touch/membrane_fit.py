@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats, freeze
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.values.results import DepthMap
@@ -39,7 +39,7 @@ _OUTLIER_STDS = 3.0
 _SMOOTH = 3  # blocks over which independent noise averages out and a misfit does not
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class MembraneFit:
     """A pose, its covariance, and how far the membrane is explained."""
 
@@ -49,7 +49,7 @@ class MembraneFit:
     misfit: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PressResidual:
     """What a press of a mesh leaves unexplained of the membrane that a source measured."""
 

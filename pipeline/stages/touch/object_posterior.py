@@ -10,11 +10,11 @@ independent patches.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, freeze
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.values.results import ObjectPose
 from pipeline.stages.pose.registration.ranking import CORRELATION_MM, LEAST_SPREAD_MM, make_judge
@@ -34,7 +34,7 @@ _JUDGE_CONTACT = 150
 _JUDGE_MODEL = 1500
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PosePosterior:
     """Poses (n, 4, 4) of the object in the sensor frame that explain a touch."""
 

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats, freeze
 from pipeline.core.errors import StageWarning, select_warnings
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import Camera
 from pipeline.core.geometry.meshes import Mesh
@@ -70,7 +71,7 @@ _BIAS_SHARE = 1.2  # of a gel's correlated depth error that moves the whole obje
 _MEAN_FROM_STD = math.sqrt(2.0 / math.pi)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ObjectParams:
     """Settings of the posterior of the object's pose."""
 
@@ -153,7 +154,7 @@ def press_object(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class _Registered:
     """A pose in the source's frame and how far it explains the touch."""
 

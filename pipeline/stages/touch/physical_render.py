@@ -8,7 +8,7 @@ membrane over them, observed by its depth camera. Elsewhere the membrane is free
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from pipeline.core.errors import (
     UnseenObjectWarning,
     describe_no_contact,
 )
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import MIN_DEPTH_MM
 from pipeline.core.params import setting
 from pipeline.core.progress import SILENT, Progress
@@ -55,7 +56,7 @@ _DEEP_MM = 8.0  # indentation of a bubble from which on what lies outside the so
 _NARROW_RATIO = 2.5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PhysicalRenderParams:
     """Settings of the simulation."""
 

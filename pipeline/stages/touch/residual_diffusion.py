@@ -25,13 +25,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from pipeline.core.arrays import Floats, Image, Mask, freeze
 from pipeline.core.errors import ChangeNote, OutsideViewWarning
+from pipeline.core.frozen import frozen
 from pipeline.core.graph import Fallback
 from pipeline.core.params import setting
 from pipeline.core.progress import SILENT, Progress
@@ -62,7 +63,7 @@ _DRAFT_STEPS = 4  # steps while dragging
 _MAX_KEPT_STATES = 50  # states; a thousand would exhaust the memory
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class DiffusionParams:
     """Sampling settings."""
 
@@ -138,7 +139,7 @@ def make_draft_params(params: AnyParams) -> AnyParams:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class DenoisingState:
     """The expected clean residual at one step, each field (rows, cols)."""
 
@@ -147,7 +148,7 @@ class DenoisingState:
     contact_correction: Floats  # added to the contact of the prior
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ResidualSample:
     """A sample, its expected error and its cost."""
 
@@ -427,7 +428,7 @@ def _resize(field: Floats, shape: tuple[int, int]) -> Floats:
 _BLUR_PX = 4.0  # px; a share with finer structure would create edges
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ErrorCalibration:
     """Calibration of a network's predicted error."""
 

@@ -13,13 +13,14 @@ latent diffusion gets the target depth, its contact mask and the source's view a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.core.arrays import Floats, Mask, freeze
 from pipeline.core.digests import compute_cached_digest
+from pipeline.core.frozen import frozen
 from pipeline.core.graph import Fallback
 from pipeline.core.memo import Memo
 from pipeline.core.params import setting
@@ -52,7 +53,7 @@ MAX_PIXEL_RATIO = 1.25  # allowed ratio to the trained pixel size
 _HALF = 0.5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class T2D2Params(DiffusionParams):
     """Sampling settings, and how far an uncertain mean is shrunk toward the physical render."""
 

@@ -6,13 +6,14 @@ Triangles run counter-clockwise seen from outside.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.errors import MeshProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh, load_mesh
 from pipeline.core.geometry.symmetry import Symmetry, asymmetric
@@ -26,7 +27,7 @@ from pipeline.physics.simulation.shapes.polygons import (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Shape:
     """Mesh and symmetry of an object; simulation and registration use the same mesh."""
 

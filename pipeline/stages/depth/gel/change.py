@@ -18,7 +18,6 @@ coarse light's errors make plausible (`stiffness`), so that it does not take the
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Literal, NamedTuple, cast
 
 import numpy as np
@@ -27,6 +26,7 @@ from pipeline.calibration.markers import detect_markers
 from pipeline.core.arrays import Doubles, Floats, Image, Mask, freeze
 from pipeline.core.derived import derive_once
 from pipeline.core.errors import UNCERTAIN_CONTACT
+from pipeline.core.frozen import frozen
 from pipeline.core.graph import EarlyAnswer, Skipped
 from pipeline.core.progress import Progress
 from pipeline.core.values.frames import TactileFrame
@@ -42,7 +42,7 @@ from pipeline.stages.depth.gel.settings import CHANGE
 Verdict = Literal["press", "none", "uncertain"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Waves:
     """One kind of change, beside drift, by the eigenvectors of its curvature."""
 
@@ -52,7 +52,7 @@ class Waves:
     values: Doubles  # (m,)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ChangeModel:
     """All that is the same for every frame of a reference image in one light."""
 
@@ -63,7 +63,7 @@ class ChangeModel:
     basis: DentBasis
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Change:
     """What explains the change of an image."""
 
@@ -77,14 +77,14 @@ class Change:
     is_smooth: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ChangeParams:
     """Parameters of the node."""
 
     contact_limit: float  # times the sensor's smallest indentation
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class FrameChange:
     """A press, and what the image would be without it."""
 

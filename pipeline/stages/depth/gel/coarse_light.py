@@ -10,14 +10,13 @@ few touches of a recording, in turn with their pressures, without any truth: a d
 integrate to a surface only in the right light.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from pipeline.calibration.markers import detect_markers, remove_printed_markers
 from pipeline.calibration.slope_model import compute_positions
 from pipeline.core.arrays import Doubles, Floats, Image, Mask, freeze
 from pipeline.core.derived import derive_once
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.camera import Camera
 from pipeline.physics import gel as gel_layer
 from pipeline.physics import optics
@@ -26,7 +25,7 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.gel.settings import CHANGE, REST
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class DriftPrior:
     """Drift of the light and the camera as columns, and how likely it is."""
 
@@ -36,7 +35,7 @@ class DriftPrior:
     projection: Doubles  # (14, 14) the most likely drift by columns^T change
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class DentBasis:
     """What one unit of pressure at each of m knots does to the gel, at the centres of the
     blocks.

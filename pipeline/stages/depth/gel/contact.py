@@ -1,11 +1,11 @@
 """Node *contact*: where a gel's surface touches, and how it lies around that."""
 
-from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
 
 from pipeline.core.arrays import Floats, Image, Mask, median, percentile
+from pipeline.core.frozen import frozen
 from pipeline.core.progress import Progress
 from pipeline.core.values.frames import TactileFrame
 from pipeline.core.values.results import DepthMap
@@ -22,7 +22,7 @@ from pipeline.stages.depth.gel.surface import FrameSurface
 from pipeline.stages.depth.illumination.light import FrameLight
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ContactParams:
     """Parameters of the node."""
 

@@ -32,11 +32,12 @@ from pipeline.calibration.slope_model import compute_positions
 from pipeline.core.arrays import Doubles, Floats, Image, freeze
 from pipeline.core.derived import derive_once
 from pipeline.core.errors import StageWarning
+from pipeline.core.frozen import frozen
 from pipeline.stages.depth.gel.coarse_light import compute_block_means
 from pipeline.stages.depth.gel.settings import CHANGE
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Drift:
     """The change from a reference to a current image without a touch."""
 
@@ -83,7 +84,7 @@ class Drift:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class RestImage:
     """A reference with the drift of a later image applied."""
 
@@ -94,7 +95,7 @@ class RestImage:
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class _Blocks:
     """Means of an image over blocks, and their derivatives by a shift."""
 

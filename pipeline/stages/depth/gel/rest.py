@@ -4,11 +4,11 @@ Frames are checked here, and kinds of sensors that measure depth themselves are 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import cast
 
 from pipeline.calibration.calibration_table import Calibration, check_calibration, make_built_in
 from pipeline.core.arrays import Floats, Image
+from pipeline.core.frozen import frozen
 from pipeline.core.graph import EarlyAnswer, Skipped
 from pipeline.core.progress import Progress
 from pipeline.core.values.frames import TactileFrame
@@ -30,7 +30,7 @@ DEPTH_ESTIMATORS: KindTable[EstimateDepth] = KindTable(
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class RestState:
     """A gel before a touch."""
 

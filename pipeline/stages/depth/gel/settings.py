@@ -5,10 +5,10 @@ source.
 as much again. Grey levels are those of 8-bit images; slopes are in mm/mm; shares are of 1.
 """
 
-from dataclasses import dataclass
+from pipeline.core.frozen import frozen
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class RestSettings:
     """Constants of the node *rest*: of the check of a frame, and of the coarse light of an
     instance.
@@ -31,7 +31,7 @@ class RestSettings:
     turn_max: float = 1.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ChangeSettings:
     """Constants of the node *change*; evidence is in nats."""
 
@@ -145,7 +145,7 @@ class ChangeSettings:
     drift_foreign_grey: float = 7.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class StepRule:
     """How one refinement iteration moves the slopes, and how it makes them a surface."""
 
@@ -157,7 +157,7 @@ class StepRule:
     weighted: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class LightSettings:
     """Constants of the node *light*, which chooses an illumination and fits its parameters."""
 
@@ -231,7 +231,7 @@ class LightSettings:
     hopeless_field_gain: float = 1.5  # after any iteration: two more gain a factor of 1.4 at most
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SlopesSettings:
     """Constants of the node *slopes*, and of the window in which it looks."""
 
@@ -258,7 +258,7 @@ class SlopesSettings:
     level_pixels: int = 1000  # outside the changed region, whose median is the level of a surface
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SurfaceSettings:
     """Constants of the node *surface*: of the refinement, which chooses light as well."""
 
@@ -297,7 +297,7 @@ class SurfaceSettings:
     reach_mm: float = 0.5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ContactSettings:
     """Constants of the node *contact*.
 

@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.core.arrays import Floats, Image, Mask
 from pipeline.core.errors import CalibrationError, StageWarning
+from pipeline.core.frozen import frozen
 from pipeline.core.progress import Progress
 from pipeline.core.values.frames import TactileFrame
 from pipeline.physics.optics import compute_slopes
@@ -31,7 +32,7 @@ from pipeline.stages.depth.illumination.light import (
 from pipeline.stages.depth.poisson import Boundary, Integrator, SideBoundaries, integrate_slopes
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SlopeParams:
     """Parameters of the node."""
 
@@ -102,7 +103,7 @@ def find_boundaries(rows: slice, cols: slice, shape: tuple[int, ...]) -> SideBou
     return SideBoundaries(*ends)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class FrameSlopes:
     """Slopes of the changed part of an image by the calibration table."""
 

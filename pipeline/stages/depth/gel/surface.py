@@ -2,11 +2,12 @@
 light.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from pipeline.core.arrays import Floats, freeze
+from pipeline.core.frozen import frozen
 from pipeline.core.params import NoParams
 from pipeline.core.progress import Progress
 from pipeline.physics.optics import compute_slopes
@@ -26,7 +27,7 @@ from pipeline.stages.depth.illumination.light import (
 from pipeline.stages.depth.poisson import Boundary, Integrator
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class FrameSurface:
     """A surface as light shows it, before mechanics tell what of it touches."""
 

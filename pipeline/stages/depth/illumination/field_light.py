@@ -21,7 +21,6 @@ weight.
 import functools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +35,7 @@ from pipeline.calibration.shading_field import (
 )
 from pipeline.core.arrays import Doubles, Floats, Mask
 from pipeline.core.derived import derive_once
+from pipeline.core.frozen import frozen
 from pipeline.physics import optics
 from pipeline.physics.optics import compute_slopes
 from pipeline.sensors.spec import SensorSpec
@@ -51,7 +51,7 @@ from pipeline.stages.depth.illumination.light import (
 from pipeline.stages.depth.illumination.surface_refinement import clip_surface, refine_surface
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class FieldLight(Light):
     """A shading field over one patch."""
 

@@ -11,12 +11,13 @@ of shadow strength, and the shadows' elevation (degrees).
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from pipeline.calibration import near_led_prior, slope_model
 from pipeline.core.arrays import Doubles, Floats
+from pipeline.core.frozen import frozen
 from pipeline.physics.optics import apply_shadows, pack_leds, require_optics
 from pipeline.sensors.parts import Led, Optics, compute_mean_reference_light
 from pipeline.sensors.spec import SensorSpec
@@ -29,7 +30,7 @@ from pipeline.stages.depth.illumination.light import (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class LedLight(Light):
     """Distant LEDs over one patch."""
 

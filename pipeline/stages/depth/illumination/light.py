@@ -3,7 +3,6 @@ with it.
 """
 
 import math
-from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -12,13 +11,14 @@ from pipeline.calibration import slope_model
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.calibration.markers import inpaint_markers, remove_printed_markers
 from pipeline.core.arrays import Floats, Image, Mask
+from pipeline.core.frozen import frozen
 from pipeline.sensors.spec import Markers, SensorSpec
 from pipeline.stages.depth.change_detection import ImageWindow
 from pipeline.stages.depth.gel.settings import SURFACE, StepRule
 from pipeline.stages.depth.poisson import Integrator
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ImagePatch:
     """The changed part of an image, at full resolution or on a coarser grid."""
 
@@ -34,7 +34,7 @@ class ImagePatch:
     unmarked_share: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class TouchObservation:
     """A touch that light is fitted to: its image, a first guess of its surface, and the
     integrator of its patch.
@@ -176,7 +176,7 @@ def sum_change_grey(patch: ImagePatch) -> float:
 IlluminationModel = Literal["described", "trusted", "near", "leds", "field"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Illumination:
     """Parameters of the light that a frame is read by.
 
@@ -218,7 +218,7 @@ class Illumination:
         return self.model == "leds" and any(self.parameters)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class FrameLight:
     """What a frame is measured by: its light and its calibration table."""
 
@@ -237,7 +237,7 @@ class RenderedChange(NamedTuple):
     rate_y: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Light:
     """A light model, prepared for one image patch."""
 

@@ -11,12 +11,13 @@ that shrinks with their spread. Directions that the points do not determine (X-I
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.arrays import Doubles, freeze
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.distance_grid import DistanceGrid
 from pipeline.core.values.results import PoseStep
@@ -40,7 +41,7 @@ _SCALE_FACTOR = 1.5  # factor on the subset's final scale at which all points st
 NOTHING_NEAR = "no point lies within the search distance of the object"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class FitOptions:
     """Options of one registration."""
 
@@ -52,7 +53,7 @@ class FitOptions:
     keep_steps: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PoseFit:
     """Result of a registration."""
 
@@ -63,14 +64,14 @@ class PoseFit:
     steps: tuple[PoseStep, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class NotDetermined:
     """The reason why no pose can be estimated."""
 
     reason: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class CentredPoints:
     """Contact points about their centroid, and their rms radius: what the kernels work on."""
 

@@ -5,13 +5,13 @@ grid, cached.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Mask
 from pipeline.core.digests import compute_digest
 from pipeline.core.errors import MeshProblem
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry.distance_grid import DistanceGrid, load_distance_grid
 from pipeline.core.geometry.meshes import Mesh
 from pipeline.core.memo import Memo
@@ -29,7 +29,7 @@ _VERTEX_DECIMALS = 6  # decimals (mm) to which shared vertices agree, as in a si
 _SEQUENCE_STEPS = (0.7548776662466927, 0.5698402909980532)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ObjectModel:
     """Points on an object's surface, in the object frame."""
 
@@ -127,7 +127,7 @@ def _facet_error_sq(mesh: Mesh, normals: Doubles) -> Doubles:
     return out
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PreparedObject:
     """An object's distance grid and surface points."""
 

@@ -14,11 +14,11 @@ error.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.distance_grid import DistanceGrid
 from pipeline.core.geometry.screws import describe_motions
@@ -40,7 +40,7 @@ _MAX_CORRELATED_DRAFT = 150
 _NO_INFORMATION = 1e-9
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Tolerances:
     """Uncertainty below which a motion counts as determined."""
 
@@ -52,7 +52,7 @@ class Tolerances:
 TOLERANCES = Tolerances()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SystematicStd:
     """Standard deviations that do not average out over the points.
 
@@ -67,7 +67,7 @@ class SystematicStd:
 NO_SYSTEMATIC_STD = SystematicStd()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class Observability:
     """What the data determine, about the scene's centroid, in the sensor frame."""
 
@@ -265,7 +265,7 @@ SYSTEMATIC_STD_MM = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class MatchedPoints:
     """Contact points on the object's surface, and their errors."""
 

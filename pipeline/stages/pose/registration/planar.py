@@ -9,12 +9,13 @@ stage, and the protocol for both fingers of a grasp, run it.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, freeze
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh, sample_surface
 from pipeline.core.progress import SILENT, Progress
@@ -29,7 +30,7 @@ _IN_PLANE = (1.0, 1.0, 0.0)
 SWEEP_DEG = tuple(-22.5 + 5.0 * k for k in range(10))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PlanarFit:
     """Result of the planar registration."""
 
@@ -198,7 +199,7 @@ N_ITERATIONS = 200
 _PLANE_FROM_GRASP = np.array([[0.0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class GraspPoseError:
     """Errors in the grasp's plane."""
 

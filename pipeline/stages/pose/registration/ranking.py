@@ -8,12 +8,12 @@ placed by it along directions that its surface does not determine.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Indices
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.distance_grid import DistanceGrid
 from pipeline.stages.pose.registration.model import ObjectModel
@@ -35,7 +35,7 @@ _NOTICED_SHARE = 0.05
 _NOTICED_MM = 0.01
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PoseJudge:
     """A scene and an object, thinned for comparison."""
 

@@ -6,12 +6,12 @@ sensor, at several angles.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, Floats, Indices, Mask, freeze
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.core.geometry.normals import compute_area_vectors
@@ -35,7 +35,7 @@ _PREDICTED_STDS = 3.0
 _MIN_PART = 10  # fewer points are no surface
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class ContactScene:
     """Contact points in the sensor frame, and the membrane that no object may penetrate."""
 
@@ -189,7 +189,7 @@ _SAME_MM = 0.3  # points this close are one
 _MIN_LAYER_MM = 0.3  # depth below the outermost point that still touches
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class InitialPose:
     """One initial pose; poses of one `group` differ only in the point of the face."""
 

@@ -10,13 +10,14 @@ Describe what is not observable.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from itertools import permutations, product
 
 import numpy as np
 
 from pipeline.core.arrays import Doubles, freeze
 from pipeline.core.errors import StageWarning
+from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.screws import SLIDE_ROTATION_LIMIT, describe_direction
 from pipeline.core.progress import SILENT, Progress
@@ -108,7 +109,7 @@ _TURNED_OVER = tuple(
 """The 23 turns that take the axes of an object to themselves."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PoseMinimum:
     """A pose at which a registration converged."""
 
@@ -116,7 +117,7 @@ class PoseMinimum:
     misfit_mm: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class PoseSearch:
     """A touch and an object, ready to compare."""
 
@@ -429,7 +430,7 @@ MISSING_CONTACT_WARNING = StageWarning(
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen
 class SelectedPose:
     """The selected minimum and its description."""
 
