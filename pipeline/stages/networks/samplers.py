@@ -55,6 +55,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 # steps from which one degree more is better, `benchmarks/sampling.py`
 _FEW_STEPS = 12
 _SOME_STEPS = 24
+_RHO = 7.0
 
 
 @frozen
@@ -74,10 +75,8 @@ class SamplerResult:
     steps: tuple[SamplerStep, ...] = ()  # only on request
 
 
-def make_sigma_schedule(
-    steps: int, *, sigma_max: float, sigma_min: float, rho: float = 7.0
-) -> Doubles:
-    """(steps + 1,) from `sigma_max` to `sigma_min`, then 0, even in sigma^(1/rho) (Karras et al.
+def make_sigma_schedule(steps: int, *, sigma_max: float, sigma_min: float) -> Doubles:
+    """(steps + 1,) from `sigma_max` to `sigma_min`, then 0, even in sigma^(1/7) (Karras et al.
     2022, eq. 5).
 
     One step goes from `sigma_max` straight to 0. Raises SettingProblem for a number of steps
@@ -90,8 +89,8 @@ def make_sigma_schedule(
             f"{sigma_min:g}"
         )
     share = np.arange(steps) / max(1, steps - 1)
-    ends = sigma_max ** (1 / rho), sigma_min ** (1 / rho)
-    return np.append((ends[0] + share * (ends[1] - ends[0])) ** rho, 0.0)
+    first, last = (level ** (1 / _RHO) for level in (sigma_max, sigma_min))
+    return np.append((first + share * (last - first)) ** _RHO, 0.0)
 
 
 def make_timestep_schedule(
@@ -279,13 +278,12 @@ def raise_steps(old: P, new: P) -> P:
     than they have.
     """
     names = list_settings(new).keys()
-    least = _MIN_STEPS
     before = cast("Any", old)
     after = cast("Any", new)
     if (
         not {"guidance", "steps"} <= names
         or after.guidance in (before.guidance, 1.0)
-        or after.steps >= least
+        or after.steps >= _MIN_STEPS
     ):
         return new
     return replace_value(new, "steps", GUIDED_STEPS[1])

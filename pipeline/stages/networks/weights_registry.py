@@ -71,19 +71,18 @@ def load_for_task(
     """
     tasks = (task,) if isinstance(task, str) else task
     weights = load_shipped(name) if file is None else load_file(file, read)
-    if isinstance(weights, Weights) and weights.card.get("task") not in tasks:
-        trained_for = weights.card.get("task", "something else")
+    if isinstance(weights, NoWeights):
+        return weights
+    trained_for = weights.card.get("task", "something else")
+    if trained_for not in tasks:
         return NoWeights(
             why=f"the weights {weights.name!r} were trained for {trained_for}, not {tasks[0]}; "
             "choose others with --weights"
         )
-    if (
-        isinstance(weights, Weights)
-        and weights.card.get(TARGET_KIND, target_kind) != target_kind != ""
-    ):
+    kind = weights.card.get(TARGET_KIND, target_kind)
+    if target_kind and kind != target_kind:
         return NoWeights(
-            why=f"the weights {weights.name!r} generate touches of a {weights.card[TARGET_KIND]}, "
-            "not of a "
+            why=f"the weights {weights.name!r} generate touches of a {kind}, not of a "
             f"{target_kind}; choose others with --weights"
         )
     return weights
