@@ -26,7 +26,7 @@ from pipeline.core.values.frames import Recording, Stream, TactileFrame
 from pipeline.io.mounts import mount
 from pipeline.physics.simulation.datasets import SimulationPlan, simulate_moment
 from pipeline.translation.catalogue import default_params
-from pipeline.translation.following import FROM_REST, Start
+from pipeline.translation.following import FROM_REST, Start, get_start
 from pipeline.translation.translate import Request, Translation, open_translation
 
 if TYPE_CHECKING:
@@ -210,14 +210,10 @@ def _compute_simulated_touch(opened: Shared) -> None:
             seed=0,
             sequence="all",
         )
-        pose = membrane = None
+        start = FROM_REST
         for index in (_TOUCHED, _TOUCHED + 1):
             frame, _ = simulate_moment(plan, index)[0]
-            given = {"previous_membrane": membrane}
-            results = translation.evaluate(frame, previous=pose, given=given)
-            outputs = {name: result.output for name, result in results.items()}
-            pose = outputs.get("pose")
-            membrane = getattr(outputs.get("touch"), "pressed", None)
+            start = get_start(translation.evaluate(frame, start=start))
 
 
 @lru_cache
