@@ -73,7 +73,7 @@ class EarlyAnswer(Generic[Output]):
     output: Output
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)  # a type checker loses *Reads by `frozen`
+@frozen
 class Method(Generic[Params, Output, *Reads]):
     """One implementation of a stage: a function without side effects, its parameters, and its
     inputs.

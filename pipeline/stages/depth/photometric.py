@@ -4,7 +4,6 @@ A gel's image goes through the nodes of `gel.chain`; a bubble's depth image is c
 untouched one (`bubble_depth`).
 """
 
-from collections.abc import Callable
 from typing import Any, cast
 
 from pipeline.calibration.calibration_table import Calibration
@@ -22,8 +21,18 @@ from pipeline.stages.depth.gel.result import describe_reference_mismatch
 from pipeline.stages.depth.gel.slopes import describe_mirroring, make_changed_image
 from pipeline.stages.depth.illumination.light import FrameLight, Illumination
 
-# `estimate_depth` as a method's function
-run_physics: Callable[..., DepthMap | Skipped[DepthMap]] = chain_nodes(NODES, READS)
+_run_chain = chain_nodes(NODES, READS)
+
+
+def run_physics(
+    frame: TactileFrame,
+    source: SensorSpec,
+    calibration: Calibration | None,
+    params: DepthParams,
+    progress: Progress,
+) -> DepthMap | Skipped[DepthMap]:
+    """`estimate_depth` as a method's function."""
+    return _run_chain(frame, source, calibration, params, progress)
 
 
 def estimate_depth(
