@@ -1,7 +1,6 @@
 """Recovery files: one autosaved session per window, removed when the window closes normally."""
 
 import contextlib
-import fcntl
 import os
 import time
 from pathlib import Path
@@ -55,8 +54,8 @@ def find_recoverable_sessions(folder: Path) -> tuple[RecoverableSession, ...]:
     """
     sessions: list[RecoverableSession] = []
     for path in folder.glob(f"session-*{SESSION_SUFFIX}"):
-        with contextlib.suppress(OSError), _get_lock_path(path).open("wb") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # fails where a window holds it
+        # the lock cannot be had while a window holds it
+        with contextlib.suppress(OSError, TouchError), open_lock(_get_lock_path(path)):
             sessions.append(_load(path, time.time() - path.stat().st_mtime))
     return tuple(sorted(sessions, key=lambda recoverable: recoverable.age_s))
 

@@ -73,9 +73,10 @@ def train(
         seed: Seed of weights and examples, instead of the recipe's.
         workers: Processes that make examples; 0 makes them in the main process.
     """
-    if what not in _NETWORK_NAMES:
+    known = {entry.subcommand for entry in TASKS.values()}
+    if what not in known:
         raise SettingProblem(
-            f"nothing called {what!r} can be trained; there are {', '.join(sorted(_NETWORK_NAMES))}"
+            f"nothing called {what!r} can be trained; there are {', '.join(sorted(known))}"
         )
     if minutes is not None and not 0.0 < minutes <= 1e6:
         raise SettingProblem(f"--minutes must lie above 0 and at most a million, got {minutes:g}")

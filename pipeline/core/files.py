@@ -311,7 +311,8 @@ def open_lock(path: Path) -> BinaryIO:
     with name_os_error("cannot lock this file", path):
         path.parent.mkdir(parents=True, exist_ok=True)
         lock = path.open("wb")
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with close_on_error(lock.close):
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         return lock
 
 

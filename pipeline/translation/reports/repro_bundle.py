@@ -348,7 +348,7 @@ def _request(asked: _RequestFile, folder: Path) -> Request:
 
     given: dict[str, Any] = {name: getattr(asked, name) for name in (*_WORDS, *_FILES)}
     for name in _FILES:
-        given[name] = given[name] and inside(given[name])
+        given[name] = None if given[name] is None else inside(given[name])
     for side in ("source", "target"):
         if given[side].endswith(".toml"):
             given[side] = str(inside(given[side]))

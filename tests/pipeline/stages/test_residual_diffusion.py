@@ -9,7 +9,7 @@ import torch
 
 from pipeline.core.progress import Cancelled
 from pipeline.stages.touch.residual_diffusion import FIELD_LIMIT, DiffusionParams, sample_residual
-from tests.pipeline.stages.networks.test_residual_denoiser import PREDICTIONS, small
+from tests.pipeline.stages.networks.test_residual_denoiser import small
 
 SAMPLERS = ("ddim", "dpmpp_2m", "corrected")
 CONDITION = np.random.default_rng(0).normal(size=(3, 12, 16)).astype(np.float32)
@@ -115,10 +115,9 @@ def test_too_few_steps_for_guidance_are_noted():
     )
 
 
-@pytest.mark.parametrize("prediction", PREDICTIONS)
-def test_all_settings_give_finite_bounded_results(prediction):
+def test_all_settings_give_finite_bounded_results():
     """An untrained network is the hardest case: its outputs are inconsistent."""
-    net = small(prediction, levels=1)
+    net = small(levels=1)
     tiny = CONDITION[:, :4, :4]
     table = itertools.product(
         (1, 2, 3, 4, 5, 8, 11, 12, 19, 20), (0.0, 1.0, 1.5, 2.54, 7.0, 15.0), SAMPLERS
@@ -128,7 +127,7 @@ def test_all_settings_give_finite_bounded_results(prediction):
         found = sample_residual(
             net, tiny, DiffusionParams(steps=steps, guidance=guidance, sampler=sampler)
         )
-        expected = prediction, steps, guidance, sampler
+        expected = steps, guidance, sampler
         assert np.isfinite(found.final.residual_mm).all(), expected
         assert np.abs(found.final.residual_mm).max() <= FIELD_LIMIT * net.unit_mm + 1e-5, expected
         assert np.isfinite(found.final.contact_correction).all(), expected

@@ -6,7 +6,7 @@ import os
 import signal
 import time
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -106,8 +106,6 @@ def test_a_live_sensor_is_translated_in_order_with_the_values_of_one_process(mon
         if name != "pose":
             assert last.results[name].digest == result.digest
     assert 1 <= len(last.frame.context_frames) <= 3
-    alone = translation.evaluate(replace(last.frame, context_frames=()), ["depth"])
-    assert alone["depth"].nodes[2].digest != here["depth"].nodes[2].digest, "another light"
     depth_mm = last.results["depth"].output.depth_mm
     assert depth_mm.tobytes() == here["depth"].output.depth_mm.tobytes()
     assert not depth_mm.flags.writeable

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.core.arrays import Doubles, freeze
-from pipeline.core.errors import MeshProblem
+from pipeline.core.errors import MeshProblem, SettingProblem
 from pipeline.core.frozen import frozen
 from pipeline.core.geometry import rigid
 from pipeline.core.geometry.meshes import Mesh, load_mesh
@@ -144,13 +144,19 @@ def transform_mesh(mesh: Mesh, object_from_mesh: Doubles) -> Mesh:
     return replace(mesh, vertices_mm=freeze(rigid.apply(object_from_mesh, mesh.vertices_mm)))
 
 
+FACES = ("-x", "+x", "-y", "+y", "-z", "+z")  # of a mesh that may touch
+
+
 def load_mesh_shape(path: Path, unit: str = "auto", face: str = "-z") -> Shape:
     """A shape from an STL, PLY or OBJ file, its tactile side toward `face`, such as "+x"; without
     symmetry.
 
     That side is rotated to -z, and the mesh centred over the origin with its lowest point at z = 0.
-    Raises FileProblem or MeshProblem for what `load_mesh` refuses.
+    Raises SettingProblem for an unknown face, FileProblem or MeshProblem for what `load_mesh`
+    refuses.
     """
+    if face not in FACES:
+        raise SettingProblem(f"the tactile face must be one of {', '.join(FACES)}, got {face!r}")
     mesh = transform_mesh(load_mesh(Path(path), unit), _rotate_down(face))
     low = mesh.vertices_mm.min(axis=0)
     x, y = -0.5 * (low + mesh.vertices_mm.max(axis=0))[:2]
