@@ -309,8 +309,11 @@ def translate_live(
             if live is None:
                 time.sleep(_POLL_S)
             for result in [] if live is None else live.poll(_WAIT_S):
+                given_s = time.monotonic()
                 yield result
                 came_s = time.monotonic()
+                if came_s - given_s > _STALE_S:
+                    break  # the others are older than what comes next
             status = reader.status()
             problem = "" if live is None else live.problem
             if live is None or status.state != "running":
