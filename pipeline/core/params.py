@@ -112,7 +112,7 @@ def replace_value(params: P, name: str, value: Value) -> P:
     """
     known = list_settings(params)
     if name not in known:
-        raise SettingProblem(f"no parameter {name!r}; there are {', '.join(known)}")
+        raise SettingProblem(f"no parameter {name!r}; there are {', '.join(known) or 'none here'}")
     old, rule = known[name]
     try:
         new = _convert(value, type(old))

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.core.errors import SettingProblem
-from pipeline.core.params import list_settings, replace_value, setting
+from pipeline.core.params import NoParams, list_settings, replace_value, setting
 from pipeline.stages.depth.depth_anything import DepthAnythingParams
 from pipeline.stages.touch.residual_diffusion import DiffusionParams
 
@@ -58,6 +58,11 @@ def test_a_wrong_setting_is_named_with_what_is_allowed(name, value, sentence):
     with pytest.raises(SettingProblem) as caught:
         replace_value(Oven(), name, value)
     assert str(caught.value) == sentence
+
+
+def test_a_method_without_parameters_says_so():
+    with pytest.raises(SettingProblem, match="no parameter 'heat'; there are none here"):
+        replace_value(NoParams(), "heat", "3")
 
 
 @pytest.mark.parametrize(
